@@ -8,15 +8,11 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection, wait
-from multiprocessing.pool import ThreadPool
 from types import ModuleType
-from typing import Any, TypeVar
-
-T = TypeVar("T")
-R = TypeVar("R")
+from typing import Any
 
 SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
@@ -50,20 +46,6 @@ def starting() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:
-    """Results of each item in their order, from so many threads, which keep no program alive that is interrupted."""
-    with ThreadPool(workers) as pool:
-        coming = pool.imap(function, items)
-        while True:
-            try:
-                result = coming.next(RENEW_S)
-            except multiprocessing.TimeoutError:
-                continue
-            except StopIteration:
-                return
-            yield result
 
 
 @contextlib.contextmanager

@@ -51,7 +51,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.map": (
         *("arrays", "errors", "results", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
     ),
-    "stages.squeeze": ("arrays", "capsule", "errors", "processes", "results", "stages.see"),
+    "stages.squeeze": ("arrays", "capsule", "errors", "executor", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),

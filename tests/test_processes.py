@@ -109,29 +109,3 @@ def test_a_ctrl_c_waits_for_no_split_of_a_classification(tmp_path: Path) -> None
 
     assert began.startswith(b"a split is computed")
     assert b"KeyboardInterrupt" in errors
-
-
-MISSED = """
-import signal, threading, time
-from deformscope.processes import in_threads
-
-def interrupt_late():
-    time.sleep(2.0)
-    signal.pthread_kill(threading.get_ident(), signal.SIGINT)
-    time.sleep(3600.0)
-
-if __name__ == "__main__":
-    threading.Thread(target=interrupt_late, daemon=True).start()
-    for _ in in_threads(time.sleep, [3600.0], 1): pass
-"""
-
-
-def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(tmp_path: Path) -> None:
-    """Taken by another thread it wakes the main one as little as one that comes just before its wait begins."""
-    script = tmp_path / "script.py"
-    script.write_text(MISSED)
-    paths = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-
-    ran = subprocess.run([sys.executable, script], capture_output=True, timeout=PATIENCE_S, check=False, env=paths)
-
-    assert b"KeyboardInterrupt" in ran.stderr

@@ -1,27 +1,30 @@
 """`deformscope catalog`: the recordings of a folder, listed, filtered and compared.
 
 deformscope catalog runs/ --where 'stiffness < 0.5 and verdict == "regions"' --sort=-duration_s
-deformscope catalog runs/ --page
+deformscope catalog runs/ --serve
 deformscope catalog compare first.rrd second.rrd
 """
 
 from __future__ import annotations
 
-from deformscope.cli.common import fit_progress, say, show, write_json
+from deformscope.cli.common import fit_progress, say, show, write_file, write_json
 from deformscope.config import CatalogConfig, CompareConfig
 
 
 def run(config: CatalogConfig) -> None:
     """List them; the index is made or brought up to date."""
-    from deformscope.runs.catalog import catalogue, write_page
+    from deformscope.runs.catalog import PAGE, catalog_page, catalogue, serve_page
 
     names = [name.strip() for name in config.columns.split(",") if name.strip()]
     with fit_progress() as progress:
         found = catalogue(config.folder, config.where, config.sort, names, workers=config.workers, progress=progress)
-        page = write_page(found, config.workers, progress) if config.page else None
+        page = catalog_page(found, workers=config.workers, progress=progress) if config.page else None
+        if config.serve:
+            serve_page(found, config.workers, progress)
     show(found)
     if page is not None:
-        say(f"page: {page}")
+        write_file(config.folder / PAGE, page.encode())
+        say(f"page: {config.folder / PAGE}")
     if config.json is not None:
         write_json(found.as_json(), config.json)
 

@@ -34,6 +34,7 @@ from deformscope.config.executor import ExecutorOptions
 from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.executor.journal import Journal
+from deformscope.executor.local import HereWorker
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import compute
 from deformscope.pictures.findings import Findings
@@ -118,7 +119,8 @@ def tried(
             open_workers(on.executor, on.address, workers, len(left)) as open_to,
         ):
             note(trials.of, 0, len(left))
-            for count, outcome in enumerate(compute(open_to, one, left, begin=begin_worker), start=1):
+            begin = None if isinstance(open_to, HereWorker) else begin_worker
+            for count, outcome in enumerate(compute(open_to, one, left, begin=begin), start=1):
                 note(trials.of, count, len(left))
                 if outcome.error is not None:
                     failed.append(outcome.error)

@@ -12,7 +12,7 @@ import importlib
 import io
 import json
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,12 +47,14 @@ class SweptCommand:
     """A command as a worker runs it. options: its flags, read once; None where {key} stands in them
 
     name: of the command; words: its flags, as they are typed; source: the field that takes the file
+    folder: that other files are named from
     """
 
     name: str
     words: tuple[str, ...]
     source: str
     options: CommandOptions | None
+    folder: str
 
 
 def run(options: SweepConfig) -> int:
@@ -110,7 +112,11 @@ def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> V
     identity = [name, plain(_with(options, fields[0], "")), *map(content_of, read)]
     ready = None if options.writes() else options
     settings = {flag.replace("-", "_"): _number(value) for flag, value in varied.items()}
-    return Variation(settings, SweptCommand(name, tuple(words), fields[0], ready), json.dumps(identity))
+    return Variation(
+        settings,
+        SweptCommand(name=name, words=tuple(words), source=fields[0], options=ready, folder=str(Path.cwd())),
+        json.dumps(identity),
+    )
 
 
 def _number(text: str) -> object:
@@ -132,8 +138,8 @@ def run_swept(task: SweepTask) -> Any:
     """Run the command on its file, in a worker; its JSON."""
     swept: SweptCommand = task.argument
     command = cli.COMMANDS[swept.name]
-    out = io.StringIO()
-    with redirect_stdout(out), redirect_stderr(io.StringIO()), at_hand(task) as source:
+    out, folder = io.StringIO(), swept.folder if Path(swept.folder).is_dir() else "."
+    with chdir(folder), redirect_stdout(out), redirect_stderr(io.StringIO()), at_hand(task) as source:
         cli.quiet_libraries()
         if swept.options is None:
             words = [word.replace(KEY, task.files) for word in swept.words]

@@ -58,7 +58,7 @@ class SweepConfig(CommandOptions):
     send: bool = False
     """Send each file to its worker, instead of its path: for nodes that share no disk."""
     limit_s: flags.PositiveFlag = None
-    """Give up a task that takes longer than this [s]."""
+    """Give up a task that takes longer than this [s]; a worker that begins with it takes some seconds for that."""
     workers: flags.SomeFlag = None
     """Tasks at once; default: the cores of this machine, or of the cluster."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
@@ -90,6 +90,8 @@ class CatalogConfig(CommandOptions):
     """Columns to show; default: those that say most."""
     page: bool = False
     """Write DIR/catalog.html too: with a picture of each recording, which opens it."""
+    serve: bool = False
+    """Serve that page to browsers of this machine, at a terminal until Ctrl-C: a click plays the recording."""
     workers: flags.SomeFlag = None
     """Processes that read recordings; default: the cores of this machine."""
     json: flags.JsonFlag = None

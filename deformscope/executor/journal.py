@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -57,8 +58,10 @@ class Journal:
     def add(self, *lines: object) -> None:
         """Add values of what JSON has, also not finite ones; they stay when this process is killed. Raises OSError."""
         text = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in lines).encode()
-        if os.write(self._file.fileno(), text) < len(text):  # the next one to open it takes the piece away
-            raise OSError(28, "no space left on device", str(self.path))
+        before = self._file.seek(0, os.SEEK_END)
+        if os.write(self._file.fileno(), text) < len(text):
+            self._file.truncate(before)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Workers of this machine: processes that stay, each with one thread, or this process."""
+"""Workers of this machine: processes that stay, each with one thread; threads; or this process."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.pool import ThreadPool
 from typing import Any
 
 from deformscope.executor.tasks import WorkerLost
@@ -38,6 +39,31 @@ class HereWorker:
 
     def close(self) -> None:
         """There is nothing to end."""
+
+
+class ThreadWorkers:
+    """Threads of this process, for what is computed below Python of arrays that are here; they keep no program alive
+    that is interrupted."""
+
+    def __init__(self, count: int) -> None:
+        self.capacity, self._pool = count, ThreadPool(count)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        attempt = Future[Any]()
+        self._pool.apply_async(function, arguments, callback=attempt.set_result, error_callback=attempt.set_exception)
+        return attempt
+
+    def ready(self, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
+        return wait(under_way, RENEW_S, FIRST_COMPLETED).done
+
+    def result(self, attempt: Future[Any]) -> Any:
+        return attempt.result()
+
+    def give_up(self, attempt: Future[Any]) -> None:
+        """A thread cannot be ended."""
+
+    def close(self) -> None:
+        self._pool.terminate()
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,7 +84,8 @@ def compute(
 ) -> Iterator[TaskOutcome[T, R]]:
     """The outcome of each item as it is ready.
 
-    items: taken as there is room for them; attempts: of each at most; limit_s: an attempt that takes longer is ended
+    items: taken as there is room for them; attempts: of each at most
+    limit_s: an attempt that takes longer is ended; that its worker begins counts too
     begin: a function of a module too, called in each worker before its first task
     Raises OtherVersion; what an attempt raises becomes its outcome.
     """
@@ -115,13 +116,27 @@ def compute(
                 if isinstance(error, AGAIN) and len(reasons) < attempts:
                     again.append((item, reasons))
                 else:
-                    yield TaskOutcome(item, None, error, reasons)
+                    yield TaskOutcome(item, None, error=error, reasons=reasons)
             else:
-                yield TaskOutcome(item, value, None, reasons, seconds)
+                yield TaskOutcome(item, value, reasons=reasons, seconds=seconds)
         if limit_s is not None:
             for attempt, (_, _, began) in under_way.items():
                 if time.monotonic() - began > limit_s:
                     workers.give_up(attempt)
+
+
+def compute_all(workers: Workers, function: Callable[[T], R], items: Iterable[T], done: Callable[[], None]) -> list[R]:
+    """The results in the order of the items; `done` is called at each, and the first error ends it."""
+    found: dict[int, R] = {}
+    try:
+        for outcome in compute(workers, lambda numbered: function(numbered[1]), enumerate(items), attempts=1):
+            if outcome.error is not None:
+                raise outcome.error
+            found[outcome.item[0]] = outcome.value  # type: ignore[assignment]
+            done()
+    finally:
+        workers.close()
+    return [found[index] for index in sorted(found)]
 
 
 def run_attempt(version: str, begin: Callable[[], None] | None, function: Callable[[T], R], item: T) -> tuple[R, float]:

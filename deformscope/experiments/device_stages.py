@@ -6,7 +6,6 @@ A stage is a pure function of the frames that its result names: the same frames 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -416,24 +415,13 @@ class ApproachReadings:
 
 
 class ApproachChooser:
-    """The newest approach that has ended: contact by force, the arm's way since shortly before.
+    """The newest approach that has ended: contact by force, the arm's way since shortly before. contact_ns: of it"""
 
-    contact_ns: of the newest; before_s: belongs to it before that; longest_s: how long it lasts at most; follow_s: in
-    which the force without contact is followed, None = by FOLLOW with each reading
-    """
+    before_s, longest_s = BEFORE_S, LONGEST_S
 
-    def __init__(
-        self,
-        wrench: str,
-        arm: str,
-        *,
-        before_s: float = BEFORE_S,
-        longest_s: float = LONGEST_S,
-        follow_s: float | None = None,
-    ) -> None:
-        self.skipped = self.contact_ns = 0
+    def __init__(self, wrench: str, arm: str) -> None:
+        self.skipped = self.contact_ns = self._force_ns = 0
         self._wrench, self._arm = wrench, arm
-        self._before_s, self._longest_s, self._follow_s, self._force_ns = before_s, longest_s, follow_s, 0
         self._recent: deque[ArmFrame | WrenchFrame] = deque()
         self._free_n: FloatArray | None = None
         self._since_ns: int | None = None
@@ -452,7 +440,7 @@ class ApproachChooser:
         elif isinstance(item, WrenchFrame) and item.device == self._wrench and np.isfinite(item.force_n[0]).all():
             self._recent.append(item)
             self._see_force(item)
-        kept_ns = (self._before_s + (self._longest_s if self._since_ns is not None else 0.0)) * 1e9
+        kept_ns = (self.before_s + (self.longest_s if self._since_ns is not None else 0.0)) * 1e9
         while self._recent and self._recent[-1].stamp.host_ns - self._recent[0].stamp.host_ns > kept_ns:
             self._recent.popleft()
 
@@ -460,19 +448,25 @@ class ApproachChooser:
         force, ns = frame.force_n[0], frame.stamp.host_ns
         if self._free_n is None:
             self._free_n = force
-        follow = FOLLOW if self._follow_s is None else 1.0 - math.exp((self._force_ns - ns) / 1e9 / self._follow_s)
-        self._force_ns = ns
+        passed_s, self._force_ns = (ns - self._force_ns) / 1e9, ns
         felt = float(np.linalg.norm(force - self._free_n))
         if self._since_ns is None:
             if felt > TOUCHING_N:
                 self._since_ns = ns
             else:
-                self._free_n = self._free_n + follow * (force - self._free_n)
-        elif felt < 0.5 * TOUCHING_N or ns - self._since_ns > self._longest_s * 1e9:
-            self.contact_ns, self._since_ns = self._since_ns, None
-            self.skipped += self._ended is not None
-            self._ended = tuple(self._recent)
-            self._recent.clear()
+                self._free_n = self._free_n + self._follow(passed_s) * (force - self._free_n)
+        elif felt < 0.5 * TOUCHING_N or ns - self._since_ns > self.longest_s * 1e9:
+            self._end()
+
+    def _end(self) -> None:
+        self.contact_ns, self._since_ns = self._since_ns or 0, None
+        self.skipped += self._ended is not None
+        self._ended = tuple(self._recent)
+        self._recent.clear()
+
+    def _follow(self, passed_s: float) -> float:
+        """By what share the force without contact follows a reading, so long after the one before."""
+        return FOLLOW
 
     def take(self) -> tuple[Frame, ...] | None:
         ended, self._ended = self._ended, None

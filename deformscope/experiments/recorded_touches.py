@@ -1,4 +1,5 @@
-"""Touches that somebody's robot made, found in what was recorded of its arm, force sensor and depth camera.
+"""Touches of a recording: as an exploration named their frames, or found in what any robot's arm, force sensor and
+depth camera gave.
 
 What `touching_robot` names of a look and of touches while it makes them is named here of frames that are there already;
 what is computed of them is the same.
@@ -9,27 +10,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
-from deformscope.arrays import IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.experiments.device_stages import ALONG_WAY, ApproachChooser
 from deformscope.experiments.explore import AtOnce, RecordedRobot
-from deformscope.experiments.measured import Looked, SetupGeometry, Touched
+from deformscope.experiments.measured import FrameData, Looked, SetupGeometry, Touched
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.touching_robot import DENT_PICTURES, LOOKS
-from deformscope.frames import ArmFrame, DepthFrame, Frame, Item, WrenchFrame
+from deformscope.frames import ArmFrame, DepthFrame, Frame, Item, WrenchFrame, host_ns
+from deformscope.recording.item_rows import read_rows
 from deformscope.recording.item_source import ItemSource
+from deformscope.recording.items import read_items, read_results, read_streams
+from deformscope.recording.reader import Replay
+from deformscope.recording.streams import RecordingTables
+from deformscope.rig.rig_file import Rig
+from deformscope.robot.placement import Placement
+from deformscope.robot.readings import ArmSample
+from deformscope.robot.setup import CameraView, Setup
 from deformscope.robot.touch import forces_at
-from deformscope.stages.map.measured import LookFrames, TouchFrames
+from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
+from deformscope_drivers.depth_camera.image import depth_m
+from deformscope_drivers.manual_arm.config import MANUAL
 
-BEFORE_S, FOLLOW_S, LONGEST_S = 2.0, 5.0, 120.0
-"""What belongs to a touch before contact, of which the first half is free air; how fast the force without contact is
-followed; how long a touch lasts at most."""
+FOLLOW_S = 5.0
+"""In which the force without contact is followed: a slow press outruns it."""
+TRAVEL_M = 0.03
+"""An arm that is so far from where its tip met something has left it."""
 ASIDE_M, LEAST_WAY_M = 3e-3, 1e-3
 """The way to a touch is straight from where the tip is no further than this beside it. One that dents less has its
 direction from the way before contact too."""
@@ -40,30 +52,45 @@ UPRIGHT, REACHED = 0.5, 0.95
 """Least upward part of a touch's normal: within are 60 degrees; share of the set force that counts as it."""
 
 
-@dataclass(frozen=True, slots=True)
-class FoundTouches:
-    """look, touches: frames, named; left_out: why others were no touches of the surface"""
+class _Approaches(ApproachChooser):
+    """Of the two seconds before contact the first is free air; a hold may last for long, but not while the arm travels:
+    then the force without contact is another one."""
 
-    look: LookFrames
-    touches: tuple[TouchFrames, ...]
-    left_out: tuple[str, ...] = ()
+    before_s, longest_s = 2.0, 120.0
+    _met_m: FloatArray | None = None
+
+    def see(self, item: Item) -> None:
+        super().see(item)
+        if not isinstance(item, ArmFrame) or item.device != self._arm:
+            return
+        if self._since_ns is None or self._met_m is None:
+            self._met_m = item.position_m
+        elif np.linalg.norm(item.position_m - self._met_m) > TRAVEL_M:
+            self._end()
+            self._free_n = None
+
+    def _follow(self, passed_s: float) -> float:
+        return 1.0 - math.exp(-passed_s / FOLLOW_S)
 
 
 def find_touches(
     items: Iterable[Item], names: tuple[str, str, str], setup: SetupGeometry, options: ExploreOptions, model: str
-) -> FoundTouches:
-    """The look and the touches of a recording. items: of its devices in order of time, images need not be decoded.
+) -> tuple[list[LookFrames | TouchFrames], list[str]]:
+    """The look and the touches of a recording, and why other approaches were none.
 
-    names: of arm, force sensor and depth camera; model: the arm's, as the vendor calls it
+    items: of its devices in order of time, images need not be decoded; names: of arm, force sensor and depth camera
+    model: the arm's, as the vendor calls it
     Raises InputError where there is nothing to be found.
     """
     arm, wrench, camera = names
-    chooser = ApproachChooser(wrench, arm, before_s=BEFORE_S, longest_s=LONGEST_S, follow_s=FOLLOW_S)
+    chooser = _Approaches(wrench, arm)
     touches: list[TouchFrames] = []
     left_out: list[str] = []
     images_ns: list[int] = []
     arms_ns: list[int] = []
+    began_ns = 0
     for item in items:
+        began_ns = began_ns or host_ns(item)
         chooser.see(item)
         if isinstance(item, DepthFrame) and item.device == camera:
             images_ns.append(item.stamp.host_ns)
@@ -74,7 +101,7 @@ def find_touches(
         try:
             touches.append(_touch(frames, chooser.contact_ns, images_ns, names, setup, options))
         except InputError as error:
-            left_out.append(f"{(chooser.contact_ns - arms_ns[0]) / 1e9:.1f} s: {error}" if arms_ns else str(error))
+            left_out.append(f"approach after {(chooser.contact_ns - began_ns) / 1e9:.1f} s: {error}")
     if not touches:
         came = f"none of {len(left_out)} approaches, {left_out[0]}" if left_out else chooser.lacks
         raise InputError("touches of the surface in the recording", came, "its [tool] and [surface]")
@@ -84,7 +111,7 @@ def find_touches(
     arm_ns = max(ns for ns in arms_ns if ns <= looks[-1])
     lens = setup.camera.focal_px or (), setup.camera.center_px or ()
     look = LookFrames(camera, np.array(looks, np.int64), arm, arm_ns, model, *lens)
-    return FoundTouches(look, tuple(touches), tuple(left_out))
+    return [look, *touches], left_out
 
 
 def _touch(
@@ -100,7 +127,7 @@ def _touch(
     states = {one.stamp.host_ns: one for one in frames if isinstance(one, ArmFrame)}
     readings = {one.stamp.host_ns: one for one in frames if isinstance(one, WrenchFrame) and one.usable}
     arm_ns, wrench_ns = np.array(list(states), np.int64), np.array(list(readings), np.int64)
-    free = wrench_ns < wrench_ns[0] + (contact_ns - wrench_ns[0]) // 2
+    free = wrench_ns < wrench_ns[:1] + (contact_ns - wrench_ns[:1]) // 2
     met = int(np.searchsorted(arm_ns, contact_ns))
     if free.sum() < 3 or not 0 < met < len(arm_ns) - 1:
         raise InputError("readings in free air and states of the arm around contact", "too few")
@@ -116,6 +143,8 @@ def _touch(
     force_n = forces_at(arm_ns.tolist(), wrench_ns, forces_n)
     center_m = placement.T_surface_center(np.array(T_base_ee))[:, :3, 3]
     peak = met + int(np.argmax(np.linalg.norm(force_n[met:], axis=1)))
+    if np.linalg.norm(force_n[-1]) > 0.5 * np.linalg.norm(force_n[peak]):
+        raise InputError("a force that is gone after it", "one that stays, as where a sensor is set to zero")
     way_m = center_m[peak] - center_m[met]
     if np.linalg.norm(way_m) < LEAST_WAY_M:
         way_m = center_m[peak] - center_m[0]
@@ -176,10 +205,10 @@ def _newest(of_ns: IntArray, at_ns: IntArray) -> IntArray:
 class RecordedTouches(AtOnce):
     """Looks and touches as they were recorded; what the devices gave until then goes by. given: as `RecordedRobot`
 
-    count: of touches; largest_force_n: that was measured in one
+    count: of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
     """
 
-    def __init__(self, given: list[Looked | Touched], source: ItemSource) -> None:
+    def __init__(self, given: list[Looked | Touched], source: ItemSource, left_out: Sequence[str]) -> None:
         touched = [one for one in given if isinstance(one, Touched)]
         self.count = len(touched)
         self.largest_force_n = max(
@@ -188,13 +217,12 @@ class RecordedTouches(AtOnce):
             for ns, ticks in zip(one.used.wrench_ns, one.used.wrench_ticks, strict=True)
         )
         super().__init__(RecordedRobot(list(given)))
-        self._source = source
+        self.left_out, self._source = left_out, source
         source.until_ns = source.start_ns
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
         done = super().carry_out(command, keep)
-        used = None if done.exception() else getattr(done.result(), "used", None)
-        if used is not None:
+        if not done.exception() and (used := getattr(done.result(), "used", None)) is not None:
             self._source.until_ns = int(used.depth_ns[-1] if isinstance(used, LookFrames) else used.end_ns)
             while keep():
                 pass
@@ -204,3 +232,90 @@ class RecordedTouches(AtOnce):
         """What the devices gave after the last touch, a portion at a time."""
         self._source.until_ns = math.inf
         return self._source.take(0.0)
+
+
+def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup, RecordedTouches]:
+    """What a recording's arm did as a setup that is explored. Raises InputError where it made no touch."""
+    replay, streams = Replay(path, trust=True), read_streams(path, trust=True)
+    names: list[str] = []
+    for kind in ("arm", "wrench", "depth"):
+        camera = rig.camera.device if kind == "depth" else ""
+        found = [one.device for one in streams if one.kind == kind and camera in ("", one.device)]
+        if len(found) != 1:
+            raise InputError(f"one {kind} device in the recording", ", ".join(found) or "none", where=path)
+        names += found
+    T_base_surface = np.array(rig.surface.T_arm_surface, dtype=np.float64)
+    T_surface_camera = np.linalg.inv(T_base_surface) @ np.array(rig.camera.T_arm_camera)
+    view = rig.camera
+    source = ItemSource(read_items(path, trust=True), streams, RecordingTables(replay).start_ns)
+    setup = Setup(
+        size_m=rig.surface.size_m,
+        placement=Placement(T_base_surface, rig.tool),
+        workspace=rig.workspace,
+        camera=CameraView(view.focal_px, view.center_px, view.distortion, T_surface_camera, view.doubt_m),
+        open_source=lambda: cast(Any, source),
+        names=(names[0], names[1], names[2]),
+        compliance_m_per_n=rig.tool.compliance_m_per_n or 0.0,
+        compliance_sd=rig.tool.compliance_sd,
+        simulated=bool(replay.settings.get("simulated")),
+        runs_itself=False,
+        clock=lambda: source.now_ns,
+    )
+    model = next((getattr(one.config, "model", None) for one in rig.devices if one.name == names[0]), None) or MANUAL
+    kinds = (ArmFrame, WrenchFrame, DepthFrame)
+    items = (row.item for row in read_rows(replay, kinds, lambda encoded, which: encoded))
+    named, left_out = find_touches(items, setup.names, SetupGeometry.of(setup), options, model)
+    return setup, RecordedTouches(frame_inputs(path, named), source, left_out)
+
+
+def recorded_inputs(path: Path) -> list[Any]:
+    """What the robot gave of its look and its touches, in their order, as `ExplorationStages` takes it.
+
+    Raises InputError where a frame that one of them names is not in the recording.
+    """
+    kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
+    inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]
+    named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]
+    return frame_inputs(path, named) if named else inputs
+
+
+def frame_inputs(path: Path, named: list[Any]) -> list[Any]:
+    """Looks and touches with the content of the frames that they name, which a recording holds."""
+    data = _frames(path, named)
+    return [Looked(one, data) if isinstance(one, LookFrames) else Touched(one, data) for one in named]
+
+
+def _frames(path: Path, named: list[Any]) -> Any:
+    """What is in the frames that are named."""
+    images, states, readings = set[int](), set[int](), set[tuple[int, int]]()
+    for one in named:
+        images.update(map(int, one.depth_ns))
+        if isinstance(one, LookFrames):
+            states.add(one.arm_ns)
+            continue
+        held_ns = [] if one.held_ns is None else one.held_ns
+        times_ns = np.concatenate([one.arm_ns, one.pose_ns, one.depth_arm_ns, held_ns, [one.end_ns]])
+        states.update(map(int, times_ns))
+        readings.update(zip(map(int, one.wrench_ns), map(int, one.wrench_ticks), strict=True))
+    depths: dict[int, Any] = {}
+    poses: dict[int, ArmSample] = {}
+    forces: dict[tuple[int, int], Any] = {}
+    devices = {one.camera for one in named} | {one.arm for one in named}
+    devices |= {one.wrench for one in named if not isinstance(one, LookFrames)}
+    for item in read_items(path, trust=True, kinds=(DepthFrame, ArmFrame, WrenchFrame)):
+        match item:
+            case DepthFrame() if item.stamp.host_ns in images and item.device in devices:
+                depths[item.stamp.host_ns] = depth_m(item.depth.astype(np.uint16, copy=False), item.unit_m)
+            case ArmFrame() if item.stamp.host_ns in states and item.device in devices:
+                pose = transform(rotation_from_euler_xyz(*item.rotation_rad.tolist()), item.position_m)
+                joints_deg = tuple(item.joint_deg.tolist())
+                poses[item.stamp.host_ns] = ArmSample(item.stamp.host_ns, pose, joints_deg, item.queued)
+            case WrenchFrame() if item.device in devices:
+                ticks = -1 if item.stamp.device_ticks is None else item.stamp.device_ticks
+                if (item.stamp.host_ns, ticks) in readings:
+                    forces[item.stamp.host_ns, ticks] = item.force_n[0]
+    missing = len(images - set(depths)), len(readings - set(forces)), len(states - set(poses))
+    if any(missing):
+        came = "without {} depth images, {} forces and {} states of the arm".format(*missing)
+        raise InputError("a recording of every frame that was used", came, "deformscope verify", path)
+    return FrameData(depths, poses, forces)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import difflib
 import json
+import operator
 from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,10 @@ from deformscope.file_io import replacing
 BATCH = 2000
 """Rows that are held as Python's objects."""
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Lt: lambda a, b: a < b,
-    ast.LtE: lambda a, b: a <= b,
-    ast.Gt: lambda a, b: a > b,
-    ast.GtE: lambda a, b: a >= b,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
     ast.Eq: lambda a, b: a.is_null() if b is None else a == b,
     ast.NotEq: lambda a, b: a.is_valid() if b is None else a != b,
 }
@@ -92,14 +94,11 @@ def select_rows(table: pa.Table, where: str = "", sort: str = "") -> pa.Table:
     """
     if where:
         try:
-            tree = ast.parse(where.strip(), mode="eval").body
-        except (SyntaxError, ValueError) as error:
-            came = f"{where!r} ({error.args[0]})"
-            raise InputError("a condition", came, 'stiffness < 0.5 and verdict == "identified"') from error
-        condition = _condition(tree, table.schema.names, where)
-        try:
-            table = table.filter(condition)
-        except (pa.ArrowException, TypeError) as error:
+            table = table.filter(_condition(ast.parse(where.strip(), mode="eval").body, table.schema.names))
+        except SyntaxError as error:
+            hint = 'stiffness < 0.5 and verdict == "identified"'
+            raise InputError("a condition", f"{where!r} ({error.msg})", hint) from error
+        except (pa.ArrowException, TypeError, ValueError) as error:
             raise InputError("a condition on these columns", " ".join(str(error).split())[:200], where=where) from error
     if sort:
         order = "descending" if sort.startswith("-") else "ascending"
@@ -118,65 +117,35 @@ def find_column(name: str, names: list[str]) -> str:
     raise InputError("a column of the table", f"{name!r}" + (", of which there are several" if ends else ""), hint)
 
 
-def _condition(node: ast.expr, names: list[str], whole: str) -> Any:
-    match node:
-        case ast.BoolOp(op, values):
-            first, *rest = (_condition(one, names, whole) for one in values)
-            for one in rest:
-                first = first & one if isinstance(op, ast.And) else first | one
-            return first
-        case ast.UnaryOp(ast.Not(), operand):
-            return ~_condition(operand, names, whole)
-        case ast.Compare(left, operators, others):
-            parts, found = [left, *others], None
-            for number, operator in enumerate(operators):
-                one = _comparison(parts[number], operator, parts[number + 1], names, whole)
-                found = one if found is None else found & one
-            return found
-        case ast.Name() | ast.Attribute():
-            return _operand(node, names, whole)
-    raise _refused(node, whole)
-
-
-def _comparison(left: ast.expr, operator: ast.cmpop, right: ast.expr, names: list[str], whole: str) -> Any:
-    if isinstance(operator, ast.In | ast.NotIn):
-        if isinstance(right, ast.List | ast.Tuple):
-            values = [_operand(one, names, whole) for one in right.elts]
-            found = _operand(left, names, whole).isin(values)
-        elif isinstance(left, ast.Constant):
-            found = pc.match_substring(_operand(right, names, whole), str(left.value))
-        else:
-            raise _refused(right, whole)
-        return found if isinstance(operator, ast.In) else ~found
-    if type(operator) not in _OPERATORS:
-        raise _refused(left, whole)
-    a, b = _operand(left, names, whole), _operand(right, names, whole)
-    if isinstance(a, pc.Expression):
-        return _OPERATORS[type(operator)](a, b)
-    if not isinstance(b, pc.Expression):
-        raise _refused(left, whole)
-    return _OPERATORS[type(operator)](pc.scalar(a), b)
-
-
-def _operand(node: ast.expr, names: list[str], whole: str) -> Any:
+def _condition(node: ast.expr, names: list[str]) -> Any:
+    """Columns and conditions as Arrow's expressions, values as they are."""
     match node:
         case ast.Constant(value) if value is None or isinstance(value, str | int | float):
             return value
         case ast.UnaryOp(ast.USub(), ast.Constant(value)) if isinstance(value, int | float):
             return -value
         case ast.Name() | ast.Attribute():
-            return pc.field(find_column(_dotted(node, whole), names))
-    raise _refused(node, whole)
+            return pc.field(find_column(ast.unparse(node), names))
+        case ast.List(values) | ast.Tuple(values):
+            return [_condition(one, names) for one in values]
+        case ast.UnaryOp(ast.Not(), operand):
+            return ~_condition(operand, names)
+        case ast.BoolOp(op, values):
+            join = operator.and_ if isinstance(op, ast.And) else operator.or_
+            return reduce(join, (_condition(one, names) for one in values))
+        case ast.Compare(left, operators, others):
+            parts = [_condition(one, names) for one in (left, *others)]
+            return reduce(operator.and_, map(_comparison, parts, operators, parts[1:]))
+    raise InputError("columns compared with values", repr(ast.unparse(node)))
 
 
-def _dotted(node: ast.expr, whole: str) -> str:
-    match node:
-        case ast.Name(name):
-            return name
-        case ast.Attribute(value, attribute):
-            return f"{_dotted(value, whole)}.{attribute}"
-    raise _refused(node, whole)
-
-
-def _refused(node: ast.expr, whole: str) -> InputError:
-    return InputError("columns compared with values", repr(ast.get_source_segment(whole.strip(), node)), where=whole)
+def _comparison(left: Any, by: ast.cmpop, right: Any) -> Any:
+    if isinstance(by, ast.In | ast.NotIn) and isinstance(left, str):
+        found = pc.match_substring(right, left)
+    elif isinstance(by, ast.In | ast.NotIn) and isinstance(right, list) and isinstance(left, pc.Expression):
+        found = left.isin(right)
+    elif type(by) in _OPERATORS and any(isinstance(one, pc.Expression) for one in (left, right)):
+        return _OPERATORS[type(by)](left if isinstance(left, pc.Expression) else pc.scalar(left), right)
+    else:
+        raise InputError("columns compared with values", "something else")
+    return ~found if isinstance(by, ast.NotIn) else found

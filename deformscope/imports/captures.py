@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from deformscope.errors import InputError
 from deformscope.frames import Frame, RawBytes, Stream
 from deformscope.imports.import_map import MappedStream
-from deformscope.imports.readers import Message, Reader
+from deformscope.imports.readers import Message, Reader, Topic
 from deformscope.rig.decoded import REDECODERS
 from deformscope.rig.measured import to_frame
 from deformscope_drivers.clock import Unwrap
@@ -17,18 +19,44 @@ from deformscope_drivers.framing import Skipped
 from deformscope_drivers.health import Health, Link
 from deformscope_drivers.optoforce.protocol import Reading as ForcePacket
 
-FED = ("optoforce", "dsa")
-"""Drivers whose frames are decided by what the device sends."""
+FED = {"optoforce": "wrench", "dsa": "tactile"}
+"""Drivers whose frames are decided by what the device sends, and the frames' kind."""
 PIECE_BYTES = 16
 """No longer than the shortest reading, so that each piece of a file without times completes one at most."""
 
 
-class CaptureStream:
+def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
+    """Raises InputError where a stream's driver, kind and topics do not belong together."""
+    of_bytes = all(topics[name].type in ("bytes", "candump") for name in stream.topics)
+    if of_bytes and stream.driver not in FED:
+        raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
+    if stream.driver and not of_bytes:
+        raise stream.missing("driver", "none, its topics are not bytes of a device", stream.driver)
+    if stream.driver and stream.kind != FED[stream.driver]:
+        raise stream.missing("kind", f"{FED[stream.driver]}, as {stream.driver} gives", stream.kind)
+
+
+class Counted:
+    """Frames of a stream as they are made. lost: messages that made none; gap_ns: the longest time between two"""
+
+    def __init__(self) -> None:
+        self.count = self.lost = self.skipped = self.first_ns = self.last_ns = self.gap_ns = 0
+
+    def add(self, ns: int) -> None:
+        """Count one more."""
+        self.first_ns, self.gap_ns = (self.first_ns, max(self.gap_ns, ns - self.last_ns)) if self.count else (ns, 0)
+        self.last_ns, self.count = ns, self.count + 1
+
+    def health(self) -> Health:
+        span_s = (self.last_ns - self.first_ns) / 1e9
+        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
+        return Health(Link.CLOSED, "", self.count, skipped_bytes=self.skipped, lost=self.lost, rate_hz=rate_hz)
+
+
+class CaptureStream(Counted):
     """One device's bytes. config: of its driver. Raises InputError for what the map must say"""
 
     def __init__(self, stream: MappedStream, config: object, reader: Reader) -> None:
-        if stream.driver not in FED:
-            raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
         if stream.driver == "dsa" and not stream.pads:
             raise stream.missing("pads", "name, rows, columns, texel_m, index, finger and part of each", "")
         self.stream, self._config = stream, config
@@ -36,28 +64,21 @@ class CaptureStream:
         first = next((one for one in self._decoded(reader) if not isinstance(one, RawBytes)), None)
         force: Any = getattr(first, "force_n", None)
         if force is not None:
+            if stream.nan == "refuse" and not np.isfinite(force).all():
+                expected = 'counts at nominal and nominal forces, as its certificate has them, or nan = "keep"'
+                raise stream.missing("config.sensitivity", expected, "")
             torques = len(first.counts) > force.size  # type: ignore[union-attr]
             self._known = Stream(stream.device, stream.kind, stream.driver, channels=len(force), torques=torques)
-        self._reset()
-
-    def _reset(self) -> None:
-        self.count = self.lost = self.first_ns = self.last_ns = self._skipped = 0
 
     def describe(self, known: Mapping[str, Any] | None) -> Stream:
         return self._known
 
-    def health(self) -> Health:
-        span_s = (self.last_ns - self.first_ns) / 1e9
-        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
-        return Health(Link.CLOSED, "", self.count, skipped_bytes=self._skipped, rate_hz=rate_hz)
-
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""
-        self._reset()
         return self._decoded(reader)
 
     def _decoded(self, reader: Reader) -> Iterator[Frame | RawBytes]:
-        self._reset()
+        Counted.__init__(self)
         again = REDECODERS[self.stream.driver](self._config, self._known)
         decoder = again.begin()
         clock = _Clock(self.stream)
@@ -69,13 +90,12 @@ class CaptureStream:
                 continue
             for event in decoder.feed(message.value):
                 if isinstance(event, Skipped):
-                    self._skipped += event.count
+                    self.skipped += event.count
                     continue
                 ns = clock.at(message, event)
                 if (reading := again.measure(event, ns)) is not None:
                     yield to_frame(self.stream.kind, reading, self.count, self.stream.device, again.device())
-                    self.first_ns = self.first_ns if self.count else ns
-                    self.last_ns, self.count = ns, self.count + 1
+                    self.add(ns)
             yield RawBytes(clock.at(message, None), message.value, False, self.stream.device)
 
 

@@ -55,29 +55,17 @@ STANDARD: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {
 }
 """Kind and columns of standard messages, whose units are those of REP 103."""
 SI = {
-    "N": ("N", 1.0),
-    "mN": ("N", 1e-3),
-    "kN": ("N", 1e3),
-    "gf": ("N", 9.80665e-3),
-    "kgf": ("N", 9.80665),
-    "lbf": ("N", 4.4482216152605),
-    "N m": ("N m", 1.0),
-    "Nm": ("N m", 1.0),
-    "mN m": ("N m", 1e-3),
-    "N mm": ("N m", 1e-3),
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "rad": ("rad", 1.0),
-    "deg": ("rad", math.pi / 180),
-    "rad/s": ("rad/s", 1.0),
-    "deg/s": ("rad/s", math.pi / 180),
-    "Pa": ("Pa", 1.0),
-    "kPa": ("Pa", 1e3),
-    "hPa": ("Pa", 1e2),
-    "MPa": ("Pa", 1e6),
-    "deg C": ("deg C", 1.0),
+    name: (of, factor)
+    for of, names in {
+        "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
+        "N m": {"N m": 1.0, "Nm": 1.0, "mN m": 1e-3, "N mm": 1e-3},
+        "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+        "rad": {"rad": 1.0, "deg": math.pi / 180},
+        "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180},
+        "Pa": {"Pa": 1.0, "kPa": 1e3, "hPa": 1e2, "MPa": 1e6},
+        "deg C": {"deg C": 1.0},
+    }.items()
+    for name, factor in names.items()
 }
 """What each unit is of, and how much of it."""
 Pose = npt.NDArray[np.float64]
@@ -210,9 +198,11 @@ class FrameBuilder:
         return row
 
     def values(self, row: Mapping[str, Any], name: str, kind: Any = np.float64, size: int | None = None) -> Any:
-        """A field's values, flat; without one, `size` times no number. Raises KeyError where that is None too."""
+        """A field's values, flat, NaN for real ones that are empty; without its columns, `size` times no number. Raises
+        KeyError where that is None too."""
         columns = columns_of(name, row)
-        if not columns or all(row[one] is None for one in columns):
+        is_empty = all(row[one] is None for one in columns)
+        if not columns or (is_empty and (columns == [name] or kind is not np.float64)):
             if size is None:
                 raise KeyError(name)
             return np.full(size, np.nan if kind is np.float64 else 0, kind)

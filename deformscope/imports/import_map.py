@@ -9,9 +9,8 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -21,11 +20,12 @@ from deformscope.rig.rig_file import SECTIONS
 
 ASKED: Final = "?"
 """The value of a key that the source does not decide."""
+MOST_NS: Final = 1 << 62
+"""Of times: 146 years from 0."""
 HOW = "deformscope import --inspect SOURCE > map.toml"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MappedStream:
+class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One device's frames.
 
     topics: topics, tables or files that they are made of; of several, those of one time make a frame
@@ -37,6 +37,7 @@ class MappedStream:
     nan: `keep` takes forces that are no numbers, which are refused otherwise
     unit_m: what a step of distances is [m]: of files always; of real numbers it is chosen, 1e-4 without it
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
+    pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
     joints: names, in their order; focal_px, center_px, size_px: of the camera that points are projected into
     pads: of a tactile sensor; rate_hz: of rows without a time
     driver, config: whose bytes they are, and how it is set as in a rig file; topics are then received and sent bytes
@@ -45,39 +46,39 @@ class MappedStream:
     device: str
     kind: Kind
     topics: tuple[str, ...]
-    columns: dict[str, str] = field(default_factory=dict)
-    units: dict[str, str] = field(default_factory=dict)
+    columns: dict[str, str] = {}
+    units: dict[str, str] = {}
     time: str = "header"
     time_unit: str = ""
-    offset_s: float | Literal["?"] = 0.0
+    offset_s: Annotated[float, msgspec.Meta(ge=-1e10, le=1e10)] | Literal["?"] = 0.0
     nan: Literal["refuse", "keep"] = "refuse"
-    unit_m: float = 0.0
+    unit_m: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] = 0.0
     pose: str = ""
     parent: str = ""
     child: str = ""
+    pose_age_s: Annotated[float, msgspec.Meta(ge=0.0, le=1e10)] = 0.5
     joints: tuple[str, ...] = ()
     focal_px: tuple[float, float] | None = None
     center_px: tuple[float, float] | None = None
     size_px: tuple[int, int] | None = None
     pads: tuple[Pad, ...] = ()
-    rate_hz: float = 0.0
+    rate_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0
     driver: str = ""
-    config: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = {}
 
     def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
         """The error that asks for a key."""
         return InputError(f"{key} of {self.device} in the map: {expected}", f"{came!r}" if came else "none", HOW)
 
 
-@dataclass(frozen=True, slots=True)
-class ImportMap:
+class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """All of it. start_ns: the stamp at which the recording begins [ns]; None = the first; skip_rows: lines of CSV
     tables before their header; rig: sections of a rig file, as `tool` and `camera`"""
 
     streams: tuple[MappedStream, ...]
-    start_ns: int | None = None
+    start_ns: Annotated[int, msgspec.Meta(ge=-MOST_NS, le=MOST_NS)] | None = None
     skip_rows: int = 0
-    rig: dict[str, dict[str, Any]] = field(default_factory=dict)
+    rig: dict[str, dict[str, Any]] = {}
 
     def to_toml(self) -> str:
         """As a file has it, without what is as usual."""
@@ -86,10 +87,10 @@ class ImportMap:
         lines += [f"skip_rows = {self.skip_rows}"] if self.skip_rows else []
         for stream in self.streams:
             lines += ["", "[[streams]]"]
-            for one in fields(stream):
-                value = getattr(stream, one.name)
-                if one.name in ("device", "kind", "topics") or value != getattr(usual, one.name):
-                    lines.append(f"{one.name} = {_toml(msgspec.to_builtins(value))}")
+            for name in stream.__struct_fields__:
+                value = getattr(stream, name)
+                if name in ("device", "kind", "topics") or value != getattr(usual, name):
+                    lines.append(f"{name} = {_toml(msgspec.to_builtins(value))}")
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
@@ -104,7 +105,11 @@ class ImportMap:
 def read_map(path: Path) -> ImportMap:
     """Raises InputError for what is no map, with the key that is wrong."""
     try:
-        found = msgspec.convert(_strict(tomllib.loads(path.read_text(encoding="utf-8"))), ImportMap)
+        said = tomllib.loads(path.read_text(encoding="utf-8"))
+        if "rig" in said:
+            raise ValueError("unknown field `rig`: its sections stand by themselves")
+        rig = {name: said.pop(name) for name in SECTIONS if isinstance(said.get(name), dict)}
+        found = msgspec.convert(said | {"rig": rig}, ImportMap)
     except OSError as error:
         raise InputError("a map (TOML)", (error.strerror or str(error)).lower(), HOW, path) from error
     except (ValueError, msgspec.ValidationError) as error:
@@ -120,21 +125,11 @@ def read_map(path: Path) -> ImportMap:
     return found
 
 
-def _strict(found: dict[str, Any]) -> dict[str, Any]:
-    known = {one.name for one in fields(MappedStream)}
-    for stream in found.get("streams", []):
-        if unknown := sorted(set(stream) - known):
-            raise ValueError(f"unknown key {unknown[0]!r} in [[streams]]")
-    rig = {name: found.pop(name) for name in SECTIONS if isinstance(found.get(name), dict)}
-    if unknown := sorted(set(found) - {one.name for one in fields(ImportMap)} | found.keys() & {"rig"}):
-        raise ValueError(f"unknown key {unknown[0]!r}")
-    return found | {"rig": rig}
-
-
 def _toml(value: Any) -> str:
     """Numbers, words, lists and tables on one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{json.dumps(name)} = {_toml(one)}" for name, one in value.items()) + "}"
+        return "{" + ", ".join(f"{_toml(name)} = {_toml(one)}" for name, one in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)

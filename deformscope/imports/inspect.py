@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from deformscope.errors import InputError
 from deformscope.frames import Kind, Pad
@@ -29,7 +29,7 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 class Found:
     """A topic as it was read. messages: how many; first_ns, last_ns: when recorded; gap_ns: the longest between two
     stamp_ns: of the first message itself, None = it has none; encoding: of images; frames: of transforms
-    joints: names in the first message"""
+    joints: names in the first message; unread: why that is not read"""
 
     topic: Topic
     messages: int = 0
@@ -40,6 +40,7 @@ class Found:
     encoding: str = ""
     frames: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
+    unread: str = ""
 
     @property
     def rate_hz(self) -> float:
@@ -51,27 +52,37 @@ class Found:
         """By how much its own stamps are behind when it was recorded [s]; None = it has none."""
         return None if self.stamp_ns is None or not self.first_ns else (self.first_ns - self.stamp_ns) / 1e9
 
+    def look(self, value: Any) -> None:
+        """Take what the first message says."""
+        self.encoding = _encoding(value)
+        self.joints = tuple(value.name) if self.topic.type.endswith("JointState") else ()
+        stamp = getattr(getattr(value, "header", None), "stamp", None)
+        self.stamp_ns = None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
     def to_text(self) -> str:
         rate = f", {self.rate_hz:.4g}/s, longest gap {self.gap_ns / 1e9:.3g} s" if self.rate_hz else ""
         clock = "" if self.clock_s is None else f", stamped {self.clock_s:.4g} s before it was recorded"
         frames = f", frames {', '.join(self.frames)}" if self.frames else ""
         joints = f", joints {', '.join(self.joints)}" if self.joints else ""
         columns = f", columns {', '.join(self.topic.units)}" if self.topic.units else ""
-        return f"{self.topic.name}: {self.topic.type}, {self.messages} messages{rate}{clock}{frames}{joints}{columns}"
+        told = f"{rate}{clock}{frames}{joints}{columns}{self.unread}"
+        return f"{self.topic.name}: {self.topic.type}, {self.messages} messages{told}"
 
 
 def inspect(reader: Reader) -> list[Found]:
-    """Read it once, message by message."""
+    """Read it once, message by message. Raises InputError where nothing is there."""
     found = {name: Found(topic) for name, topic in reader.topics().items()}
+    if not found:
+        raise InputError("a source with topics", "an empty one")
     for message in reader.messages(list(found)):
         one = found[message.topic]
         ns = message.log_ns or (message.value.get("host_ns") or 0 if isinstance(message.value, Mapping) else 0)
         if not one.messages:
             one.first_ns = ns
-            one.encoding = _encoding(message.value)
-            one.joints = tuple(message.value.name) if one.topic.type.endswith("JointState") else ()
-            stamp = getattr(getattr(message.value, "header", None), "stamp", None)
-            one.stamp_ns = None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+            try:
+                one.look(message.value)
+            except InputError as error:  # of a type that is not known; others can be imported
+                one.unread = f", not read: {error}"
         else:
             one.gap_ns = max(one.gap_ns, ns - one.last_ns)
         if one.topic.type == TRANSFORMS and len(one.frames) < 50:
@@ -84,9 +95,8 @@ def inspect(reader: Reader) -> list[Found]:
 def _encoding(value: Any) -> str:
     """Of an image: what its message says, or `16UC1` of a file of counts; empty where it is none."""
     if isinstance(value, Path) and value.suffix.lower() not in CLOUDS:
-        with contextlib.suppress(InputError):  # the import says what is wrong
-            image = read_image(value)
-            return "16UC1" if image.ndim == 2 and image.dtype == np.uint16 else "rgb8"
+        image = read_image(value)
+        return "16UC1" if image.ndim == 2 and image.dtype == np.uint16 else "rgb8"
     return str(getattr(value, "encoding", getattr(value, "format", "")))
 
 
@@ -151,19 +161,15 @@ def _table(one: Found, device: str) -> MappedStream:
 
 def _own(one: Found, kind: Any, found: list[Found], about: Mapping[str, Any]) -> MappedStream:
     """Of an export of ours: all is known. Images of an MCAP stand in messages of their own."""
-    entity = next((each["entity"] for each in about.get("streams", []) if one.topic.name in each["files"]), None)
-    entity = entity or one.topic.name.strip("/").removesuffix(".csv").removesuffix(".parquet")
-    device = entity.partition("/")[2]
+    files = [(each["entity"], name) for each in about.get("streams", []) for name in each["files"]]
+    entities = [entity for entity, name in [*about.get("topics", {}).items(), *files] if name == one.topic.name]
+    named = one.topic.name.strip("/").removesuffix(".csv").removesuffix(".parquet")
+    device = (entities[0] if entities else named).partition("/")[2]
     known = about.get("devices", {})
-    device = next((name for name in known if name == device or _plain(name) == device), device)
     topics = [one.topic.name]
     if kind in ("color", "depth") and one.topic.type not in TABLE_TYPES:
         there = {each.topic.name for each in found}
-        images = (f"/{_plain(device)}/{name}" for name in ("color/compressed", "depth/image"))
-        topics += [name for name in images if name in there]
+        base = about.get("device_topics", {}).get(device, f"/{device}")
+        topics += [name for name in (f"{base}/color/compressed", f"{base}/depth/image") if name in there]
     pads = msgspec.convert(known.get(device, {}).get("pads", ()), tuple[Pad, ...])
     return MappedStream(device=device, kind=kind, topics=tuple(topics), pads=pads, nan="keep")
-
-
-def _plain(device: str) -> str:
-    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in device)

@@ -1,20 +1,19 @@
-"""A take of somebody's poked object, as pairs and a motion: meshes frame by frame with forces (as PokeFlex has them).
+"""A take of somebody's poked object, as pairs and a motion: meshes frame by frame with forces, as PokeFlex has them.
 
-TAKE/robot_data.json            a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]
-TAKE/meshes/mesh-f00001.obj     one a frame, with the same vertices [mm], z up
-TAKE/CAMERA/camera_parameters.json   intrinsics and extrinsics (a Kinect's: color_intrinsics, color_extrinsics)
+robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one a frame, with
+the same vertices [mm], z up; CAMERA/camera_parameters.json: intrinsics and extrinsics, of a Kinect color_intrinsics...
 """
 
 from __future__ import annotations
 
 import io
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+import msgspec
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
@@ -29,6 +28,28 @@ TOUCHED, PRESSED_M = 0.8, 1e-3
 """A tool holds what moved by this share of the largest displacement, or more, where that is so large [m]."""
 
 
+Three: TypeAlias = tuple[float, float, float]
+Four: TypeAlias = tuple[float, float, float, float]
+
+
+class _Reading(msgspec.Struct):
+    frame: int
+    forces: list[float]
+
+    def __post_init__(self) -> None:
+        if len(self.forces) not in (3, 6):
+            raise ValueError(f"forces {self.forces}")
+
+
+class _Camera(msgspec.Struct):
+    intrinsics: tuple[Three, Three, Three]
+    extrinsics: tuple[Four, Four, Four, Four]
+
+
+class _Kinect(_Camera, rename=lambda name: f"color_{name}"):
+    """Of its colour camera."""
+
+
 @dataclass(frozen=True, slots=True)
 class MeshTake:
     """rest: (K, 3) particles of the first frame, before any load [m]; position: (T, K, 3) in each later frame
@@ -39,7 +60,7 @@ class MeshTake:
     position: FloatArray
     frames: IntArray
     force_n: FloatArray
-    cameras: Mapping[str, Mapping[str, list[list[float]]]]
+    cameras: Mapping[str, Mapping[str, Any]]
 
     @property
     def stands(self) -> BoolArray:
@@ -69,7 +90,8 @@ class MeshTake:
 
 def read_take(folder: Path, particles: int) -> MeshTake:
     """Raises InputError for what is missing or odd. particles: at most, spread evenly over the mesh"""
-    forces = _forces(folder / "robot_data.json")
+    data = _read(folder / "robot_data.json", {"a list of frame and forces (three or six numbers)": list[_Reading]})
+    forces = {one.frame: one.forces[:3] for one in data}
     found = {int(name[1]): one for one in folder.glob("meshes/*.obj") if (name := MESH.match(one.name))}
     frames = np.array(sorted(forces.keys() & found.keys()), np.int64)
     if len(frames) < 2:
@@ -84,30 +106,23 @@ def read_take(folder: Path, particles: int) -> MeshTake:
             raise InputError("meshes with the same vertices", came, "register them to one template", found[frame])
         position[at] = vertices[chosen]
     force_n = np.array([forces[frame] for frame in frames])
-    cameras = {one.parent.name: _camera(one) for one in sorted(folder.glob("*/camera_parameters.json"))}
+    kinds = {"intrinsics (3, 3) and extrinsics (4, 4)": _Camera, "color_intrinsics and color_extrinsics": _Kinect}
+    cameras = {
+        one.parent.name: msgspec.structs.asdict(_read(one, kinds))
+        for one in sorted(folder.glob("*/camera_parameters.json"))
+    }
     return MeshTake(rest[chosen], position, frames[1:], force_n[1:] - force_n[0], cameras)
 
 
-def _json(path: Path) -> Any:
-    try:
-        return json.loads(read_file(path, f"{path.name} of a take"))
-    except ValueError as error:
-        raise InputError(f"{path.name} in JSON", " ".join(str(error).split()), where=path) from error
-
-
-def _forces(path: Path) -> dict[int, FloatArray]:
-    """(3,) by frame [N]."""
-    found: dict[int, FloatArray] = {}
-    try:
-        for one in _json(path):
-            force = np.array(one["forces"], np.float64)
-            if force.shape not in ((3,), (6,)) or not np.isfinite(force).all():
-                raise ValueError(f"forces {one['forces']!r} in frame {one['frame']}")
-            found[int(one["frame"])] = force[:3]
-    except (KeyError, TypeError, ValueError) as error:
-        came = f"none of {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError("a list of frame and forces (three or six numbers)", came, where=path) from error
-    return found
+def _read(path: Path, kinds: Mapping[str, Any]) -> Any:
+    """A JSON file as the first of these kinds that it is; each by its words."""
+    raw, came = read_file(path, path.name), ""
+    for kind in kinds.values():
+        try:
+            return msgspec.json.decode(raw, type=kind)
+        except msgspec.DecodeError as error:
+            came = came or " ".join(str(error).split())
+    raise InputError(f"{' or '.join(kinds)} in JSON", came, where=path)
 
 
 def _vertices(path: Path) -> FloatArray:
@@ -129,21 +144,6 @@ def _spread(points: FloatArray, count: int) -> IntArray:
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
     return np.array(sorted(chosen), np.int64)
-
-
-def _camera(path: Path) -> dict[str, list[list[float]]]:
-    """Intrinsics (3, 3) and extrinsics (4, 4), of a Kinect those of its colour camera."""
-    given, found = _json(path), {}
-    for name, size in (("intrinsics", 3), ("extrinsics", 4)):
-        value = given.get(name, given.get(f"color_{name}")) if isinstance(given, dict) else None
-        try:
-            matrix = np.array(value, np.float64)
-        except (TypeError, ValueError):
-            matrix = np.zeros(0)
-        if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-            raise InputError(f"{name} or color_{name} ({size}, {size})", str(value)[:60], where=path)
-        found[name] = matrix.tolist()
-    return found
 
 
 def _npz(**arrays: Any) -> bytes:

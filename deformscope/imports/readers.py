@@ -6,8 +6,9 @@ import contextlib
 import json
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -40,13 +41,20 @@ class Topic:
     kind: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Message:
-    """log_ns: when it was recorded [ns], 0 = not known; value: with fields as attributes, or as items of a mapping"""
+    """log_ns: when it was recorded [ns], 0 = not known; content: as it was read; decode: makes the value of it, None =
+    it is the value"""
 
     topic: str
     log_ns: int
-    value: Any
+    content: Any
+    decode: Callable[[Any], Any] | None = None
+
+    @cached_property
+    def value(self) -> Any:
+        """With fields as attributes, or as items of a mapping. Raises InputError."""
+        return self.content if self.decode is None else self.decode(self.content)
 
     def get(self, name: str) -> Any:
         """A field, or a.b within one. Raises KeyError where there is none."""
@@ -73,8 +81,8 @@ class Reader(Protocol):
 
 
 @contextlib.contextmanager
-def open_reader(path: Path, skip_rows: int = 0) -> Iterator[Reader]:
-    """Open a source. Raises InputError for what cannot be read."""
+def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> Iterator[Reader]:
+    """Open a source. times: columns that hold them. Raises InputError for what cannot be read."""
     if not path.exists():
         raise InputError("a bag, a table, or a folder of one of them", "nothing there", where=path)
     is_bag = path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
@@ -93,7 +101,7 @@ def open_reader(path: Path, skip_rows: int = 0) -> Iterator[Reader]:
         came = "a folder without one" if path.is_dir() else repr(path.suffix or path.name)
         known = ", ".join((*BAGS, *TABLES))
         raise InputError(f"a bag or tables ({known})", came, where=path)
-    yield TableReader(path, tables, skip_rows)
+    yield TableReader(path, tables, skip_rows, times)
 
 
 @contextlib.contextmanager
@@ -141,9 +149,15 @@ class BagReader:
             return
         try:
             for connection, log_ns, raw in self._bag.messages(connections=wanted):
-                yield Message(connection.topic, log_ns, self._bag.deserialize(raw, connection.msgtype))
-        except InputError:
-            raise
+                yield Message(connection.topic, log_ns, raw, partial(self._decode, connection.msgtype))
+        except Exception as error:  # as above
+            raise _unreadable(self._path, error) from error
+
+    def _decode(self, kind: str, raw: bytes) -> Any:
+        try:
+            return self._bag.deserialize(raw, kind)
+        except KeyError as error:
+            raise InputError("messages of a known type", kind, "leave its topic out of the map", self._path) from error
         except Exception as error:  # as above
             raise _unreadable(self._path, error) from error
 
@@ -226,21 +240,20 @@ def _numbered(folder: Path) -> dict[str, list[Path]]:
 class TableReader:
     """Tables: one, or all below a folder, named by their places in it."""
 
-    def __init__(self, path: Path, tables: list[Path], skip_rows: int) -> None:
-        self._skip_rows = skip_rows
+    def __init__(self, path: Path, tables: list[Path], skip_rows: int, times: Collection[str]) -> None:
+        self._skip_rows, self._times = skip_rows, times
         self._tables = {(one.name if one == path else one.relative_to(path).as_posix()): one for one in tables}
-        manifest = path / "export.json"
-        self.about = json.loads(manifest.read_bytes()) if manifest.is_file() else {}
+        self.about = _manifest(path / "export.json")
 
     def topics(self) -> dict[str, Topic]:
         found = {}
         for name, path in self._tables.items():
-            with self._opened(path) as (schema, count, _):
+            with self._opened(name) as (schema, count, _):
                 metadata = schema.metadata or {}
                 units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
+                units |= {one.name: "ns" for one in schema if _has_ns(one.type)}
                 kinds = metadata.get(b"deformscope.kinds", b"").decode().split()
-            own = next((one for one in self.about.get("streams", []) if name in one["files"]), None)
-            if own is not None:
+            if own := self._own(name):
                 units |= {one["name"]: one["unit"] for one in own["columns"] if one["name"] in units}
                 kinds = kinds or [own.get("kind", "")]
             found[name] = Topic(name, path.suffix.lower()[1:], count, units, kinds[-1] if kinds else "")
@@ -248,15 +261,28 @@ class TableReader:
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         for name in topics:
-            with self._opened(self._tables[name]) as (_, _, batches):
+            with self._opened(name) as (_, _, batches):
                 for batch in batches:
-                    for row in batch.to_pylist():
+                    for row in _in_ns(batch).to_pylist():
                         yield Message(name, 0, row)
 
+    def _own(self, name: str) -> Mapping[str, Any]:
+        """What the manifest of an export says of a table; empty of others."""
+        return next((one for one in self.about.get("streams", []) if name in one["files"]), {})
+
+    def _types(self, name: str, schema: pa.Schema) -> dict[str, pa.DataType]:
+        """Of columns of a CSV whose first rows do not show it: a fraction may stand further below."""
+        if own := self._own(name):
+            said = {one["name"]: one["type"] for one in own["columns"] if one["type"] in ("double", "int64")}
+            return {one: pa.type_for_alias(said[one]) for one in schema.names if one in said}
+        shown = (pa.int64(), pa.null())
+        return {one.name: pa.float64() for one in schema if one.type in shown and one.name not in self._times}
+
     @contextlib.contextmanager
-    def _opened(self, path: Path) -> Iterator[tuple[pa.Schema, int | None, Iterator[pa.RecordBatch]]]:
+    def _opened(self, name: str) -> Iterator[tuple[pa.Schema, int | None, Iterator[pa.RecordBatch]]]:
         from pyarrow import csv, parquet
 
+        path = self._tables[name]
         try:
             if path.suffix.lower() == ".parquet":
                 with parquet.ParquetFile(path) as file:
@@ -264,7 +290,31 @@ class TableReader:
                 return
             read = csv.ReadOptions(skip_rows=self._skip_rows, block_size=1 << 22)
             with csv.open_csv(path, read_options=read) as file:
+                types = csv.ConvertOptions(column_types=self._types(name, file.schema))
+            with csv.open_csv(path, read_options=read, convert_options=types) as file:
                 yield file.schema, None, iter(file)
-        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        except (pa.ArrowException, OSError, ValueError) as error:
             came = " ".join(str(error).split())[:160]
             raise InputError("a table that can be read", came, "skip_rows in the map", path) from error
+
+
+def _manifest(path: Path) -> dict[str, Any]:
+    """What our own exports say of themselves; empty where the file is another's."""
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) and "schema_version" in found else {}
+
+
+def _has_ns(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_timestamp(kind) or pa.types.is_duration(kind))
+
+
+def _in_ns(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """Its times as whole numbers [ns]."""
+    for at, one in enumerate(batch.schema):
+        if _has_ns(one.type):
+            kind = pa.timestamp("ns", one.type.tz) if pa.types.is_timestamp(one.type) else pa.duration("ns")
+            batch = batch.set_column(at, one.name, batch.column(at).cast(kind).cast(pa.int64()))
+    return batch

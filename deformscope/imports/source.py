@@ -5,8 +5,8 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Iterator, Mapping
-from datetime import datetime
+import operator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,14 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
 from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host_ns
-from deformscope.imports.captures import CaptureStream
+from deformscope.imports.captures import CaptureStream, Counted, check_capture
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
-from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
+from deformscope.imports.import_map import ASKED, MOST_NS, ImportMap, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, FileReader, Message, Reader
 from deformscope.recording.item_source import ItemSource
 from deformscope.recording.streams import columns_of
 from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
-from deformscope_drivers.health import Health, Link
 
 DRIVER = "imported"
 """Of a stream that no driver gave."""
@@ -45,6 +44,7 @@ class ImportSource(ItemSource):
                 if name not in self._topics:
                     known = ", ".join(self._topics) or "nothing"
                     raise InputError(f"topics of {stream.device} out of the source's", repr(name), known)
+            check_capture(stream, self._topics)
         self.rig = parse_rig(asked.rig_text(), "the map", others=[one.device for one in asked.streams])
         configs = {one.name: one.config for one in self.rig.devices}
         self._made: dict[str, _Stream | CaptureStream] = {
@@ -55,7 +55,7 @@ class ImportSource(ItemSource):
         streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
         super().__init__(self._read(reader), streams, asked.start_ns)
         if self._next is None:
-            raise InputError("a source with frames for the map's streams", "none", "pose and joints in the map")
+            raise InputError("a source with frames for the map's streams", "none", self._hint(*self._made.values()))
 
     def take(self, wait_s: float) -> list[Item]:
         """The next frames. Raises InputError where it ends, and the clocks are not one."""
@@ -68,6 +68,11 @@ class ImportSource(ItemSource):
         """How many frames each device gave, and how many could not be made: of their messages some lacked."""
         looks = tuple((name, one.health()) for name, one in self._made.items())
         return HealthReport(max((one.last_ns for one in self._made.values()), default=0), looks)
+
+    @property
+    def gaps_s(self) -> dict[str, float]:
+        """The longest time without a frame of each device [s]."""
+        return {name: one.gap_ns / 1e9 for name, one in self._made.items()}
 
     def _read(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         if {one.type for one in self._topics.values()} & {*TABLE_TYPES, "files", "bytes", "candump"}:
@@ -83,14 +88,24 @@ class ImportSource(ItemSource):
             by_topic.setdefault("/tf_static", []).extend(posed)
         for message in reader.messages(by_topic):
             for one in by_topic[message.topic]:
-                if (frame := one.take(message)) is not None:
-                    yield frame
+                if (frame := one.take(message)) is None:
+                    continue
+                if one.count == 1:
+                    self._compare_clocks([other for other in streams if other.count and one.is_off(other)])
+                yield frame
+
+    def _hint(self, *empty: _Stream | CaptureStream) -> str:
+        is_posed = any(one.stream.kind == "arm" for one in empty)
+        return f"its topics{', pose and joints' if is_posed else ''} in the map, which --inspect lists"
 
     def _check_clocks(self) -> None:
         if empty := [one for one in self._made.values() if not one.count]:
             came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
-            raise InputError(f"frames of {empty[0].stream.device}", came, "its topics, pose and joints in the map")
-        spans = {name: (one.first_ns, one.last_ns) for name, one in self._made.items()}
+            raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
+        self._compare_clocks(list(self._made.values()))
+
+    def _compare_clocks(self, streams: Sequence[_Stream | CaptureStream]) -> None:
+        spans = {one.stream.device: (one.first_ns, one.last_ns) for one in streams}
         for (name, (first, last)), (other, (begin, end)) in itertools.combinations(spans.items(), 2):
             apart_s = max(begin - last, first - end) / 1e9
             if apart_s > APART_S:
@@ -99,20 +114,23 @@ class ImportSource(ItemSource):
                 raise self._made[latest].stream.missing("offset_s", "how its clock differs", came)
 
 
-class _Stream:
+class _Stream(Counted):
     """One stream of the map, as it is read."""
 
     def __init__(self, stream: MappedStream, reader: Reader) -> None:
         topics = reader.topics()
         self.stream, self._builder = stream, FrameBuilder(stream, topics)
+        self._units = {name: unit for one in stream.topics for name, unit in topics[one].units.items()}
         self._is_table = all(topics[name].type in (*TABLE_TYPES, "files") for name in stream.topics)
         is_file = topics[stream.topics[0]].type == "files"
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         self._types = {name: one.type for name, one in topics.items()}
-        self.count = self.lost = self.first_ns = self.last_ns = 0
+        super().__init__()
+        self._log_ns = self._behind_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
-        self._links: dict[str, tuple[str, Pose]] = {}
+        self._links: dict[str, tuple[str, Pose, float]] = {}
         self._pose: Pose | None = None
+        self._pose_ns = math.inf  # of links that do not move: of any time
         needs_pose = stream.kind == "arm" and not self._builder.own and "position_x_m" not in self._builder.columns
         if needs_pose and stream.pose in ("", ASKED):
             raise stream.missing("pose", "topic of the end's pose in the base frame (PoseStamped, or transforms)")
@@ -134,68 +152,81 @@ class _Stream:
             self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
         )
 
-    def health(self) -> Health:
-        span_s = (self.last_ns - self.first_ns) / 1e9
-        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
-        return Health(Link.CLOSED, "", self.count, lost=self.lost + len(self._waiting), rate_hz=rate_hz)
+    def is_off(self, other: _Stream) -> bool:
+        """Whether its stamps differ from when they were recorded by so much more or less; itself is."""
+        return other is self or abs(self._behind_ns - other._behind_ns) > APART_S * 1e9
 
     def frames(self, reader: Reader) -> Iterator[Frame]:
-        """Of tables: all rows."""
-        for message in reader.messages(self.stream.topics):
-            if (frame := self.take(message)) is not None:
+        """Of tables and files: all rows, those of all topics in order of time."""
+        rows = (
+            ((self._when(message, at), message) for at, message in enumerate(reader.messages([name])))
+            for name in self.stream.topics
+        )
+        for ns, message in heapq.merge(*rows, key=operator.itemgetter(0)):
+            if (frame := self._take(message, ns)) is not None:
                 yield frame
 
     def take(self, message: Message) -> Frame | None:
         """The frame that a message makes whole. Raises InputError for stamps that go back."""
         if message.topic == "/tf_static" or message.topic == self.stream.pose:
-            self._follow(message.value)
+            self._follow(message)
             if message.topic not in self.stream.topics:
                 return None
-        ns = self._when(message)
+        return self._take(message, self._when(message))
+
+    def _take(self, message: Message, ns: int) -> Frame | None:
         together = {message.topic: message}
         if len(self.stream.topics) > 1:
             together = self._waiting.setdefault(ns, {})
+            self.lost += not together or message.topic in together  # as long as it waits
             together[message.topic] = message
             if len(together) < len(self.stream.topics):
                 if len(self._waiting) > WAITING:
                     self._waiting.pop(next(iter(self._waiting)))
-                    self.lost += 1
                 return None
             del self._waiting[ns]
-        frame = self._builder.build(together, Stamp(ns), self.count, self._pose)
+            self.lost -= 1
+        is_old = self.stream.pose_age_s * 1e9 < abs(ns - self._pose_ns) < math.inf
+        frame = self._builder.build(together, Stamp(ns), self.count, None if is_old else self._pose)
         if frame is None:
             self.lost += 1
             return None
-        if self.count and ns < self.last_ns:
-            came = f"one {(self.last_ns - ns) / 1e9:.4g} s before the last, in frame {frame.index}"
-            raise InputError(f"stamps of {self.stream.device} that only rise", came, 'time = "log", or a part of it')
-        self.first_ns = self.first_ns if self.count else ns
-        self.last_ns, self.count = ns, self.count + 1
+        step_s, passed_s = (ns - self.last_ns) / 1e9, (message.log_ns - self._log_ns) / 1e9
+        if self.count and (step_s < 0 or (message.log_ns and step_s - passed_s > APART_S)):
+            came = f"{-step_s:.4g} s before the last" if step_s < 0 else f"{step_s:.4g} s after {passed_s:.4g} s"
+            expected = f"stamps of {self.stream.device} that only rise" + ", as time does" * (step_s > 0)
+            raise InputError(expected, f"one {came}, in frame {frame.index}", 'time = "log", or a part of it')
+        self._behind_ns, self._log_ns = message.log_ns - ns, message.log_ns
+        self.add(ns)
         return frame
 
-    def _when(self, message: Message) -> int:
-        """A message's stamp [ns]."""
+    def _when(self, message: Message, at: int = 0) -> int:
+        """A message's stamp [ns]. at: its place among those of its topic"""
+        ns = self._stamp_ns(message, at)
+        if not abs(ns) < MOST_NS:
+            raise InputError(f"times of {self.stream.device} below {MOST_NS} ns", f"{ns:.4g}", "another time_unit")
+        return round(ns) + round(float(self.stream.offset_s) * 1e9)
+
+    def _stamp_ns(self, message: Message, at: int) -> int | float:
+        """As the source has it [ns]."""
         stream = self.stream
-        offset_ns = round(float(stream.offset_s) * 1e9)
         if self._is_table:
             name = "host_ns" if self._builder.own else stream.time
             if name in ("header", "log") and self._times is None:
-                return round(self.count * 1e9 / stream.rate_hz) + offset_ns
+                return at * 1e9 / stream.rate_hz
             try:
                 value = message.get(name) if self._times is None else self._times[message.value]
             except KeyError:
                 raise stream.missing("time", "the column of its times", name) from None
-            if isinstance(value, datetime):
-                return int(np.datetime64(value, "ns").astype(np.int64)) + offset_ns
-            unit = "ns" if self._builder.own else stream.time_unit
+            said = "ns" if self._builder.own else self._units.get(name, "")
+            unit = said if said in TIME_NS else stream.time_unit
             if unit not in TIME_NS:
                 raise stream.missing("time_unit", "one of s, ms, us, ns", unit or "")
             if not isinstance(value, int | float) or not math.isfinite(value):
                 raise InputError(f"times of {stream.device} in {name}", repr(value), "skip_rows, or another table")
-            scaled = value * TIME_NS[unit]
-            return (scaled if isinstance(scaled, int) else round(scaled)) + offset_ns
+            return value * TIME_NS[unit]
         if stream.time == "log":
-            return message.log_ns + offset_ns
+            return message.log_ns
         try:
             stamp = message.get("header.stamp")
         except KeyError:
@@ -203,24 +234,34 @@ class _Stream:
         ns = int(stamp.sec) * 10**9 + int(stamp.nanosec)
         if not ns:
             raise stream.missing("time", '"log": its stamps are 0', stream.time)
-        return ns + offset_ns
+        return ns
 
-    def _follow(self, value: Any) -> None:
-        """Keep the newest pose of the end."""
-        if not hasattr(value, "transforms"):
-            self._pose = pose_of(getattr(value, "pose", value))
-            return
-        for one in value.transforms:
-            self._links[one.child_frame_id.lstrip("/")] = one.header.frame_id.lstrip("/"), pose_of(one.transform)
-        at, T, parent = self.stream.child.lstrip("/"), np.eye(4), self.stream.parent.lstrip("/")
-        for _ in range(len(self._links) + 1):
-            if at == parent:
-                self._pose = T
+    def _follow(self, message: Message) -> None:
+        """Keep the newest pose of the end. Raises InputError for what is none."""
+        value, is_fixed = message.value, message.topic == "/tf_static"
+        try:
+            if not hasattr(value, "transforms"):
+                ns = self._when(message)
+                while hasattr(value, "pose"):  # of a pose with a stamp, with a covariance, of an odometry
+                    value = value.pose
+                if self._pose is None or ns >= self._pose_ns:
+                    self._pose, self._pose_ns = pose_of(getattr(value, "transform", value)), ns
                 return
-            if at not in self._links:
-                return
-            at, link = self._links[at]
-            T = link @ T
+            for one in value.transforms:
+                since_ns = math.inf if is_fixed else self._when(Message(message.topic, message.log_ns, one))
+                link = one.header.frame_id.lstrip("/"), pose_of(one.transform), since_ns
+                self._links[one.child_frame_id.lstrip("/")] = link
+        except (AttributeError, ValueError) as error:
+            came = f"{self._types[message.topic]}: {' '.join(str(error).split())[:160]}"
+            raise self.stream.missing("pose", "a topic of poses or transforms", came) from error
+        at, parent = self.stream.child.lstrip("/"), self.stream.parent.lstrip("/")
+        T, oldest_ns = np.eye(4), math.inf
+        for _ in self._links:
+            if at in self._links and at != parent:
+                at, T_parent_at, since_ns = self._links[at]
+                T, oldest_ns = T_parent_at @ T, min(oldest_ns, since_ns)
+        if at == parent:
+            self._pose, self._pose_ns = T, oldest_ns
 
 
 def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:

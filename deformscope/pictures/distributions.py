@@ -23,6 +23,7 @@ def distributions_png(quantities: Mapping[str, Mapping[str, Sequence[float]]]) -
         for number, (group, values) in enumerate(groups.items()):
             filled = "step" if len(groups) > 1 else "stepfilled"
             panel.hist(values, bins, histtype=filled, color=COLOURS[number % len(COLOURS)], label=group)
+        panel.locator_params("x", nbins=4)
         panel.set_xlabel(name)
         panel.set_ylabel("cases")
     for panel in flat[len(quantities) :]:

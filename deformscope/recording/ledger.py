@@ -15,9 +15,11 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from deformscope.recording.lock import one_at_a_time
 from deformscope.recording.rrd_index import Portion, read_index
 
 FORMAT, OLD_FORMAT = "deformscope-ledger-2", "deformscope-ledger-1"
@@ -100,16 +102,16 @@ class LedgerWriter:
         """Answer for the recording's bytes up to END, which are on the disk. Raises OSError."""
         if end <= self._at:
             return
-        digest = hashlib.sha256()
+        digest, whole = hashlib.sha256(), self._whole.copy()
         with self._recording.open("rb") as file:
             for piece in _pieces(file.fileno(), self._at, end):
                 digest.update(piece)
-                self._whole.update(piece)
+                whole.update(piece)
         known: dict[str, Any] = {"bytes": [self._at, end], "sha256": digest.hexdigest()}
         known |= {"streams": list(streams)} if streams else {}
         known |= {"session_s": list(span_s)} if span_s is not None else {}
         self.add(known)
-        self._at = end
+        self._at, self._whole = end, whole
 
     def end(self, counts: Mapping[str, int], losses: Losses) -> None:
         """Answer for the whole."""
@@ -117,8 +119,8 @@ class LedgerWriter:
         self.add({"ended": told})
 
     def add(self, content: Mapping[str, Any]) -> None:
-        text, self._chain = _chained(content, self._chain)
-        self._file.write(text.encode())
+        """Write a line, whole or not at all. Raises OSError."""
+        self._chain = _append(self._file, content, self._chain)
 
     def close(self) -> None:
         """Have it on the disk, where that takes it."""
@@ -157,16 +159,16 @@ def write_ledger(
 
 def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
     """Write down that the recording, or a part of it, is not to be used; all else stays."""
-    ledger = read_ledger(recording)
-    ended = ledger.ended or {}
-    if not ledger.chain:  # of format 1
-        discarded = [*ledger.discarded, entry]
-        return write_ledger(recording, ended.get("counts"), ended.get("losses"), discarded=discarded)
     path = ledger_path(recording)
-    with path.open("ab") as file:
-        file.write(_chained({"discarded": dict(entry)}, ledger.chain)[0].encode())
-        file.flush()
-        os.fsync(file.fileno())
+    with one_at_a_time(path.parent):  # each line continues the one before
+        ledger = read_ledger(recording)
+        ended = ledger.ended or {}
+        if not ledger.chain:  # of format 1
+            discarded = [*ledger.discarded, entry]
+            return write_ledger(recording, ended.get("counts"), ended.get("losses"), discarded=discarded)
+        with path.open("ab", buffering=0) as file:
+            _append(file, {"discarded": dict(entry)}, ledger.chain)
+            os.fsync(file.fileno())
     return path
 
 
@@ -281,6 +283,19 @@ def _read_old(content: bytes) -> Ledger:
     ends = [min(start + found["block_bytes"], found["size"]) for start in starts]
     blocks = [LedgerBlock(*one) for one in zip(starts, ends, found["blocks"], strict=True)]
     return Ledger(blocks, found, discarded)
+
+
+def _append(file: FileIO, content: Mapping[str, Any], before: str) -> str:
+    """Write a line, whole or not at all; its link of the chain. Raises OSError."""
+    text, link = _chained(content, before)
+    end, data = file.seek(0, os.SEEK_END), text.encode()
+    try:
+        while data:  # of a disk that is nearly full a write takes a part, and does not say so
+            data = data[file.write(data) :]
+    except OSError:
+        file.truncate(end)
+        raise
+    return link
 
 
 def _chained(content: Mapping[str, Any], before: str) -> tuple[str, str]:

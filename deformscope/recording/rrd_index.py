@@ -35,7 +35,7 @@ def read_index(path: Path) -> list[Portion]:
     """The portions in the order in which they lie in the file; none where it has no index that can be read."""
     try:
         return sorted(_read_index(path), key=lambda one: one.end)
-    except (OSError, ValueError, IndexError, KeyError, TypeError, struct.error, pa.ArrowException):
+    except (ArithmeticError, LookupError, MemoryError, OSError, TypeError, ValueError, struct.error, pa.ArrowException):
         return []
 
 
@@ -47,7 +47,7 @@ def _read_index(path: Path) -> Iterator[Portion]:
             return
         start, length = struct.unpack_from("<QQ", tail)
         file.seek(start)
-        footer = file.read(length)
+        footer = file.read(min(length, path.stat().st_size))
     for manifest in _fields(footer, MANIFEST):
         (packed,) = _fields(manifest, TABLE)
         (payload,), (plain_bytes,) = _fields(packed, PAYLOAD), _numbers(packed, PLAIN_BYTES)

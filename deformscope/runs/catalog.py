@@ -131,7 +131,7 @@ def _index(folder: Path, workers: int | None, progress: Progress | None) -> tupl
 
 def _stated(path: Path) -> dict[str, Any]:
     stat, ledger = path.stat(), ledger_path(path)
-    recorded = datetime.fromtimestamp(stat.st_mtime, UTC).isoformat(timespec="seconds")
+    recorded = datetime.fromtimestamp(stat.st_mtime, UTC).strftime("%Y-%m-%d %H:%M")
     found: dict[str, Any] = {"recorded": recorded, "size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
     return found | {"ledger_ns": ledger.stat().st_mtime_ns if ledger.exists() else -1, "by": __version__}
 
@@ -151,8 +151,13 @@ def _cell(value: object) -> str:
 # The page -------------------------------------------------------------------------------------------------------------
 
 
-def write_page(found: CatalogResult, workers: int | None = None, progress: Progress | None = None) -> Path:
-    """A page with a picture of each recording, which opens it; pictures are made once."""
+def catalog_page(
+    found: CatalogResult, *, served: bool = False, workers: int | None = None, progress: Progress | None = None
+) -> str:
+    """A page with a picture of each recording, which opens it; pictures are made once.
+
+    served: its links are the places of recordings on a page that is served, not files
+    """
     rows = found.table.slice(0, PAGE_ROWS).to_pylist()
     pictures = {row["path"]: found.folder / PICTURES / f"{row.get('sha256')}.png" for row in rows}
     left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]
@@ -163,18 +168,26 @@ def write_page(found: CatalogResult, workers: int | None = None, progress: Progr
                 if progress is not None:
                     progress("drawing", count, len(left))
     names = [name for name in found.names if name != "path" and any(row[name] is not None for row in rows)]
-    cells = [(_opening(row["path"], pictures[row["path"]]), *(_cell(row[name]) for name in names)) for row in rows]
+    cells = []
+    for number, row in enumerate(rows):
+        png = pictures[row["path"]]
+        link = Link(
+            row["path"], f"{number}/" if served else quote(row["path"]), png.read_bytes() if png.exists() else b""
+        )
+        cells.append((link, *(_cell(row[name]) for name in names)))
     more = f", of which the first {PAGE_ROWS} are shown" if found.table.num_rows > PAGE_ROWS else ""
-    words = f"{found.table.num_rows} recordings{more}. A picture opens its recording, where rerun opens .rrd files."
-    page = html_report(f"Recordings in {found.folder.name}", [Section("", [words, Table(cells, ("", *names))])])
-    path = found.folder / PAGE
-    path.write_text(page, encoding="utf-8")
-    return path
+    words = f"{found.table.num_rows} recordings{more}. A picture opens its recording"
+    words += "." if served else ", where rerun opens .rrd files."
+    return html_report(f"Recordings in {found.folder.name}", [Section("", [words, Table(cells, ("", *names))])])
 
 
-def _opening(name: str, picture: Path) -> Link:
-    png = picture.read_bytes() if picture.exists() else b""
-    return Link(name, quote(name), png)
+def serve_page(found: CatalogResult, workers: int | None = None, progress: Progress | None = None) -> str:
+    """The same, served: a click plays the recording. Its address."""
+    from deformscope.page.catalog_page import serve_catalog
+
+    html = catalog_page(found, served=True, workers=workers, progress=progress)
+    paths = [found.folder / name for name in found.table["path"].slice(0, PAGE_ROWS).to_pylist()]
+    return serve_catalog(found.folder.name, html, paths).address
 
 
 def _draw(of: tuple[str, str]) -> None:
@@ -256,7 +269,9 @@ def compare_recordings(first: Path, second: Path) -> ComparedRecordings:
         if not (name.startswith(SETTINGS) or ends or name in NOT_RESULTS):
             results.append(_difference(name, a, b))
     series, unaligned = _series(*replays)
-    return ComparedRecordings(first, second, settings, results, series, unaligned)
+    return ComparedRecordings(
+        first=first, second=second, settings=settings, results=results, series=series, unaligned=unaligned
+    )
 
 
 NOT_RESULTS = {

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from deformscope.experiments.explore import Exploration
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.recorded_touches import RecordedTouches
-    from deformscope.frames import Stream
     from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
     from deformscope.page.devices import ShownDevices
@@ -117,10 +116,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         open_recorder(config.output, settings, EXPLORATION, real_time=setup.runs_itself) as recorder,
     ):
         try:
-            if opening.recorded is not None:
-                _run_recorded(opening.recorded, setup, options, found, recorder, ending)
-            else:
-                _run(config, setup, options, found, recorder, asked, to_come, ending)
+            _run(config, setup, options, found, recorder, asked, to_come, ending, opening.recorded)
         except BaseException as error:
             ending.error = error
         if found.stop is not None:
@@ -163,8 +159,12 @@ def _run(
     asked: Interruption,
     to_come: FaultsToCome | None,
     ending: ExplorationEnd,
+    recorded: RecordedTouches | None,
 ) -> None:
-    """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises."""
+    """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises.
+
+    recorded: touches that were made before: nothing moves
+    """
     from deformscope.experiments.explore import explore
     from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
@@ -192,7 +192,28 @@ def _run(
 
     with open_run(setup.open_source(), recorder) as run:
         ending.start_ns = run.source.start_ns
-        recorder.start(_layout(setup, options, run.source.streams), ending.start_ns)
+        truth = setup.truth is not None and setup.truth.labels is not None
+        mapped, inclusions = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
+        layout = ExplorationLayout(
+            run.source.streams,
+            setup.size_m,
+            setup.placement.T_base_surface,
+            truth,
+            inclusions,
+            mapped,
+            full=options.detail == "full",
+            T_surface_camera=setup.camera.T_surface_camera,
+        )
+        recorder.start(layout, ending.start_ns)
+        if recorded is not None:
+            ending.began_s, ending.largest_force_n = time.perf_counter(), recorded.largest_force_n
+            with stage_executor(setup, options) as (beside, stage):
+                experiment = _with_messages(explore(setup.clock, stage, found), run.line, 0)
+                run_session(run.source, experiment, run.recorded, recorded, beside)
+            while items := recorded.rest():
+                recorder.write(items)
+            ending.session_s = (setup.clock() - ending.start_ns) / 1e9
+            return
         page = run.open_page(recorder, config, steering)
         watch = run.watch(asked, page)
         with (
@@ -214,45 +235,6 @@ def _run(
                 ending.largest_force_n = robot.largest_force_n
                 ending.session_s = (setup.clock() - ending.start_ns) / 1e9
     ending.losses = run.losses()
-
-
-def _run_recorded(
-    touches: RecordedTouches,
-    setup: Setup,
-    options: ExploreOptions,
-    found: Exploration,
-    recorder: Recorder,
-    ending: ExplorationEnd,
-) -> None:
-    """Explore what was touched before: nothing moves."""
-    from deformscope.experiments.explore import explore
-    from deformscope.experiments.stage_executor import stage_executor
-    from deformscope.session import run as run_session
-
-    ending.began_s, ending.largest_force_n = time.perf_counter(), touches.largest_force_n
-    with open_run(setup.open_source(), recorder) as run:
-        ending.start_ns = run.source.start_ns
-        recorder.start(_layout(setup, options, run.source.streams), ending.start_ns)
-        with stage_executor(setup, options) as (beside, stage):
-            experiment = _with_messages(explore(setup.clock, stage, found), run.line, 0)
-            run_session(run.source, experiment, run.recorded, touches, beside)
-        while items := touches.rest():
-            recorder.write(items)
-        ending.session_s = (setup.clock() - ending.start_ns) / 1e9
-    ending.losses = run.losses()
-
-
-def _layout(setup: Setup, options: ExploreOptions, streams: tuple[Stream, ...]) -> ExplorationLayout:
-    return ExplorationLayout(
-        streams,
-        setup.size_m,
-        setup.placement.T_base_surface,
-        setup.truth is not None and setup.truth.labels is not None,
-        options.goal == "inclusions",
-        "energy loss" if options.feel == "loss" else "stiffness",
-        full=options.detail == "full",
-        T_surface_camera=setup.camera.T_surface_camera,
-    )
 
 
 def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:

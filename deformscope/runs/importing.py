@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from deformscope.config import ImportConfig
-from deformscope.errors import InputError
+from deformscope.errors import InputError, printable
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
@@ -33,6 +32,9 @@ from deformscope.stages.msm.quiet import quiet_warp
 if TYPE_CHECKING:
     from deformscope.experiments.device_stages import Stage
 
+LONG_GAP = 100
+"""Of so many usual steps a gap in a stream is told."""
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Inspected:
@@ -47,7 +49,7 @@ def inspect_source(config: ImportConfig) -> Inspected:
     with open_reader(config.source) as reader:
         found = inspect(reader)
         asked = propose(reader, found)
-    lines = [f"# {one.to_text()}" for one in found]
+    lines = ["# " + "\\n".join(printable(one.to_text()).split("\n")) for one in found]
     facts = [
         {"topic": one.topic.name, "type": one.topic.type, "messages": one.messages, "rate_hz": one.rate_hz}
         | {"longest_gap_s": one.gap_ns / 1e9, "clock_s": one.clock_s, "columns": dict(one.topic.units)}
@@ -67,8 +69,8 @@ def import_source(config: ImportConfig) -> RecordResult:
         "import": {"source": config.source.name, "map": config.map.read_text(encoding="utf-8")},
     }
     with (
-        open_reader(config.source, asked.skip_rows) as reader,
-        contextlib.closing(ImportSource(reader, asked)) as source,
+        open_reader(config.source, asked.skip_rows, [one.time for one in asked.streams]) as reader,
+        ImportSource(reader, asked) as source,
     ):
         stages: tuple[Stage, ...] = ()
         if names := config.stages.names:
@@ -124,10 +126,12 @@ def _result(
     devices = dict(last.devices)
     kinds = {stream.device: stream.kind for stream in source.streams}
     rows = [(name, _words(kinds[name], health.received, health.lost)) for name, health in devices.items()]
+    gaps_s = {name: gap_s for name, gap_s in source.gaps_s.items() if gap_s * devices[name].rate_hz > LONG_GAP}
+    rows += [(name, f"longest gap {gap_s:.4g} s") for name, gap_s in gaps_s.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]
     found: dict[str, object] = {"recording": summary.path, "frames": summary.frames, "bytes": summary.bytes}
     found |= {"stages": {name: counts.as_json() for name, counts in stages.items()}} if stages else {}
-    found |= {"source": config.source, "devices": devices, "losses": losses_of(last)}
+    found |= {"source": config.source, "devices": devices, "losses": losses_of(last), "long_gaps_s": gaps_s}
     table = Table([*rows, *recording_rows(summary)], caption=str(config.source))
     return RecordResult(cast("dict[str, Any]", plain(found)), table)
 

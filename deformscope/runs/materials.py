@@ -107,17 +107,8 @@ class MaterialJob:
     def yield_options(self) -> YieldOptions:
         """How yielding is fitted."""
         most = float("inf") if self.maximum is None else self.maximum
-        return YieldOptions(
-            self.beta,
-            self.creep,
-            most,
-            self.cluster_size,
-            self.theta,
-            self.level,
-            self.seed,
-            self.device,
-            version=self.version,
-        )
+        given = self.beta, self.creep, most, self.cluster_size, self.theta, self.level, self.seed, self.device
+        return YieldOptions(*given, version=self.version)
 
     def model(self) -> Model:
         """What axes are fitted with."""

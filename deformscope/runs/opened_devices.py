@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.errors import InputError
 from deformscope.terminal import say
@@ -14,7 +13,6 @@ from deformscope.terminal import say
 if TYPE_CHECKING:
     from deformscope.experiments.options import ExploreOptions
     from deformscope.experiments.recorded_touches import RecordedTouches
-    from deformscope.frames import Stream
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.touch_lab import TouchLab
@@ -118,7 +116,11 @@ def setup_of(
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
     if is_recording:
+        from deformscope.experiments.recorded_touches import recorded_setup
+
         setup, touches = recorded_setup(Path(name), rig, options)
+        for one in touches.left_out:
+            say(f"left out: {one}")
         options = dataclasses.replace(options, budget=touches.count, go_on=True)
         return Opening(setup, options, settings, recorded=touches)
     return Opening(setup_of_rig(rig, options.seed), options, settings)
@@ -138,59 +140,6 @@ def recorded_rig(path: Path) -> Rig:
     if missing := [name for name, value in known if value is None]:
         raise InputError(f"{missing[0]} of what was recorded", "none", "in the map of its import", path)
     return rig
-
-
-def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup, RecordedTouches]:
-    """What a recording's arm did as a setup that is explored. Raises InputError where it made no touch."""
-    import numpy as np
-
-    from deformscope.experiments.measured import SetupGeometry
-    from deformscope.experiments.recorded_touches import RecordedTouches, find_touches
-    from deformscope.frames import ArmFrame, DepthFrame, WrenchFrame
-    from deformscope.recording.item_rows import read_rows
-    from deformscope.recording.item_source import ItemSource
-    from deformscope.recording.items import read_items, read_streams
-    from deformscope.recording.reader import Replay
-    from deformscope.recording.streams import RecordingTables
-    from deformscope.robot.placement import Placement
-    from deformscope.robot.setup import CameraView, Setup
-    from deformscope.runs.replay_exploration import frame_inputs
-    from deformscope_drivers.manual_arm.config import MANUAL
-
-    replay, streams = Replay(path, trust=True), read_streams(path, trust=True)
-    names = [_only_stream(streams, kind, rig.camera.device) for kind in ("arm", "wrench", "depth")]
-    T_base_surface = np.array(rig.surface.T_arm_surface, dtype=np.float64)
-    T_surface_camera = np.linalg.inv(T_base_surface) @ np.array(rig.camera.T_arm_camera)
-    camera = rig.camera
-    source = ItemSource(read_items(path, trust=True), streams, RecordingTables(replay).start_ns)
-    setup = Setup(
-        size_m=rig.surface.size_m,
-        placement=Placement(T_base_surface, rig.tool),
-        workspace=rig.workspace,
-        camera=CameraView(camera.focal_px, camera.center_px, camera.distortion, T_surface_camera, camera.doubt_m),
-        open_source=lambda: cast(Any, source),
-        names=(names[0], names[1], names[2]),
-        compliance_m_per_n=rig.tool.compliance_m_per_n or 0.0,
-        compliance_sd=rig.tool.compliance_sd,
-        simulated=bool(replay.settings.get("simulated")),
-        runs_itself=False,
-        clock=lambda: source.now_ns,
-    )
-    model = next((str(one.config.model) for one in rig.devices if one.name == names[0] and one.config.model), MANUAL)
-    kinds = (ArmFrame, WrenchFrame, DepthFrame)
-    items = (row.item for row in read_rows(replay, kinds, lambda encoded, which: encoded))
-    found = find_touches(items, setup.names, SetupGeometry.of(setup), options, model)
-    for one in found.left_out:
-        say(f"left out: {one}")
-    return setup, RecordedTouches(frame_inputs(path, [found.look, *found.touches]), source)
-
-
-def _only_stream(streams: Sequence[Stream], kind: str, camera: str) -> str:
-    """The one recorded device of a kind, of depth cameras the one that is named."""
-    found = [one.device for one in streams if one.kind == kind and (kind != "depth" or camera in ("", one.device))]
-    if len(found) != 1:
-        raise InputError(f"one {kind} device in the recording", ", ".join(found) or "none", "the map of its import")
-    return found[0]
 
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:

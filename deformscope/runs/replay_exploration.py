@@ -53,6 +53,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import ExploreOptions
+    from deformscope.experiments.recorded_touches import recorded_inputs
     from deformscope.experiments.robot_geometry import AsMeasured, FromFrames
     from deformscope.pictures.messages import format_failure
     from deformscope.recording.items import read_results, read_series
@@ -172,70 +173,3 @@ def _beside(
 
 def _format_settings(changes: dict[str, Any]) -> str:
     return ", ".join(f"{name} = {value}" for name, value in changes.items())
-
-
-def recorded_inputs(path: Path) -> list[Any]:
-    """What the robot gave of its look and its touches, in their order, as `ExplorationStages` takes it.
-
-    Raises InputError where a frame that one of them names is not in the recording.
-    """
-    from deformscope.recording.items import read_results
-    from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
-
-    kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
-    inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]
-    named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]
-    return frame_inputs(path, named) if named else inputs
-
-
-def frame_inputs(path: Path, named: list[Any]) -> list[Any]:
-    """Looks and touches with the content of the frames that they name, which a recording holds."""
-    from deformscope.experiments.measured import Looked, Touched
-    from deformscope.stages.map.measured import LookFrames
-
-    data = _frames(path, named)
-    return [Looked(one, data) if isinstance(one, LookFrames) else Touched(one, data) for one in named]
-
-
-def _frames(path: Path, named: list[Any]) -> Any:
-    """What is in the frames that are named."""
-    import numpy as np
-
-    from deformscope.experiments.measured import FrameData
-    from deformscope.frames import ArmFrame, DepthFrame, WrenchFrame
-    from deformscope.recording.items import read_items
-    from deformscope.robot.readings import ArmSample
-    from deformscope.stages.map.measured import LookFrames
-    from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
-    from deformscope_drivers.depth_camera.image import depth_m
-
-    images, states, readings = set[int](), set[int](), set[tuple[int, int]]()
-    for one in named:
-        images.update(map(int, one.depth_ns))
-        if isinstance(one, LookFrames):
-            states.add(one.arm_ns)
-            continue
-        states.update(map(int, np.concatenate([one.arm_ns, one.pose_ns, one.depth_arm_ns, [one.end_ns]])))
-        readings.update(zip(map(int, one.wrench_ns), map(int, one.wrench_ticks), strict=True))
-    depths: dict[int, Any] = {}
-    poses: dict[int, ArmSample] = {}
-    forces: dict[tuple[int, int], Any] = {}
-    devices = {one.camera for one in named} | {one.arm for one in named}
-    devices |= {one.wrench for one in named if not isinstance(one, LookFrames)}
-    for item in read_items(path, trust=True, kinds=(DepthFrame, ArmFrame, WrenchFrame)):
-        match item:
-            case DepthFrame() if item.stamp.host_ns in images and item.device in devices:
-                depths[item.stamp.host_ns] = depth_m(item.depth.astype(np.uint16, copy=False), item.unit_m)
-            case ArmFrame() if item.stamp.host_ns in states and item.device in devices:
-                pose = transform(rotation_from_euler_xyz(*item.rotation_rad.tolist()), item.position_m)
-                joints_deg = tuple(item.joint_deg.tolist())
-                poses[item.stamp.host_ns] = ArmSample(item.stamp.host_ns, pose, joints_deg, item.queued)
-            case WrenchFrame() if item.device in devices:
-                ticks = -1 if item.stamp.device_ticks is None else item.stamp.device_ticks
-                if (item.stamp.host_ns, ticks) in readings:
-                    forces[item.stamp.host_ns, ticks] = item.force_n[0]
-    missing = len(images - set(depths)), len(readings - set(forces)), len(states - set(poses))
-    if any(missing):
-        came = "without {} depth images, {} forces and {} states of the arm".format(*missing)
-        raise InputError("a recording of every frame that was used", came, "deformscope verify", path)
-    return FrameData(depths, poses, forces)

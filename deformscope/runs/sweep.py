@@ -145,11 +145,12 @@ def sweep_on(
 
         def tasks() -> Iterator[SweepTask]:
             nonlocal skipped
-            for source in sources:
+            for given in sources:
+                source = str(Path(given).resolve()) if Path(given).exists() else str(given)  # wherever a worker runs
                 about = contents.of(source)
                 for number, variation in enumerate(variations):
                     key = key_of(about["content"], variation.identity)
-                    plan.append((str(source), number, key))
+                    plan.append((source, number, key))
                     if key in known:
                         skipped += 1
                     else:
@@ -157,7 +158,14 @@ def sweep_on(
                         content = Path(source).read_bytes() if options.send and about["content"] else None
                         files = str((out / FILES).resolve() / key)
                         varied = about | {"settings": dict(variation.settings)}
-                        yield SweepTask(key, str(source), variation.argument, files, content, varied)
+                        yield SweepTask(
+                            key=key,
+                            source=source,
+                            argument=variation.argument,
+                            files=files,
+                            content=content,
+                            about=varied,
+                        )
 
         try:
             with open_workers(options.on.executor, options.on.address, options.workers, apart=True) as workers:
@@ -202,13 +210,13 @@ class _Contents:
     def add(self, line: Mapping[str, Any]) -> None:
         self._known[line["source"], line["size"], line["mtime_ns"]] = line["content"]
 
-    def of(self, source: Path | str) -> dict[str, Any]:
+    def of(self, source: str) -> dict[str, Any]:
         """What the journal keeps of a source."""
         path = resolve(source)
         size, mtime_ns = (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else (-1, -1)
-        known = self._known.get((str(source), size, mtime_ns), "") if size >= 0 else ""
+        known = self._known.get((source, size, mtime_ns), "") if size >= 0 else ""
         content = known or content_of(path) or f"unreadable: {source}"
-        return {"source": str(source), "size": size, "mtime_ns": mtime_ns, "content": content}
+        return {"source": source, "size": size, "mtime_ns": mtime_ns, "content": content}
 
 
 def _known(journal: Journal) -> tuple[set[str], _Contents]:
@@ -293,7 +301,7 @@ def _quantities(table: pa.Table) -> list[str]:
         for field in table.schema
         if (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
         and field.name not in ("seconds", "attempts")
-        and not field.name.startswith(VARIED)
+        and not field.name.startswith((VARIED, "settings."))
         and not (field.name.endswith(ends) and field.name.rpartition("_")[0] in table.schema.names)
         and pc.count_distinct(table[field.name]).as_py() > 1
     ]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import shutil
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import pyarrow.parquet as pq
 import pytest
@@ -15,7 +18,9 @@ pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
 from deformscope.cli import main
+from deformscope.page.catalog_page import serve_catalog
 from deformscope.recording.ledger import add_discard
+from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
 
 SHIPPED = ROOT / "recordings"
@@ -119,6 +124,28 @@ def test_a_page_has_a_picture_of_each_that_opens_it(folder: Path, tmp_path: Path
     assert re.search(r'<a href="tension%20one\.rrd"><img src="data:image/png;base64,', page)
     catalog(here, "--page")
     assert picture.stat().st_mtime_ns == made
+
+
+def test_a_served_page_plays_a_recording_that_is_clicked(folder: Path, listed: object) -> None:
+    page = serve_catalog("two", '<a href="0/">one</a>', [folder / "older" / "rig.rrd", folder / "none.rrd"])
+    with contextlib.closing(page):
+        assert asked(page.address) == (200, b'<a href="0/">one</a>')
+        status, playing = asked(f"{page.address}0/")
+        assert (status, b'data-recording="recording.rrd"' in playing) == (200, True)
+        assert asked(f"{page.address}0/recording.rrd") == (200, (folder / "older" / "rig.rrd").read_bytes())
+        assert asked(f"{page.address}1/")[0] == 422
+        assert [asked(f"{page.address}{path}")[0] for path in ("2/", "-1/", "0", "catalog.parquet")] == [404] * 4
+        stranger = page.address.rsplit("/", 2)[0]
+        assert [asked(f"{stranger}/{path}")[0] for path in ("", "0/", "guessed/0/")] == [403] * 3
+
+
+def asked(address: str) -> tuple[int, bytes]:
+    try:
+        with urlopen(address, timeout=PATIENCE_S) as answer:
+            return answer.status, answer.read()
+    except HTTPError as error:
+        with error:
+            return error.code, error.read()
 
 
 def compared(first: Path, second: Path, tmp_path: Path) -> dict[str, Any]:

@@ -106,7 +106,10 @@ def test_every_command_exists_and_has_help(capsys: pytest.CaptureFixture[str]) -
 DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge", "repair")}
 BY_ITSELF = {"arm where", "arm home", "arm files"}
 ONLY_LOOK = (
-    {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report"} | DATASET | BY_ITSELF
+    {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report", "catalog"}
+    | {"catalog compare", "sweep"}
+    | DATASET
+    | BY_ITSELF
 )
 """Commands that compute nothing of a thing: they list, check, convert, keep a data set, measure this machine, or ask an
 arm where it is or to go home by its own way, or write the files for its controller."""

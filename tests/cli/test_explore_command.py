@@ -21,6 +21,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
+from deformscope.experiments.recorded_touches import recorded_inputs
 from deformscope.experiments.touching_robot import TouchingRobot
 from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
 from deformscope.lab.faults import CAMERA, Injected
@@ -33,7 +34,6 @@ from deformscope.rig.source import RigSource
 from deformscope.robot.robot import Robot
 from deformscope.robot.supervisor import SafetyDecision, Supervisor
 from deformscope.robot.touch import Phase
-from deformscope.runs.replay_exploration import recorded_inputs
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
 from deformscope_drivers.clock import Stamp

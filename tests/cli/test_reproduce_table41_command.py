@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +17,8 @@ from deformscope.executor.journal import Journal
 from deformscope.reproduce.table41_runs import RUNS, MapAfter, TableJob, TableRun, add_runs
 from deformscope.stages.map.map_score import MapScore
 from deformscope.stages.map.plan import Planner
+from tests.executor.test_tasks import paths_of_tests
+from tests.patience import PATIENCE_S
 
 ONE = ["reproduce", "table41", "--workers", "1"]
 
@@ -88,3 +94,45 @@ def test_planners_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str
         rows = list(csv.DictReader(file))
     assert [row["iou"] for row in rows] == ["0.8", "0.85", "0.9"]
     assert all(float(row["touches_ratio"]) == pytest.approx(0.53, abs=0.04) for row in rows)
+
+
+KILLED = """
+import sys
+from deformscope.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def without_times(path: Path) -> list[dict[str, Any]]:
+    """The runs in a file, by what was asked, but for what a clock measured."""
+    runs = [json.loads(line) for line in path.read_text().splitlines()]
+    for one in runs:
+        del one["seconds"]
+        for after in one["after"]:
+            del after["compute_s"]
+    return sorted(runs, key=lambda one: (one["job"]["scene"], one["job"]["seed"]))
+
+
+def test_a_command_that_was_killed_goes_on_with_the_same_numbers(tmp_path: Path) -> None:
+    """Killed by -9 with its workers at work; then by workers, and all of it in one process."""
+    arguments = ["reproduce", "table41", "--closed-form", "--scenes", "disc,two-60-150", "--seeds", "4"]
+    arguments += ["--touches", "4", "--viewer", "none"]
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    command = [sys.executable, "-c", KILLED, *arguments, "--workers", "2", "--resume", "--out", str(killed)]
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=paths_of_tests()
+    ) as running:
+        until = time.monotonic() + PATIENCE_S
+        while not (killed / "runs.jsonl").exists() or (killed / "runs.jsonl").read_bytes().count(b"\n") < 3:
+            assert running.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        running.kill()
+    kept = (killed / "runs.jsonl").read_text().splitlines(keepends=True)
+
+    assert main([*arguments, "--workers", "2", "--resume", "--out", str(killed)]) == 0
+    assert main([*arguments, "--workers", "1", "--out", str(whole)]) == 0
+    after = (killed / "runs.jsonl").read_text().splitlines(keepends=True)
+    assert 3 <= len(kept) <= len(after) == 8
+    assert after[: len(kept) - 1] == kept[:-1]  # with the seconds that they took then
+    assert without_times(killed / "runs.jsonl") == without_times(whole / "runs.jsonl")

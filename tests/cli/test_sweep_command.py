@@ -253,3 +253,37 @@ def test_a_function_of_the_library_is_swept(pairs: Path, tmp_path: Path) -> None
 def test_a_function_that_workers_would_not_find_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a function of a module"):
         ds.sweep(lambda source: 1, [PAIR], out=tmp_path)
+
+
+def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, out, traces = generated(tmp_path / "in", 300), tmp_path / "out", tmp_path / "traces"
+    traces.mkdir()
+    monkeypatch.setenv(TRACES, str(traces))
+    command = [sys.executable, "-c", SCRIPT, str(folder), str(out)]
+    journal = out / "tasks.jsonl"
+    with subprocess.Popen(command, env=paths_of_tests(), stderr=subprocess.PIPE) as running:
+        until = time.monotonic() + PATIENCE_S
+        while not journal.exists() or len(journal.read_bytes().splitlines()) < 20:
+            assert time.monotonic() < until
+            time.sleep(0.005)
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=PATIENCE_S)
+
+    assert b"KeyboardInterrupt" in said
+    kept = len(journal.read_bytes().splitlines())
+    assert pq.read_table(out / "results.parquet").num_rows == kept < 300
+    assert f"{kept} of {kept} tasks are done" in (out / "index.html").read_text()
+
+
+def test_a_full_disk_ends_it_in_one_line(pairs: Path, tmp_path: Path) -> None:
+    """By a limit on the size of files, which the system refuses alike."""
+    limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))\n"
+    limited += "from deformscope.cli import main; sys.exit(main(sys.argv[1:]))"
+    flags = ["--match", "p1.npz", "--workers", "1", "--out", str(tmp_path / "out"), "--", *FIT]
+    command = [sys.executable, "-c", limited, "sweep", str(pairs), *flags]
+    ran = subprocess.run(
+        command, env=paths_of_tests(), capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False
+    )
+    assert ran.returncode == 1
+    assert [line for line in ran.stderr.splitlines() if "error" in line] == [ran.stderr.splitlines()[-1]]
+    assert "the system refused" in ran.stderr

@@ -7,6 +7,7 @@ import json
 import os
 import resource
 import sys
+import tempfile
 import time
 from collections import Counter
 from pathlib import Path
@@ -14,14 +15,16 @@ from pathlib import Path
 # The last has the driver look for its node on the loopback, as Ray does on systems with other firewalls.
 os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
+import numpy as np
 from ray.cluster_utils import Cluster
 
+import deformscope as ds
 from deformscope.errors import InputError
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import OtherVersion, compute, run_attempt
 
 STORE_BYTES = 200_000_000
-TASKS = 200
+TASKS, FILES = 200, 40
 
 
 def traced(task: tuple[str, int]) -> tuple[int, int]:
@@ -33,6 +36,23 @@ def traced(task: tuple[str, int]) -> tuple[int, int]:
     if number == 7:
         raise InputError("a number that is liked", "7")
     return number**2, os.getpid()
+
+
+def mean_of(source: str) -> dict[str, float]:
+    """Of the numbers in a file."""
+    return {"mean": float(np.load(source)["values"].mean())}
+
+
+def swept(address: str, folder: Path) -> bool:
+    """Whether files that are sent over give what they give here."""
+    from tests.executor.on_ray import mean_of  # of a module that workers can import, which `__main__` is not
+
+    drawn = np.random.default_rng(4)
+    for number in range(FILES):
+        np.savez(folder / f"{number}.npz", values=drawn.normal(size=50))
+    found = ds.sweep(mean_of, folder, out=folder / "out", executor="ray", address=address, send=True, progress=False)
+    rows = {row["source"]: row["mean"] for row in found.table.to_pylist()}
+    return rows == {str(path.resolve()): mean_of(str(path))["mean"] for path in folder.glob("*.npz")}
 
 
 def main(folder: str) -> None:
@@ -53,7 +73,8 @@ def main(folder: str) -> None:
             workers.result(workers.submit(run_attempt, "0.0.7", None, traced, (folder, -1)))
         except OtherVersion as error:
             other = str(error)
-    attempts = Counter(line for path in Path(folder).iterdir() for line in path.read_text().splitlines())
+    equal = swept(cluster.address, Path(tempfile.mkdtemp(dir=folder)))
+    attempts = Counter(line for path in Path(folder).glob("attempts-*") for line in path.read_text().splitlines())
     told = {
         "right": [n for n, one in found.items() if one.value is not None and one.value[0] == n**2],
         "refused": {n: one.reasons for n, one in found.items() if one.error is not None},
@@ -61,6 +82,7 @@ def main(folder: str) -> None:
         "attempts": dict(attempts),
         "processes": len({one.value[1] for one in found.values() if one.value is not None}),
         "other": other,
+        "swept": equal,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
     print(json.dumps(told))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -37,7 +38,11 @@ def test_what_is_no_line_of_it_and_a_second_writer_are_refused(tmp_path: Path) -
     Journal(path, "outcomes").__exit__(None, None, None)
 
 
-def test_a_full_disk_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("os.write", lambda handle, text: len(text) - 1)
-    with Journal(tmp_path / "lines.jsonl", "lines") as journal, pytest.raises(OSError, match="no space left"):
+def test_a_full_disk_is_an_error_and_leaves_whole_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    write = os.write
+    with Journal(tmp_path / "lines.jsonl", "lines") as journal:
         journal.add("a")
+        monkeypatch.setattr("os.write", lambda handle, text: write(handle, text[:-2]))
+        with pytest.raises(OSError, match="No space left"):
+            journal.add("b")
+        assert list(journal.lines()) == ["a"]

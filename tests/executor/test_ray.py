@@ -50,6 +50,10 @@ def test_what_the_killed_node_computed_was_tried_elsewhere_with_the_reason(told:
     )
 
 
+def test_a_sweep_of_files_that_are_sent_gives_what_one_process_gives(told: dict[str, Any]) -> None:
+    assert told["swept"] is True
+
+
 def test_a_worker_of_another_version_is_named(told: dict[str, Any]) -> None:
     assert told["other"].startswith("expected workers of version 0.0.7; got one of ")
 

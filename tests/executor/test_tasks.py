@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.executor.local import HereWorker, LocalWorkers
+from deformscope.executor.local import HereWorker, LocalWorkers, ThreadWorkers
 from deformscope.executor.opened import open_workers
-from deformscope.executor.tasks import ATTEMPTS, OtherVersion, Workers, compute, run_attempt
+from deformscope.executor.tasks import ATTEMPTS, OtherVersion, Workers, compute, compute_all, run_attempt
 from deformscope.processes import BLAS_THREADS
 from tests.patience import PATIENCE_S
 
@@ -26,7 +26,9 @@ def paths_of_tests() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
-@pytest.fixture(params=[HereWorker, lambda: LocalWorkers(2)], ids=["here", "processes"])
+@pytest.fixture(
+    params=[HereWorker, lambda: ThreadWorkers(2), lambda: LocalWorkers(2)], ids=["here", "threads", "processes"]
+)
 def workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
     made: Workers = request.param()
     yield made
@@ -63,6 +65,16 @@ def test_one_worker_is_this_process_unless_it_is_to_stand_apart() -> None:
         assert [one.value for one in compute(here, square, [2])] == [(4, os.getpid())]
     with open_workers("local", None, 1, apart=True) as apart:
         assert [one.value != (4, os.getpid()) for one in compute(apart, square, [2])] == [True]
+
+
+def test_results_come_in_the_order_of_their_items_and_the_first_error_ends_it() -> None:
+    done: list[None] = []
+    squares = compute_all(ThreadWorkers(3), square, range(12), lambda: done.append(None))
+
+    assert [value for value, _ in squares] == [number**2 for number in range(12)]
+    assert len(done) == 12
+    with pytest.raises(InputError, match="liked; got 13"):
+        compute_all(ThreadWorkers(3), square, [13] + [1] * 100, lambda: None)
 
 
 def ends_its_worker(task: tuple[Path, int]) -> int:
@@ -107,6 +119,7 @@ def an_hour(item: str) -> str:
 
 
 def test_what_takes_too_long_is_ended_and_named(two: LocalWorkers) -> None:
+    assert len(list(compute(two, an_hour, ["short", "short"]))) == 2  # both have begun: that counts too
     found = {one.item: one for one in compute(two, an_hour, ["an hour", "short"], attempts=2, limit_s=1.0)}
 
     assert found["short"].value == "short"
@@ -177,7 +190,7 @@ def test_what_is_computed_is_given_up_where_the_caller_breaks_off(how: str) -> N
 
 MISSED = """
 import signal, threading, time
-from deformscope.executor.local import LocalWorkers
+from deformscope.executor.local import LocalWorkers, ThreadWorkers
 from deformscope.executor.tasks import compute
 
 def interrupt_late():
@@ -187,7 +200,7 @@ def interrupt_late():
 
 if __name__ == "__main__":
     threading.Thread(target=interrupt_late, daemon=True).start()
-    workers = LocalWorkers(2)
+    workers = WORKERS(2)
     try:
         for _ in compute(workers, time.sleep, [3600.0] * 2): pass
     finally:
@@ -195,10 +208,11 @@ if __name__ == "__main__":
 """
 
 
-def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["LocalWorkers", "ThreadWorkers"])
+def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(kind: str, tmp_path: Path) -> None:
     """Taken by another thread it wakes the main one as little as one that comes just before its wait begins."""
     script = tmp_path / "script.py"
-    script.write_text(MISSED)
+    script.write_text(MISSED.replace("WORKERS", kind))
 
     command = [sys.executable, str(script)]
     ran = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False, env=paths_of_tests())

@@ -75,6 +75,39 @@ def test_bytes_of_a_daq_are_decoded_and_replayed(tmp_path: Path, capfd: pytest.C
     assert 'driver = "?"' in inspected(source)
 
 
+BAD_CAPTURES = {
+    "no sensitivity": ("", "config.sensitivity of tip in the map: counts at nominal and nominal forces"),
+    "another kind": ("wrench depth", "kind of tip in the map: wrench, as optoforce gives; got 'depth'"),
+    "the proposal": ("optoforce ?", "driver of tip in the map: one of optoforce, dsa; got '?'"),
+    "no driver": ('driver="optoforce" ', "driver of tip in the map: one of optoforce, dsa; got none"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_CAPTURES)
+def test_a_capture_that_is_none_is_one_line(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    change, words = BAD_CAPTURES[name]
+    (tmp_path / "capture.bin").write_bytes(b"".join(readings(9)))
+    text = f'[[streams]]\n{TIP}topics = ["capture.bin"]\nrate_hz = 1000\n'.replace("driver = ", "driver=")
+    before, _, after = change.partition(" ")
+    text = text.replace(before, after) if change else text
+    assert words in refused(tmp_path / "capture.bin", text, tmp_path / "r.rrd", capfd)
+
+
+def test_a_driver_of_a_table_and_an_empty_source_are_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "t.csv").write_text("t,Fx\n")
+    text = f'[[streams]]\n{TIP}topics = ["t.csv"]\n'
+    expected = "driver of tip in the map: none, its topics are not bytes of a device; got 'optoforce'"
+    assert expected in refused(tmp_path / "t.csv", text, tmp_path / "r.rrd", capfd)
+    text = '[[streams]]\ndevice = "tip"\nkind = "wrench"\ntopics = ["t.csv"]\nrate_hz = 1\n'
+    error = refused(tmp_path / "t.csv", text, tmp_path / "r.rrd", capfd)
+    assert "frames for the map's streams; got none | try: its topics in the map, which --inspect lists" in error
+    (tmp_path / "bus.log").touch()
+    assert main(["import", "--inspect", str(tmp_path / "bus.log")]) == 2
+    assert "expected a source with topics; got an empty one" in capfd.readouterr().err
+
+
 def test_a_candump_log_is_decoded_and_replayed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     lines = []
     for at, packet in enumerate(readings(200)):
@@ -195,7 +228,7 @@ def test_points_of_others(tmp_path: Path) -> None:
 
 
 def test_a_capture_of_others(tmp_path: Path) -> None:
-    text = f'[[streams]]\n{TIP}topics = ["capture_10000.bin"]\nrate_hz = 1000\n'
+    text = f'[[streams]]\n{TIP}topics = ["capture_10000.bin"]\nrate_hz = 1000\nnan = "keep"\n'
     path = imported(data("optoforce/capture_10000.bin"), text, tmp_path / "r.rrd")
     assert len(frames_of(path)["tip"]) == 10_000
     assert main(["replay", str(path)]) == 0

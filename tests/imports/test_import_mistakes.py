@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import json
+import sqlite3
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from deformscope.frames import ArmFrame, DepthFrame
+from deformscope.imports.inspect import TRANSFORMS
+from deformscope.imports.readers import open_reader
+from deformscope.log.rig_layout import RIG, RigLayout
+from deformscope.recording.recorder import Recorder
 from tests.imports.test_captures_and_files import imported, refused
-from tests.imports.test_importing import frames_of, inspected
+from tests.imports.test_importing import brought_back, differences, frames_of, inspected
+from tests.log import synthetic_rig as rig
 
 AXES = {"force_z_n": "Fz", "force_x_n": "Fx", "force_y_n": "Fy"}
 FORCES = "t,Fx,Fy,Fz\n0,1,20,300\n0.01,2,21,301\n"
@@ -64,6 +76,49 @@ def test_a_cell_that_is_no_number_is_one_line(cell: str, tmp_path: Path, capfd: 
     source = csv(tmp_path / "t.csv", f"{FORCES}0.02,{cell},1,1\n")
     error = refused(source, map_of(AXES, unit="mN"), tmp_path / "r.rrd", capfd)
     assert "a wrench frame of tip; got in frame 2" in error
+
+
+BAD_VALUES = {
+    "no number of a rate": ("rate_hz = nan", "Expected `float` >= 0.0"),
+    "an endless rate": ("rate_hz = inf", "Expected `float` <= 1000000000.0"),
+    "a rate below 0": ("rate_hz = -1", "Expected `float` >= 0.0"),
+    "an offset": ("offset_s = 1e300", "Expected `float` <= 10000000000.0"),
+    "a table in place of a list": ("[streams]\ndevice = 'a'", "Expected `array`, got `object` - at `$.streams`"),
+    "a number in place of a list": ("streams = 3", "Expected `array`, got `int` - at `$.streams`"),
+    "a beginning": ("start_ns = 4611686018427387905", "Expected `int` <= 4611686018427387904"),
+    "a time": ("", "expected times of tip below 4611686018427387904 ns; got inf"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_VALUES)
+def test_values_that_none_can_mean_are_one_line(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    line, words = BAD_VALUES[name]
+    text = line if "streams" in line else f"{line}\n{map_of(AXES)}" if "start" in line else map_of(AXES, line)
+    rows = f"{FORCES}{'' if line else '1e300,1,1,1'}"
+    assert words in refused(csv(tmp_path / "t.csv", rows), text, tmp_path / "r.rrd", capfd)
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_frame_of_two_long_tables(timed: bool, tmp_path: Path) -> None:
+    source = tmp_path / "two"
+    source.mkdir()
+    for name, axes in (("f", "Fx,Fy,Fz"), ("m", "Tx,Ty,Tz")):
+        csv(source / f"{name}.csv", f"t,{axes}\n" + "".join(f"{at / 100},{at},1,2\n" for at in range(200)))
+    text = map_of(AXES, topics='["f.csv", "m.csv"]')
+    torques = ", ".join(f'torque_{axis}_nm = "T{axis}"' for axis in "xyz")
+    text = text.replace("columns = {", f"columns = {{{torques}, ")
+    text = text.replace("units = {", 'units = {Tx = "N m", Ty = "N m", Tz = "N m", ')
+    text = text if timed else text.replace('time = "t"\ntime_unit = "s"', "rate_hz = 100")
+    frames: list[Any] = frames_of(imported(source, text, tmp_path / "r.rrd"))["tip"]
+    assert [frame.stamp.host_ns for frame in frames] == [at * 10**7 for at in range(200)]
+    assert [(frame.force_n[0, 0], frame.torque_nm[0, 0]) for frame in frames] == [(at, at) for at in range(200)]
+
+
+def test_a_clock_that_jumps_forward_is_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for jump, told in ((0, False), (3600, True)):
+        rows = "".join(f"{at / 100 + (jump if at > 50 else 0)},1,1,1\n" for at in range(200))
+        imported(csv(tmp_path / "t.csv", f"t,Fx,Fy,Fz\n{rows}"), map_of(AXES), tmp_path / f"{jump}.rrd")
+        assert ("longest gap 3600 s" in "".join(capfd.readouterr())) == told
 
 
 def test_counts_of_any_width_are_distances_and_colours_are_none(
@@ -156,3 +211,175 @@ def test_joints_are_those_of_their_names(tmp_path: Path, capfd: pytest.CaptureFi
     short.add_joints(MS, ["a", "b", "c"], [1.0, 2.0, 3.0], [1.0, 2.0])
     error = refused(short.write(tmp_path / "short"), f'{ARM}joints = ["c", "a", "b"]\n', tmp_path / "r.rrd", capfd)
     assert "arm frame of arm; got in frame 0: index 2 is out of bounds" in error
+
+
+def test_times_of_pandas_are_taken_to_the_nanosecond(tmp_path: Path) -> None:
+    ns = [1700000000123456789, 1700000000133456789]
+    kinds = {"plain": pa.timestamp("ns"), "zone": pa.timestamp("ns", "Europe/Berlin"), "us": pa.timestamp("us")}
+    for name, kind in kinds.items():
+        times = pa.array(ns, pa.timestamp("ns")).cast(kind, safe=False)
+        rows = {
+            "t": times,
+            "taken": pa.array(ns, pa.duration("ns")),
+            "Fx": [1.0, 2.0],
+            "Fy": [1.0, 2.0],
+            "Fz": [1.0, 2.0],
+        }
+        pq.write_table(pa.table(rows), tmp_path / "t.parquet")
+        assert 'time = "t"\ntime_unit = "ns"' in inspected(tmp_path / "t.parquet")
+        text = map_of(AXES, topics='["t.parquet"]')
+        frames = frames_of(imported(tmp_path / "t.parquet", text, tmp_path / f"{name}.rrd"))["tip"]
+        assert [one.stamp.host_ns for one in frames] == [one if name != "us" else one // 1000 * 1000 for one in ns]
+
+
+def test_fractions_far_below_whole_numbers_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = "".join(f"{at},0,0,\n" for at in range(400_000))
+    source = csv(tmp_path / "t.csv", f"t,Fx,Fy,Fz\n{whole}400000,0.5,0,0.25\n")
+    assert source.stat().st_size > 1 << 22
+    with open_reader(source, times=["t"]) as reader:
+        *_, last = reader.messages(["t.csv"])
+    assert last.value == {"t": 400_000, "Fx": 0.5, "Fy": 0.0, "Fz": 0.25}
+    assert isinstance(last.value["t"], int)  # of nanoseconds since 1970 a real number would lose some
+    folder = tmp_path / "ours"
+    folder.mkdir()
+    source.rename(folder / "t.csv")
+    names = {"t": "int64", "Fx": "double", "Fy": "double", "Fz": "double"}
+    columns = [{"name": name, "type": kind, "unit": ""} for name, kind in names.items()]
+    about = {"schema_version": 1, "streams": [{"files": ["t.csv"], "columns": columns}]}
+    (folder / "export.json").write_text(json.dumps(about))
+    with open_reader(folder) as reader:
+        *_, last = reader.messages(["t.csv"])
+    assert last.value == {"t": 400_000, "Fx": 0.5, "Fy": 0.0, "Fz": 0.25}
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"streams": [{}]}', "\xff"])
+def test_a_manifest_of_others_is_none(content: str, tmp_path: Path) -> None:
+    (tmp_path / "export.json").write_bytes(content.encode("latin-1"))
+    csv(tmp_path / "t.csv")
+    assert 'topics = ["t.csv"]' in inspected(tmp_path)
+
+
+def test_names_of_columns_write_nothing_into_the_map(tmp_path: Path) -> None:
+    text = inspected(
+        csv(tmp_path / "t\x7f\u202e.csv", '"a\n[[streams]]\ndevice = ""evil""\n","\x1b[31mred",t\n1,2,3\n')
+    )
+    assert [one["device"] for one in tomllib.loads(text)["streams"]] == ["t\x7f\u202e"]
+    assert all(one.isprintable() for one in text.replace("\n", ""))
+    assert "columns a\\n[[streams]]" in text
+
+
+def test_forces_that_are_not_known_come_back(tmp_path: Path) -> None:
+    """Of a sensor without a sensitivity."""
+    path = tmp_path / "r.rrd"
+    frames = [dataclasses.replace(rig.wrench(at, "tip"), force_n=np.full((1, 3), np.nan)) for at in range(5)]
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        made.start(RigLayout((rig.Stream("tip", "wrench", "optoforce"),)), rig.START_NS)
+        made.write(frames)
+    for to in ("csv", "parquet"):
+        assert not differences(list(frames), frames_of(brought_back(path, to, tmp_path))["tip"])
+
+
+def test_a_topic_of_an_unknown_type_keeps_no_other_from_being_read(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = Bag()
+    for at in range(1, 4):
+        bag.add_pose(at * MS)
+        bag.messages.append(("/thing", "std_msgs/msg/String", at * MS, bag.make("std_msgs/msg/String", "x")))
+    path = bag.write(tmp_path / "bag")
+    (database,) = path.glob("*.db3")
+    with contextlib.closing(sqlite3.connect(database)) as old:  # of before ROS 2 Iron: without definitions
+        old.execute("update topics set type = 'my_msgs/msg/Thing' where name = '/thing'")
+        old.execute("delete from message_definitions")
+        old.commit()
+    about = path / "metadata.yaml"
+    about.write_text(about.read_text().replace("std_msgs/msg/String", "my_msgs/msg/Thing"))
+    text = inspected(path)
+    assert "# /thing: my_msgs/msg/Thing, 3 messages" in text
+    assert "expected messages of a known type; got my_msgs/msg/Thing" in text
+    assert len(frames_of(imported(path, text, tmp_path / "r.rrd"))["pose"]) == 3
+    text = '[[streams]]\ndevice = "tip"\nkind = "wrench"\ntopics = ["/thing"]\n'
+    error = refused(path, text, tmp_path / "s.rrd", capfd)
+    assert "expected messages of a known type; got my_msgs/msg/Thing | try: leave its topic out of the map" in error
+
+
+def test_an_arm_does_not_stand_where_a_pose_of_before_was(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    bag = Bag()
+    for at in range(1, 101):
+        if at <= 10:
+            bag.add_pose(at * 10**8, at=(float(at), 0.0, 0.0))
+        bag.add_joints(at * 10**8, ["turn"], [float(at)])
+    path = bag.write(tmp_path / "bag")
+    frames: list[Any] = frames_of(imported(path, ARM, tmp_path / "r.rrd", status=3))["arm"]
+    assert "arm: 85 readings lost" in capfd.readouterr().err  # half a second after the last pose
+    assert [frame.position_m[0] for frame in frames] == [*range(1, 11), *[10] * 5]
+    assert len(frames_of(imported(path, f"{ARM}pose_age_s = 100\n", tmp_path / "s.rrd"))["arm"]) == 100
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+def test_links_that_do_not_move_are_of_any_age(fixed: bool, tmp_path: Path) -> None:
+    bag = Bag()
+
+    def link(topic: str, ns: int, parent: str, child: str, x: float) -> None:
+        place, turn = bag.make("geometry_msgs/msg/Vector3", x, 0.0, 0.0), bag.pose().orientation
+        transform = bag.make("geometry_msgs/msg/Transform", place, turn)
+        one = bag.make("geometry_msgs/msg/TransformStamped", bag.header(ns, parent), child, transform)
+        bag.messages.append((topic, TRANSFORMS, ns, bag.make(TRANSFORMS, [one])))
+
+    link("/tf_static" if fixed else "/tf", MS, "base", "shoulder", 5.0)
+    for at in range(1, 21):
+        link("/tf", at * 10**8, "shoulder", "tool", at / 10)
+        bag.add_joints(at * 10**8, ["turn"], [float(at)])
+    text = f'{ARM.replace("/pose", "/tf")}parent = "base"\nchild = "tool"\n'
+    path = imported(bag.write(tmp_path / "bag"), text, tmp_path / "r.rrd", status=0 if fixed else 3)
+    frames: list[Any] = frames_of(path)["arm"]
+    np.testing.assert_allclose([frame.position_m[0] for frame in frames], 5 + np.arange(1, 21 if fixed else 6) / 10)
+
+
+def test_poses_of_other_messages_and_what_is_none(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    covariance = np.zeros(36)
+    kinds: dict[str, Any] = {
+        "geometry_msgs/PoseWithCovarianceStamped": lambda bag: [
+            bag.make("geometry_msgs/msg/PoseWithCovariance", bag.pose(), covariance)
+        ],
+        "nav_msgs/Odometry": lambda bag: [
+            "tool",
+            bag.make("geometry_msgs/msg/PoseWithCovariance", bag.pose(), covariance),
+            bag.make("geometry_msgs/msg/TwistWithCovariance", twist(bag), covariance),
+        ],
+        "geometry_msgs/TwistStamped": lambda bag: [twist(bag)],
+        "geometry_msgs/PoseStamped": lambda bag: [bag.pose(turn=(0.0, 0.0, 0.0, 0.0))],
+    }
+    words = {"geometry_msgs/TwistStamped": "TwistStamped: ", "geometry_msgs/PoseStamped": "PoseStamped: "}
+    for at, (kind, make) in enumerate(kinds.items()):
+        bag = Bag()
+        bag.add("/pose", kind, MS, *make(bag))
+        bag.add_joints(MS, ["turn"], [0.5])
+        path = bag.write(tmp_path / str(at))
+        if kind in words:
+            error = refused(path, ARM, tmp_path / "r.rrd", capfd)
+            assert "pose of arm in the map: a topic of poses or transforms" in error
+            assert words[kind] in error
+            continue
+        (frame,) = frames_of(imported(path, ARM, tmp_path / f"{at}.rrd"))["arm"]
+        assert frame.position_m.tolist() == [1, 2, 3]  # type: ignore[union-attr]
+
+
+def twist(bag: Bag) -> Any:
+    vector = bag.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    return bag.make("geometry_msgs/msg/Twist", vector, vector)
+
+
+def test_pictures_of_two_folders_are_one_by_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "take"
+    for name, kind, suffix in (("depth", np.uint16, "png"), ("rgb", np.uint8, "jpg")):
+        (source / name).mkdir(parents=True)
+        for at in range(70 if name == "depth" else 69):
+            shape = (8, 8) if name == "depth" else (8, 8, 3)
+            cv2.imwrite(str(source / name / f"{at}.{suffix}"), np.full(shape, 1 + at, kind))
+    text = '[[streams]]\ndevice = "cam"\nkind = "depth"\ntopics = ["depth/*.png", "rgb/*.jpg"]\nrate_hz = 10\n'
+    text += "unit_m = 0.001\n"
+    frames: list[Any] = frames_of(imported(source, text, tmp_path / "r.rrd", status=3))["cam"]
+    assert "cam: 1 readings lost" in capfd.readouterr().err  # the last has no colours
+    assert [frame.depth[0, 0] for frame in frames] == [*range(1, 70)]
+    np.testing.assert_allclose([frame.color.mean() for frame in frames], range(1, 70), atol=1.5)

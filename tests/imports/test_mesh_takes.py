@@ -111,12 +111,15 @@ def only_one_mesh(take: Path) -> None:
 
 MESH = "meshes/mesh-f00004.obj"
 CASES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no forces": (without("robot_data.json"), "robot_data.json of a take"),
-    "no json": (changed("robot_data.json", "[", "("), "robot_data.json in JSON"),
+    "no forces": (without("robot_data.json"), "robot_data.json"),
+    "no json": (changed("robot_data.json", "[", "("), "in JSON"),
     "no list": (lambda take: (take / "robot_data.json").write_text("3"), "a list of frame and forces"),
-    "other keys": (changed("robot_data.json", '"forces"', '"wrench"'), "got none of 'forces'"),
-    "two numbers": (lambda take: (take / "robot_data.json").write_text('[{"frame": 1, "forces": [1, 2]}]'), "[1, 2]"),
-    "nan": (changed("robot_data.json", "3.0", "NaN"), "nan"),
+    "other keys": (changed("robot_data.json", '"forces"', '"wrench"'), "forces"),
+    "two numbers": (
+        lambda take: (take / "robot_data.json").write_text('[{"frame": 1, "forces": [1, 2]}]'),
+        "[1.0, 2.0]",
+    ),
+    "nan": (changed("robot_data.json", "3.0", "NaN"), "in JSON"),
     "one mesh": (only_one_mesh, "got 1 meshes, 8 forces, 1 of them of one frame"),
     "other vertices": (changed(MESH, "vt 0 0", "v 1 2 3"), "meshes with the same vertices"),
     "no numbers": (changed(MESH, "v ", "v x "), "a mesh with vertices"),
@@ -124,7 +127,10 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda take: [changed(f"meshes/{one.name}", "v 6", "v 6e9")(take) for one in (take / "meshes").iterdir()],
         "got",
     ),
-    "camera": (changed("kinect/camera_parameters.json", "color_", "depth_"), "intrinsics or color_intrinsics (3, 3)"),
+    "camera": (
+        changed("kinect/camera_parameters.json", "color_", "depth_"),
+        "or color_intrinsics and color_extrinsics",
+    ),
     "matrix": (changed("volucam/camera_parameters.json", "[1.0, 0.0, 0.0, 0.0]", "[1.0]"), "extrinsics"),
 }
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import dataclasses
 import itertools
 import json
 import os
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,6 +34,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.recording.streams import RecordingTables
 from deformscope.results.render import to_json
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
+from deformscope_drivers.clock import Stamp
 from tests.log import synthetic_rig as rig
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -457,6 +461,67 @@ def test_the_folder_one_is_in_and_a_link_to_an_empty_one_are_folders(
         assert sorted(path.name for path in Path(out).iterdir()) == ["export.json", "wrench"]
     assert main(["export", str(BENCH), "--to", "csv", "--out", "/"]) == 2
     assert (tmp_path / "link").is_symlink()
+
+
+def test_times_that_ros_has_not_are_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2")
+    path = tmp_path / "r.rrd"
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        made.start(RigLayout((rig.Stream("tip", "wrench", "optoforce"),)), 2**31 * 10**9)
+        made.write([dataclasses.replace(rig.wrench(at, "tip"), stamp=Stamp(2**31 * 10**9 + at)) for at in range(3)])
+    with pytest.raises(ds.InputError, match=r"times from 0 to 2038, as ROS has them; got 2\.147e\+09 s"):
+        exported(path, "mcap", tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_devices_of_any_name_have_topics_of_their_own(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2")
+    names = ("左", "右", "a b", "a_b")
+    streams = tuple(rig.Stream(name, "wrench", "optoforce") for name in names)
+    path = tmp_path / "r.rrd"
+    with Recorder(path, "none", {"rig": ""}, application=RIG) as made:
+        made.start(
+            RigLayout((*streams, rig.Stream("x-1", "color", "uvc"), rig.Stream("x_1", "color", "uvc"))), rig.START_NS
+        )
+        made.write([rig.wrench(at, name) for at in range(20) for name in names[: 1 + at % 4]])
+        made.write([rig.color(at, name, (24, 32)) for at in range(3) for name in ("x-1", "x_1")[: 1 + at % 2]])
+    (bag,) = exported(path, "mcap", tmp_path / "bag").glob("*.mcap")
+    counts = Counter(topic for topic, _, _ in read_mcap(bag))
+    own = ("/_", "/_2", "/a_b", "/a_b_2")
+    assert (
+        [counts[f"{topic}/wrench"] for topic in own] == [counts[f"/wrench{topic}"] for topic in own] == [15, 20, 10, 5]
+    )
+    assert [counts[f"/{topic}/color/compressed"] for topic in ("x_1", "x_1_2")] == [3, 1]
+    pytest.importorskip("rosbags")
+    inspected = tmp_path / "map.toml"
+    with inspected.open("w") as file, contextlib.redirect_stdout(file):
+        assert main(["import", "--inspect", str(bag)]) == 0
+    assert main(["import", str(bag), "--map", str(inspected), "--record", str(tmp_path / "again.rrd")]) == 0
+    before, now = ({name: table.num_rows for name, table in tables(one)} for one in (path, tmp_path / "again.rrd"))
+    assert {name: rows for name, rows in before.items() if name in now} == now
+    assert {*(f"wrench/{name}" for name in names), "color/x-1", "color/x_1"} <= set(now)
+
+
+def tables(path: Path) -> Iterator[tuple[str, pa.Table]]:
+    for entity in ("wrench/左", "wrench/右", "wrench/a b", "wrench/a_b", "color/x-1", "color/x_1"):
+        yield entity, ds.open_recording(path).table(entity)
+
+
+@pytest.mark.parametrize("content", ["<robot", "", "\xff"])
+def test_a_robot_description_that_is_none_is_left_out_and_none_is_anonymous(
+    content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mcap_ros2")
+    monkeypatch.chdir(tmp_path)
+    urdf = Path("drivers/deformscope_drivers/jaco/j2n6s300.urdf")  # as the recording has it
+    urdf.parent.mkdir(parents=True)
+    whole = '<robot name="r"><!-- from /home/Mallory/r.xacro --></robot>'
+    for text, anonymous in ((content, False), (whole, True), (whole, False)):
+        urdf.write_bytes(text.encode("latin-1"))
+        asked: dict[str, Any] = {"only": ["arm", "wrench"], "anonymous": anonymous, "overwrite": True}
+        (bag,) = exported(EXPLORED, "mcap", tmp_path / "bag", **asked).glob("*.mcap")
+        found = [message.data for topic, _, message in read_mcap(bag) if topic.endswith("/robot_description")]
+        assert found == ([whole] if text == whole and not anonymous else [])
 
 
 @pytest.mark.parametrize("to", ["images", "video"])

@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import json
+import resource
 import shutil
 import struct
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from deformscope.recording import ledger
 from deformscope.recording.facts import salvage
 from deformscope.recording.ledger import (
     BLOCK_BYTES,
     LedgerBlock,
     LedgerWriter,
+    add_discard,
     check_ledger,
     check_recording,
     ledger_path,
     read_counts,
+    read_discards,
     read_ledger,
     write_ledger,
 )
+from deformscope.recording.rrd_index import TAIL_BYTES, read_index
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "recordings" / "rig.rrd"
@@ -115,6 +124,16 @@ def test_portions_are_those_of_the_file(sample: Path) -> None:
         block = blocks[message.start, message.end]
         assert block.streams == (message.entity,)
         assert (block.from_s, block.to_s) == pytest.approx(message.span_s, abs=1e-9)
+
+
+def test_an_index_of_any_length_or_place_is_none(tmp_path: Path) -> None:
+    whole, path = SAMPLE.read_bytes(), tmp_path / "r.rrd"
+    for place in range(16):  # of the footer: uint64 where it begins, uint64 how long it is
+        for bit in (0, 5, 7):
+            content = bytearray(whole)
+            content[place - TAIL_BYTES] ^= 1 << bit
+            path.write_bytes(content)
+            assert read_index(path) == [], (place, bit)
 
 
 @pytest.mark.parametrize("place", [0, 1000, BLOCK_BYTES - 1, BLOCK_BYTES, 2 * BLOCK_BYTES + 12344])
@@ -220,6 +239,57 @@ def test_a_ledger_that_grows_answers_for_what_was_committed(tmp_path: Path) -> N
     ledger_path(path).write_bytes(ledger[:-30])  # killed while it wrote the last line
     check = check_recording(path)
     assert (check.problems, check.committed) == ([], 3000)
+
+
+def with_room(bytes_more: int, path: Path, write: Callable[[], object]) -> None:
+    """Write while the disk takes so much more of a file, and find that it fails."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_more, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            write()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_line_that_the_disk_takes_in_part_is_not_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    path.write_bytes(np.random.default_rng(0).bytes(3000))
+    writer = LedgerWriter(ledger_path(path), path)
+    writer.commit(1000)
+    with_room(30, ledger_path(path), lambda: writer.commit(2000))
+    writer.commit(3000)
+    writer.end({}, {})
+    writer.close()
+    assert check_ledger(path) == []
+    assert [one.end for one in read_ledger(path).blocks] == [1000, 3000]
+    whole = ledger_path(path).read_bytes()
+    with_room(40, ledger_path(path), lambda: add_discard(path, {"reason": "x" * 50}))
+    assert ledger_path(path).read_bytes() == whole
+    add_discard(path, {"reason": "late"})
+    assert read_discards(path) == [{"reason": "late"}]
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_discards_at_once_are_all_there(old: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.rrd"
+    shutil.copy(OLD if old else SAMPLE, path)
+    if old:
+        shutil.copy(ledger_path(OLD), ledger_path(path))
+    else:
+        write_ledger(path)
+    chained = ledger._chained
+
+    def slow(content: Mapping[str, Any], before: str) -> tuple[str, str]:
+        time.sleep(0.01)  # others read meanwhile
+        return chained(content, before)
+
+    monkeypatch.setattr(ledger, "_chained", slow)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda at: add_discard(path, {"reason": str(at)}), range(4)))
+    monkeypatch.undo()
+    assert check_ledger(path) == []
+    assert {one["reason"] for one in read_discards(path)} == set("0123")
 
 
 def test_a_line_of_another_place_does_not_fit_the_chain(sample: Path) -> None:

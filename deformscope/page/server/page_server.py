@@ -31,6 +31,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deformscope.errors import InputError
@@ -98,7 +99,7 @@ class PageServer:
         """Listen, and return once the page can be asked for. It is served until `close`, or the end of the process."""
         listening = socket.create_server((LOOPBACK, 0))
         self.address = f"http://{LOOPBACK}:{listening.getsockname()[1]}/{self._token}/"
-        guard = self._app()
+        guard = Guard(self.routes(), self._token)
         config = uvicorn.Config(
             guard,
             http=partial(GuardedProtocol, guard),  # type: ignore[arg-type]  # it asks for a class, and calls it
@@ -133,7 +134,8 @@ class PageServer:
         if self in _pages:
             _pages.remove(self)
 
-    def _app(self) -> Guard:
+    def routes(self) -> ASGIApp:
+        """What is served below the token."""
         routes = [
             Route("/session", _only_websocket),
             Route("/data", _only_websocket),
@@ -144,7 +146,7 @@ class PageServer:
         ]
         app = Starlette(routes=routes)
         app.router.redirect_slashes = False  # no answer repeats a path
-        return Guard(app, self._token)
+        return app
 
     # Files -----------------------------------------------------------------------------------------------------------
 

@@ -102,8 +102,10 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
                 files = _write_tables(tables, chosen, draft, "csv", about, note, videos)
                 files += [ExportedFile(path.stem, path.name, number) for path, number in videos.counts.items()]
             case "mcap":
-                from deformscope.recording.export.mcap import write_mcap
+                from deformscope.recording.export.mcap import ros_names, write_mcap
 
+                about["topics"] = ros_names(chosen)
+                about["device_topics"] = ros_names(dict.fromkeys(one.device for one in tables.streams.values()))
                 path = draft / f"{replay.path.stem if not asked.anonymous else 'recording'}.mcap"
                 files = [ExportedFile(*one) for one in write_mcap(tables, chosen, path, about, note)]
             case _:
@@ -255,7 +257,7 @@ def _replace(folder: Path, draft: Path) -> None:
 
 def _numbered(folder: Path) -> set[Path]:
     """Images that are named as an export names them."""
-    return {path for path in folder.iterdir() if NUMBERED.fullmatch(path.name)} if folder.is_dir() else set()
+    return {path for path in folder.glob("*") if NUMBERED.fullmatch(path.name)}
 
 
 def as_text(value: Any) -> str:

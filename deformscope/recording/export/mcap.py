@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -29,6 +31,7 @@ from deformscope.recording.streams import TRANSFORMS, RecordedStream, RecordingT
 from deformscope.stages.map.exploration import SurfaceEstimate
 from deformscope.stages.map.measured import LookFrames
 
+_logger = logging.getLogger(__name__)
 LATCHED = (
     "- history: 3\n  depth: 0\n  reliability: 1\n  durability: 1\n  deadline: {sec: 9223372036, nsec: 854775807}\n"
     "  lifespan: {sec: 9223372036, nsec: 854775807}\n  liveliness: 1\n"
@@ -40,10 +43,23 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 Row = dict[str, Any]
 
 
+def ros_names(names: Iterable[str]) -> dict[str, str]:
+    """Topics of entities or devices: letters that ROS does not allow are `_`, and each name has a topic of its own."""
+    found: dict[str, str] = {}
+    for name in names:
+        plain = "/" + re.sub(r"[^A-Za-z0-9_/]", "_", name)
+        others = (f"{plain.rstrip('_')}_{number}" for number in count(2))
+        found[name] = next(one for one in chain([plain], others) if one not in found.values())
+    return found
+
+
 def write_mcap(
     tables: RecordingTables, chosen: Mapping[str, RecordedStream], path: Path, about: Mapping[str, Any], note: Note
 ) -> list[tuple[str, str, int]]:
-    """Write it; (topic, file, messages) of each topic. Raises InputError where the package is not installed."""
+    """Write it; (topic, file, messages) of each topic. about: has `topics` of entities, `device_topics` of devices
+
+    Raises InputError where the package is not installed.
+    """
     try:
         from mcap.writer import CompressionType, Writer
         from mcap_ros2._dynamic import serialize_dynamic
@@ -54,7 +70,7 @@ def write_mcap(
         writer: Any = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="deformscope")
         bag = _Bag(writer, serialize_dynamic)
-        topics = _Topics(bag, tables, chosen)
+        topics = _Topics(bag, tables, chosen, about)
         total, done = sum(stream.rows for stream in chosen.values()), 0
         for stream, batch in tables.batches(chosen, gather=False):
             for row in batch.to_pylist():
@@ -95,8 +111,11 @@ class _Bag:
 class _Topics:
     """What of each stream becomes which messages."""
 
-    def __init__(self, bag: _Bag, tables: RecordingTables, chosen: Mapping[str, RecordedStream]) -> None:
+    def __init__(
+        self, bag: _Bag, tables: RecordingTables, chosen: Mapping[str, RecordedStream], about: Mapping[str, Any]
+    ) -> None:
         self._bag, self._start_ns = bag, tables.start_ns or 0
+        self._topics, self._devices = about["topics"], about["device_topics"]
         self._own: dict[str, tuple[str, str, dict[str, tuple[str, bool]]]] = {}
         names: dict[str, str] = {}
         for entity, stream in chosen.items():
@@ -114,13 +133,16 @@ class _Topics:
         self._joints: dict[str, list[str]] = {}
         for stream in chosen.values():
             if stream.about is not None and stream.about.urdf is not None and stream.about.urdf.is_file():
-                text = stream.about.urdf.read_text(encoding="utf-8")
-                joints = [one for one in ElementTree.fromstring(text).iter("joint") if one.get("type") in MOVABLE]
+                try:
+                    text = stream.about.urdf.read_text(encoding="utf-8")
+                    joints = [one for one in ElementTree.fromstring(text).iter("joint") if one.get("type") in MOVABLE]
+                except (OSError, ValueError, ElementTree.ParseError) as error:
+                    _logger.warning("%s is left out, which is no robot description: %s", stream.about.urdf, error)
+                    continue
                 self._joints[stream.device] = [one.get("name", "") for one in joints]
-                if tables.anonymous:
-                    text = re.sub(r'filename="[^"]*/', 'filename="', text)
-                topic = f"{_topic(stream.device)}/robot_description"
-                self._bag.add(topic, "std_msgs/String", None, {"data": text}, self._start_ns, latched=True)
+                if not tables.anonymous:  # it may name a person, a path or a machine anywhere
+                    topic = f"{self._devices[stream.device]}/robot_description"
+                    self._bag.add(topic, "std_msgs/String", None, {"data": text}, self._start_ns, latched=True)
 
     def write(self, stream: RecordedStream, row: Row) -> None:
         """One row."""
@@ -134,7 +156,7 @@ class _Topics:
             message[name] = ([] if value is None else [value]) if optional else value
             if value is None and not optional:
                 message[name] = _NOTHING.get(str(stream.schema.field(column).type), [])
-        self._bag.add(_topic(stream.entity), kind, text, message, ns)
+        self._bag.add(self._topics[stream.entity], kind, text, message, ns)
         self._write_standard(stream, row, header, ns)
 
     def close(self) -> None:
@@ -146,7 +168,7 @@ class _Topics:
             self._bag.add("/tf_static", "tf2_msgs/TFMessage", None, still, self._start_ns, latched=True)
 
     def _write_standard(self, stream: RecordedStream, row: Row, header: Row, ns: int) -> None:
-        topic = _topic(stream.device)
+        topic = self._devices[stream.device]
         if stream.entity == TRANSFORMS:
             self._add_transform(row, ns)
         for kind in stream.kinds:
@@ -162,10 +184,10 @@ class _Topics:
                 state = _joints(row, header, "position", "velocity", "torque")
                 self._bag.add(f"{topic}/joint_states", "sensor_msgs/JointState", None, state, ns)
             elif kind in (ColorFrame, DepthFrame):
-                self._write_images(topic, row, _header(ns, f"{_frame(stream.device)}_optical_frame"), ns)
+                self._write_images(topic, row, _header(ns, self._optical(stream.device)), ns)
             elif kind is SurfaceEstimate:
                 cloud = _cloud(row["points_m"], _header(ns, "surface"))
-                self._bag.add(f"{_topic(stream.entity)}/points", "sensor_msgs/PointCloud2", None, cloud, ns)
+                self._bag.add(f"{self._topics[stream.entity]}/points", "sensor_msgs/PointCloud2", None, cloud, ns)
 
     def _write_wrenches(self, topic: str, row: Row, header: Row, ns: int) -> None:
         for channel in ("", *(f"{number}_" for number in range(8))):
@@ -192,7 +214,7 @@ class _Topics:
             shown = {"encoding": "16UC1" if millimetres else "32FC1", "is_bigendian": 0, "step": data.strides[0]}
             image = about | shown | {"data": data.tobytes()}
             self._bag.add(f"{topic}/depth/image", "sensor_msgs/Image", None, image, ns)
-            if self._lens is not None and topic == _topic(self._camera):
+            if self._lens is not None and topic == self._devices[self._camera]:
                 self._bag.add(f"{topic}/depth/camera_info", "sensor_msgs/CameraInfo", None, about | self._lens, ns)
 
     def _add_transform(self, row: Row, ns: int) -> None:
@@ -223,7 +245,10 @@ class _Topics:
     def _frame_name(self, name: str) -> str:
         if name.startswith("tf#"):
             return "world"
-        return f"{_frame(self._camera)}_optical_frame" if name == "camera" else name
+        return self._optical(self._camera) if name == "camera" else name
+
+    def _optical(self, camera: str) -> str:
+        return f"{self._devices.get(camera, camera).strip('/').replace('/', '_')}_optical_frame"
 
 
 _NOTHING: dict[str, Any] = {"double": math.nan, "float": math.nan, "string": "", "int64": 0, "bool": False}
@@ -266,12 +291,6 @@ def _cloud(points_m: list[float], header: Row) -> Row:
 
 
 def _header(ns: int, frame: str) -> Row:
+    if not 0 <= ns < 2**31 * 10**9:
+        raise InputError("times from 0 to 2038, as ROS has them", f"{ns / 1e9:.4g} s", "--to parquet")
     return {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": frame}
-
-
-def _topic(entity: str) -> str:
-    return "/" + re.sub(r"[^A-Za-z0-9_/]", "_", entity)
-
-
-def _frame(device: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_]", "_", device)

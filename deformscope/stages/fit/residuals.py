@@ -212,7 +212,7 @@ class Residuals:
         onto = onto[..., :count]
         best = residual[np.sum(np.tensordot(residual, onto, 2) ** 2, axis=1).argmin()]
         each = self.errors.projected(details, response, self.kept, 0.0 * prior)
-        noise = np.tensordot(one.weight * one.white**2, each, 1) / TEMPER
+        noise = np.tensordot(one.weight * one.white**2, each, 1)
         act = across.T @ others
         by = np.linalg.solve(noise, act)
         left = np.linalg.inv(prior + act.T @ by)

@@ -15,7 +15,8 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.processes import in_threads
+from deformscope.executor.local import ThreadWorkers
+from deformscope.executor.tasks import compute_all
 from deformscope.results.declared import reported
 from deformscope.stages.squeeze import groupings
 from deformscope.stages.squeeze.classifiers import NAMES
@@ -297,9 +298,11 @@ class _Runner:
                 seed=self.options.seed,
             )
 
+        counted = itertools.count()
+        workers = ThreadWorkers(self.options.workers)
+        every = compute_all(workers, one, splits, lambda: self.progress(what, next(counted), len(splits)))
         found: dict[Key, list[Answers]] = {}
-        for done, outcomes in enumerate(in_threads(one, splits, self.options.workers)):
-            self.progress(what, done, len(splits))
+        for outcomes in every:
             for key, outcome in outcomes.items():
                 found.setdefault(key, []).append(outcome)
         # A modality that a training side lacked altogether has fewer splits than others: it is not evaluated.

@@ -1,0 +1,63 @@
+"""A page of recordings that plays one when it is clicked, at the same address."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from starlette.responses import HTMLResponse, PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from deformscope.errors import InputError
+from deformscope.page.playback import playback_of
+from deformscope.page.server.page_server import PageServer
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
+"""The page brings its pictures along, and has no script."""
+MOST_OPEN = 8
+"""Recordings that are ready to be played; more take the place of the first."""
+
+
+class CatalogServer(PageServer):
+    """Serves one page of HTML; below it, at NUMBER/, the page that plays the recording at that place of a list."""
+
+    def __init__(self, title: str, html: str, recordings: Sequence[Path]) -> None:
+        super().__init__(title)
+        self._html, self._recordings = html, recordings
+        self._played: dict[int, ASGIApp] = {}
+
+    def routes(self) -> ASGIApp:
+        return self._route
+
+    async def _route(self, scope: Scope, receive: Receive, send: Send) -> None:
+        number, slash, rest = scope["path"].removeprefix("/").partition("/")
+        if number.isascii() and number.isdecimal() and slash and int(number) < len(self._recordings):
+            app = await self._play(int(number))
+            await app({**scope, "path": f"/{rest}", "raw_path": f"/{rest}".encode()}, receive, send)
+        elif scope["type"] == "http" and scope["path"] == "/":
+            await HTMLResponse(self._html, headers={"content-security-policy": POLICY})(scope, receive, send)
+        elif scope["type"] == "http":
+            await PlainTextResponse("no such page\n", 404)(scope, receive, send)
+
+    async def _play(self, number: int) -> ASGIApp:
+        if number not in self._played:
+            path = self._recordings[number]
+            page = PageServer(path.name, path)
+            try:
+                page.session.show(playback=await asyncio.to_thread(playback_of, path))
+            except InputError as error:
+                return PlainTextResponse(f"{error}\n", 422)
+            while len(self._played) >= MOST_OPEN:
+                del self._played[next(iter(self._played))]
+            self._played[number] = page.routes()
+        return self._played[number]
+
+
+def serve_catalog(title: str, html: str, recordings: Sequence[Path]) -> CatalogServer:
+    """Its address is printed. Until `close`, or the end of the process."""
+    page = CatalogServer(title, html, recordings)
+    page.open()
+    print(page.where, file=sys.stderr, flush=True)
+    return page
