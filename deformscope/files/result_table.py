@@ -45,11 +45,8 @@ def make_table(rows: Iterable[Mapping[str, Any]], types: Mapping[str, pa.DataTyp
     try:
         return pa.concat_tables(batches, promote_options="permissive")
     except (pa.ArrowTypeError, pa.ArrowInvalid):
-        kinds: dict[str, set[pa.DataType]] = {}
-        for batch in batches:
-            for field in batch.schema:
-                kinds.setdefault(field.name, set()).add(field.type)
-        mixed = {name for name, some in kinds.items() if pa.string() in some and some - {pa.string(), pa.null()}}
+        names = {name for batch in batches for name in batch.schema.names}
+        mixed = {name for name in names if not _are_of_one_kind([one.schema for one in batches], name)}
         return pa.concat_tables([_as_text(batch, mixed) for batch in batches], promote_options="permissive")
 
 
@@ -62,12 +59,26 @@ def _array(values: list[Any]) -> pa.Array:
     try:
         return pa.array(values)
     except (pa.ArrowTypeError, pa.ArrowInvalid, OverflowError):
-        return pa.array([one if one is None or isinstance(one, str) else json.dumps(one) for one in values])
+        return _text(values)
+
+
+def _text(values: list[Any]) -> pa.Array:
+    return pa.array([one if one is None or isinstance(one, str) else json.dumps(one) for one in values], pa.string())
+
+
+def _are_of_one_kind(schemas: list[pa.Schema], name: str) -> bool:
+    """Whether a column's types have one that holds the values of all."""
+    fields = [pa.schema([one.field(name)]) for one in schemas if name in one.names]
+    try:
+        pa.unify_schemas(fields, promote_options="permissive")
+    except (pa.ArrowTypeError, pa.ArrowInvalid):
+        return False
+    return True
 
 
 def _as_text(table: pa.Table, names: set[str]) -> pa.Table:
     for name in names & set(table.schema.names):
-        table = table.set_column(table.schema.get_field_index(name), name, table[name].cast(pa.string()))
+        table = table.set_column(table.schema.get_field_index(name), name, _text(table[name].to_pylist()))
     return table
 
 
@@ -98,7 +109,7 @@ def select_rows(table: pa.Table, where: str = "", sort: str = "") -> pa.Table:
         except SyntaxError as error:
             hint = 'stiffness < 0.5 and verdict == "identified"'
             raise InputError("a condition", f"{where!r} ({error.msg})", hint) from error
-        except (pa.ArrowException, TypeError, ValueError) as error:
+        except (pa.ArrowException, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             raise InputError("a condition on these columns", " ".join(str(error).split())[:200], where=where) from error
     if sort:
         order = "descending" if sort.startswith("-") else "ascending"
@@ -140,11 +151,15 @@ def _condition(node: ast.expr, names: list[str]) -> Any:
 
 
 def _comparison(left: Any, by: ast.cmpop, right: Any) -> Any:
-    if isinstance(by, ast.In | ast.NotIn) and isinstance(left, str):
+    if isinstance(by, ast.In | ast.NotIn) and isinstance(left, str) and isinstance(right, pc.Expression):
         found = pc.match_substring(right, left)
     elif isinstance(by, ast.In | ast.NotIn) and isinstance(right, list) and isinstance(left, pc.Expression):
         found = left.isin(right)
     elif type(by) in _OPERATORS and any(isinstance(one, pc.Expression) for one in (left, right)):
+        if left is None:  # equality is the same either way
+            left, right = right, left
+        if right is None and not isinstance(by, ast.Eq | ast.NotEq):
+            raise InputError("== None or != None", "an order with None")
         return _OPERATORS[type(by)](left if isinstance(left, pc.Expression) else pc.scalar(left), right)
     else:
         raise InputError("columns compared with values", "something else")

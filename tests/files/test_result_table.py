@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pytest
@@ -88,6 +90,13 @@ def test_rows_of_any_columns_and_kinds_make_a_table(tmp_path: Path) -> None:
         read_table(tmp_path / "no.parquet")
 
 
+@pytest.mark.parametrize(("first", "last"), [(True, 0.5), ([1, 2], "x"), (1, {"a": 2})])
+def test_kinds_that_have_none_in_common_become_text_wherever_they_meet(first: Any, last: Any) -> None:
+    for rows in ([{"a": first}] * BATCH + [{"a": last}], [{"a": first}, {"a": last}]):
+        found = make_table(rows)["a"].to_pylist()
+        assert [found[0], found[-1]] == [one if isinstance(one, str) else json.dumps(one) for one in (first, last)]
+
+
 TABLE = make_table(
     [
         {"name": "a", "stiffness": 0.4, "verdict": "identified", "settings.fit.size": 3, "notes": "dropped it"},
@@ -107,6 +116,7 @@ TABLE = make_table(
         ("0.5 <= stiffness", "c"),
         ("3 < settings.fit.size < 5", "bc"),
         ("stiffness == None", "d"),
+        ("None != stiffness", "abc"),
         ("stiffness != None and size != 4", "a"),
         ('verdict in ["weak", "none"]', "b"),
         ('"dropped" in notes', "a"),
@@ -134,6 +144,13 @@ def test_order() -> None:
         ("stiffness < [1, 2]", "a condition on these columns"),
         ('stiffness < "much"', "a condition on these columns"),
         ("name", "a condition on these columns"),
+        ("stiffness < None", "== None or != None"),
+        ('size in [1, "b"]', "a condition on these columns"),
+        ("3 in [1, 2]", "columns compared with values"),
+        ('"x" in ["x"]', "columns compared with values"),
+        ("size < 1" + 40 * "0", "a condition on these columns"),
+        ("not " * 3000 + "name", "a condition on these columns"),
+        ("name" + ".a" * 3000, "a condition on these columns"),
     ],
 )
 def test_what_is_no_condition_is_refused_in_a_line(where: str, words: str) -> None:
