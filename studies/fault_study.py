@@ -185,7 +185,7 @@ def run_fault(seed: int, injected: Injected) -> FaultRun:
 
     def strike() -> None:
         state["at_ns"] = lab.clock()
-        state["moving"] = int(robot.commanded[-1][1] > 0) if robot.commanded else 0
+        state["moving"] = int(robot.commanded[-1] > 0) if robot.commanded else 0
         if robot.camera_needed if injected in CAMERA else injected not in AS_IT_MOVES:
             state["matters_ns"] = lab.clock()
         inject(lab, injected, random)

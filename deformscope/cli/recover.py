@@ -18,7 +18,7 @@ from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import to_text
-from deformscope.recording.reader import RRD_MAGIC
+from deformscope.recording.reader import check_magic
 from deformscope.recording.rrd_file import write_outcome
 from deformscope.recording.target import remove_strays
 
@@ -50,9 +50,7 @@ def run(config: RecoverConfig) -> None:
 def _check(path: Path, out: Path) -> None:
     if not path.is_file():
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
-    with path.open("rb") as file:
-        if file.read(len(RRD_MAGIC)) != RRD_MAGIC:
-            raise InputError("a recording (.rrd)", "a file that is none", where=path)
+    check_magic(path)
     if is_being_written(path):
         raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
     _refuse_existing(out)

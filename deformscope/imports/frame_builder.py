@@ -307,7 +307,8 @@ def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any]:
     color, depth = (None if one is None else decode_image(bytes(one), stream.device) for one in encoded)
     for value in at.values:
         if isinstance(value, Path):
-            image, is_depth = _of_file(stream, value), stream.kind == "depth"
+            image = _of_file(stream, value)
+            is_depth = stream.kind == "depth" and (image.ndim == 2 or len(at.values) == 1)
         elif hasattr(value, "point_step"):
             image, is_depth = _cloud_depth(stream, value), True
         elif hasattr(value, "encoding"):

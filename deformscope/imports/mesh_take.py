@@ -46,8 +46,9 @@ class _Camera(msgspec.Struct):
     extrinsics: tuple[Four, Four, Four, Four]
 
 
-class _Kinect(_Camera, rename=lambda name: f"color_{name}"):
-    """Of its colour camera."""
+class _Kinect(msgspec.Struct, rename=lambda name: f"color_{name}"):
+    intrinsics: tuple[Three, Three, Three]
+    extrinsics: tuple[Four, Four, Four, Four]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,13 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 from rerun.chunk import Chunk
 
-MOST_BYTES, MOST_NS = 1 << 20, 20_000_000_000
-"""A portion is complete when it has so many bytes, or spans so much of `session` [ns]: who reads items in the order of
-their time holds all that the longest one spans."""
+MOST_BYTES, MOST_PARTS = 2 << 20, 256
+MOST_NS, MOST_NS_OF_RESULTS = 20_000_000_000, 300_000_000_000
+"""A portion is complete when it has so many bytes, was so many, or spans so much of `session` [ns]: who reads items in
+the order of their time holds all that the longest one spans. Each portion costs rerun some 70 bytes of memory, until
+the file is closed, for every column that any entity of the file has: 20 kB in an exploration."""
+RESULTS = ("/exploration/", "/display/")
+"""Entities of a few rows a touch, which nobody reads in the order of their time with what devices gave."""
 
 
 @dataclass(slots=True)
@@ -38,7 +42,9 @@ class Merged:
             growing.first_ns = session_ns[0].as_py()
         growing.parts.append(batch)
         growing.bytes += batch.nbytes
-        if growing.bytes >= MOST_BYTES or session_ns[-1].as_py() - growing.first_ns >= MOST_NS:
+        most_ns = MOST_NS_OF_RESULTS if chunk.entity_path.startswith(RESULTS) else MOST_NS
+        full = growing.bytes >= MOST_BYTES or len(growing.parts) >= MOST_PARTS
+        if full or session_ns[-1].as_py() - growing.first_ns >= most_ns:
             yield _joined(growing.parts)
             growing.parts, growing.bytes = [], 0
 

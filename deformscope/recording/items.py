@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -101,26 +101,11 @@ def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
         if chunk.is_static:
             continue
         batch = chunk.to_record_batch()
-        columns = {name: batch.column(name) for name in batch.schema.names if ":" in name}
-        for row in range(batch.num_rows):
-            cells = {
-                name: column[row].values.to_numpy(zero_copy_only=False)
-                for name, column in columns.items()
-                if column[row].is_valid
-            }
+        parts = (objects_of(batch, kind) for kind in (StageResult, *KINDS))
+        for cells, *results in zip(*parts, strict=True):
             if cells:
-                found.append(_result(cells, path))
+                known = next((one for one in zip(KINDS, results, strict=True) if one[1]), None)
+                if known is None:
+                    raise InputError("results of known stages", cells["stage"][0], where=path)
+                found.append(from_components(StageResult, cells, {"result": from_components(*known)}))
     return sorted(found, key=lambda one: (one.host_ns, one.stage))
-
-
-def _result(cells: dict[str, Any], path: Path) -> StageResult:
-    kind = next((kind for kind in KINDS if any(name.startswith(f"{kind.__name__}:") for name in cells)), None)
-    if kind is None:
-        raise InputError("results of known stages", cells["StageResult:stage"][0], where=path)
-    return from_components(StageResult, _of(StageResult, cells), {"result": from_components(kind, _of(kind, cells))})
-
-
-def _of(kind: type, cells: dict[str, Any]) -> dict[str, Any]:
-    """The components of one class, by field."""
-    prefix = f"{kind.__name__}:"
-    return {name.removeprefix(prefix): value for name, value in cells.items() if name.startswith(prefix)}

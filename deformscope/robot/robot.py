@@ -106,7 +106,7 @@ class Robot:
 
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 
-    commanded: (time [ns], speed of the tip's centre [m/s]) of every period, for recordings and studies
+    commanded: speed of the tip's centre [m/s] of every period
     reason_to_stand: asked in each period in which it is to move: a reason not to, empty = none
     rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
     share: of the tip's velocity asked for last that was sent: less near joint limits and singularities; nan for joints
@@ -143,7 +143,7 @@ class Robot:
         self.reason_to_stand: Callable[[], str] = lambda: ""
         self._may_move = False
         self._judged_ns = array("q")
-        self.commanded: list[tuple[int, float]] = []
+        self.commanded = array("d")
         self.seen = RobotObservation(clock())
         self._pose: ArmSample | None = None
         self._force: ForceSample | None = None
@@ -278,7 +278,7 @@ class Robot:
         """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; whether the arm was reached:
         one that was not has at most two velocities waiting, and is erased when it comes back."""
         self._speed_m_s = 0.0
-        self.commanded.append((self._clock(), 0.0))
+        self.commanded.append(0.0)
         try:
             self.arm.halt(reason)
         except DeviceError:
@@ -364,7 +364,7 @@ class Robot:
         except DeviceError as error:
             # What the driver refuses stops the robot too: nobody goes on as if it had been done.
             self._refuse(Fault.REFUSED, str(error))
-        self.commanded.append((self._clock(), self._speed_m_s))
+        self.commanded.append(self._speed_m_s)
 
     def _refuse(self, fault: Fault, reason: str) -> None:
         """Halt the arm for a command that is not carried out. fault: REFUSED = by the arm's driver; JOINT_LIMIT,

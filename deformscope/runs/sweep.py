@@ -9,12 +9,11 @@ from __future__ import annotations
 import hashlib
 import importlib
 import inspect
-import io
 import json
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -380,8 +379,9 @@ def call_function(task: SweepTask) -> Any:
     """Call it with the source, in a worker; its result as JSON has it."""
     module, name, given = task.argument
     function = getattr(importlib.import_module(module), name)
-    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), at_hand(task) as source:
-        found = function(source, **given)
+    silent = {"progress": False} if "progress" in inspect.signature(function).parameters else {}
+    with at_hand(task) as source:
+        found = function(source, **silent | given)
     return found.to_dict() if isinstance(found, LibraryResult) else plain(found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -251,3 +252,19 @@ def test_what_pads_sent_gives_their_frames(tmp_path: Path) -> None:
         assert other.stamp.host_ns == (one.stamp.device_ticks - first_ms) * 10**6
         assert differing(one, other, ("stamp.host_ns", "stamp.late_ns", "index")) is None
     assert main(["replay", str(path)]) == 0
+
+
+def test_images_that_are_imported_are_calibrated_as_their_files_are(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    images = tmp_path / "images"
+    assert main(["export", str(BENCH.with_name("tension.rrd")), "--to", "images", "--out", str(images)]) == 0
+    text = '[[streams]]\ndevice = "cam"\nkind = "color"\ntopics = ["*.png"]\nrate_hz = 10\n'
+    path = imported(images, text, tmp_path / "r.rrd")
+    found = []
+    for source in ([str(path)], sorted(map(str, images.glob("*.png")))):
+        capfd.readouterr()
+        assert main(["calibrate", "beta", *source, "--held", "top,bottom", "--grid", "5x4", "--json", "-"]) == 0
+        found.append(json.loads(capfd.readouterr().out))
+    assert found[0]["value"] == found[1]["value"]
+    assert found[0]["curve"] == found[1]["curve"]

@@ -3,6 +3,7 @@ memory that needs.
 
 python -m tests.log.long_recording run.rrd 7200            without cameras
 python -m tests.log.long_recording run.rrd 600 --cameras
+python -m tests.log.long_recording run.rrd 3600 --touches   an exploration, a touch every 12 s
 """
 
 from __future__ import annotations
@@ -15,9 +16,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, Item, LinkChange, RawBytes, host_ns
+from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.recorder import Recorder
+from deformscope.session import Moment, Step
+from deformscope.stages.map.exploration import PlannedTouch
 from deformscope_drivers.clock import Stamp
+from tests.log import synthetic_exploration as exploration
 from tests.log import synthetic_rig as rig
 
 ROUND_S = 4
@@ -25,6 +30,8 @@ ROUND_S = 4
 PER_SECOND = {stream.device: round(stream.fastest_hz) for stream in rig.STREAMS}
 STREAMS = [dataclasses.replace(one, urdf=rig.URDF) if one.kind == "arm" else one for one in rig.STREAMS]
 LINES = 20
+SIZE_M = (0.6, 0.4)
+ROUNDS_A_TOUCH = 3
 
 
 def main() -> None:
@@ -32,13 +39,18 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("seconds", type=int)
     parser.add_argument("--cameras", action="store_true")
+    parser.add_argument("--touches", action="store_true")
     given = parser.parse_args()
     batches = list(rig.batches(first_round(cameras=given.cameras)))
     streams = [one for one in STREAMS if given.cameras or one.kind not in ("color", "depth")]
     rounds, making_s, began_s = given.seconds // ROUND_S, 0.0, time.process_time()
-    with Recorder(given.file, "none", {}, application=RIG) as made:
-        made.start(RigLayout(tuple(streams)), rig.START_NS)
+    layout = ExplorationLayout(tuple(streams), SIZE_M, None, True) if given.touches else RigLayout(tuple(streams))
+    with Recorder(given.file, "none", {}, application=EXPLORATION if given.touches else RIG) as made:
+        made.start(layout, rig.START_NS)
         for number in range(rounds):
+            if given.touches and number % ROUNDS_A_TOUCH == 0:
+                for step in touch(number // ROUNDS_A_TOUCH, rig.START_NS + number * rig.ns(ROUND_S)):
+                    made.write(step)
             for batch in batches:
                 making_s -= time.thread_time()
                 items = list(later(batch, number))
@@ -49,6 +61,16 @@ def main() -> None:
                 print(f"{(number + 1) * ROUND_S} {resident_mb():.0f} {size:.0f}", flush=True)
     cost_s = (time.process_time() - began_s - making_s) / given.seconds
     print(f"{made.summary().bytes / 1e6:.1f} MB; {1e3 * cost_s:.1f} ms of processor a recorded second", flush=True)
+
+
+def touch(number: int, now_ns: int) -> Iterator[Step]:
+    """What is recorded of a touch, and the plan of the next; results are those of one of eight touches."""
+    which = number % len(exploration.CONTACTS_M)
+    for _, touches, result in exploration.story():
+        if touches == which + 1:
+            plan_is_over = isinstance(result, PlannedTouch) and result.target_m is None
+            shown = exploration.plan(1) if plan_is_over else result
+            yield Step((shown,), moment=Moment(now_ns, number + 1, cell_m=exploration.CELL_M))
 
 
 def first_round(*, cameras: bool) -> list[Item]:

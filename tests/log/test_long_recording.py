@@ -21,7 +21,11 @@ SETTLED_S, MOST_MB = 180, 100.0
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
-@pytest.mark.parametrize(("seconds", "more"), [(7200, []), (600, ["--cameras"])], ids=["no cameras", "all devices"])
+@pytest.mark.parametrize(
+    ("seconds", "more"),
+    [(7200, []), (600, ["--cameras"]), (3600, ["--touches"])],
+    ids=["no cameras", "all devices", "exploration"],
+)
 def test_memory_is_flat(seconds: int, more: list[str], tmp_path: Path) -> None:
     path = tmp_path / "long.rrd"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "drivers")])}

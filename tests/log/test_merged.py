@@ -46,6 +46,22 @@ def test_large_ones_go_on_at_once() -> None:
     assert [chunk.num_rows for chunk in Merged().add(large)] == [merged.MOST_BYTES // 8]
 
 
+def test_results_of_an_exploration_are_few_portions() -> None:
+    """One a touch would cost memory for all that it lasts."""
+    paths = ("/exploration/touch", "/display/maps/beta", "/arm/arm")
+    given = [portion(path, at * 13 * SECOND, 1) for at in range(277) for path in paths]
+    found = list(put_together(given))
+    for path in paths:
+        assert rows(found, path) == rows(given, path)
+    counts = [sum(chunk.entity_path == path for chunk in found) for path in paths]
+    assert counts == [12, 12, 93]
+
+
+def test_many_small_parts_are_a_portion() -> None:
+    given = [portion("/display/peak", at * SECOND // 100, 1) for at in range(2 * merged.MOST_PARTS + 1)]
+    assert [chunk.num_rows for chunk in put_together(given)] == [merged.MOST_PARTS, merged.MOST_PARTS, 1]
+
+
 def test_other_columns_are_another_portion() -> None:
     given = [portion("/w/0", at * SECOND, names=("a",) if at % 2 else ("a", "b")) for at in range(6)]
     found = list(put_together(given))

@@ -157,13 +157,13 @@ def pressed(scene: FaultScene, at: int, *, looked: bool) -> int:
     up = 1.0 if scene.lab.contact.center_m[2] < 0.15 else -1.0
     with pytest.raises(RobotStopped, match="a person asked: from the page"):
         go_on(scene, TipVelocity(np.array([0.0, 0.0, up * SPEED_M_S])))
-    assert robot.commanded[received[0] - 1][1] > 0.0  # it moved
+    assert robot.commanded[received[0] - 1] > 0.0  # it moved
     robot.watch = None
     robot.arm.acknowledge_stop()
     robot.start()
     robot.supervisor.acknowledge(scene.lab.clock())
     robot.cycle()
-    return sum(speed > 0.0 for _, speed in robot.commanded[received[0] :])
+    return sum(speed > 0.0 for speed in robot.commanded[received[0] :])
 
 
 def go_on(scene: FaultScene, command: TipVelocity) -> None:
@@ -259,7 +259,7 @@ def held_in(scene: FaultScene, steered: Steered, phase: str) -> TouchRecord:
     record = run_touch(robot, scene.plan, on_phase=begin)
     assert record.ending is TouchEnding.HELD
     assert record.reason == "no heartbeat of the page for 310 ms"
-    assert {speed for _, speed in robot.commanded[gone[0] :]} == {0.0}
+    assert set(robot.commanded[gone[0] :]) == {0.0}
     assert robot.supervisor.verdict.action is Action.GO_ON
     with pytest.raises(MotionHeld):
         robot.cycle(TipVelocity(np.array([0.0, 0.0, SPEED_M_S])))
@@ -293,7 +293,7 @@ def test_who_is_pushed_away_may_go_whoever_watches() -> None:
     robot.reason_to_stand = lambda: "nobody is there"
     robot.cycle(TipVelocity(np.array([0.0, 0.0, SPEED_M_S])))
     scene.lab.close()
-    assert robot.commanded[-1][1] > 0.0
+    assert robot.commanded[-1] > 0.0
 
 
 # What comes next -----------------------------------------------------------------------------------------------------

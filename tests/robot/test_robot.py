@@ -195,10 +195,10 @@ def test_a_way_that_was_checked_is_not_begun_after_a_push() -> None:
         scene.lab.wait_until(scene.lab.clock() + 10_000_000)
         scene.robot.keep_up()
     assert scene.robot.supervisor.verdict.action is Action.BACK_OFF
-    scene.robot.commanded.clear()
+    del scene.robot.commanded[:]
 
     with pytest.raises(InputError, match="nothing in the way"):
         step(scene.robot, UP)
 
-    assert all(speed_m_s == 0.0 for _, speed_m_s in scene.robot.commanded)
+    assert not any(scene.robot.commanded)
     scene.lab.close()

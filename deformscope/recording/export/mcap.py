@@ -63,9 +63,10 @@ def write_mcap(
     try:
         from mcap.writer import CompressionType, Writer
         from mcap_ros2._dynamic import serialize_dynamic
+        from rosbags import typesys  # noqa: F401
     except ImportError:
         missing = "pip install 'deformscope[mcap]'"
-        raise InputError("the packages mcap and mcap-ros2-support", "none", missing) from None
+        raise InputError("the packages mcap, mcap-ros2-support and rosbags", "none", missing) from None
     with path.open("wb") as file:
         writer: Any = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="deformscope")

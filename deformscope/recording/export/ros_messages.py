@@ -15,47 +15,14 @@ PACKAGE = "deformscope_msgs"
 _LINE = "=" * 80
 _PLACES = ("session_ns", "host_ns", "index")
 
-STANDARD: dict[str, str] = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "std_msgs/String": "string data",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-    "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque",
-    "geometry_msgs/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
-    ),
-    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-    "sensor_msgs/JointState": (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
-    ),
-    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
-    "sensor_msgs/Image": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
-        "uint8[] data"
-    ),
-    "sensor_msgs/RegionOfInterest": ("uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"),
-    "sensor_msgs/CameraInfo": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
-        "float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi"
-    ),
-    "sensor_msgs/PointField": (
-        "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\nuint8 UINT32=6\nuint8 FLOAT32=7\n"
-        "uint8 FLOAT64=8\nstring name\nuint32 offset\nuint8 datatype\nuint32 count"
-    ),
-    "sensor_msgs/PointCloud2": (
-        "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
-        "uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense"
-    ),
-}
 _TYPES = {pa.float64(): "float64", pa.float32(): "float32", pa.string(): "string", pa.bool_(): "bool"}
 
 
 def definition(name: str) -> str:
     """A standard message with all that it is made of, as an MCAP's schema has it."""
-    return _with_parts(STANDARD[name])
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(name.replace("/", "/msg/"), ros_version=2)[0]
 
 
 def stream_definition(stream: RecordedStream) -> tuple[str, dict[str, tuple[str, bool]]]:
@@ -72,7 +39,7 @@ def stream_definition(stream: RecordedStream) -> tuple[str, dict[str, tuple[str,
         unit = (column.metadata or {}).get(b"unit", b"").decode()
         lines.append(f"{_ros_type(column.type)}{'[<=1]' if missing else ''} {name}{unit and f'  # [{unit}]'}")
         fields[column.name] = name, missing
-    return "\n".join([*about, _with_parts("\n".join(lines))]), fields
+    return "\n".join([*about, *lines, _LINE, "MSG: std_msgs/Header", definition("std_msgs/Header")]), fields
 
 
 def is_optional(stream: RecordedStream, column: pa.Field) -> bool:
@@ -90,17 +57,3 @@ def _ros_type(kind: pa.DataType) -> str:
     if pa.types.is_list(kind):
         return f"{_ros_type(kind.value_type)}[]"
     return "uint8[]" if pa.types.is_large_binary(kind) else _TYPES.get(kind, str(kind))
-
-
-def _with_parts(text: str) -> str:
-    parts: dict[str, str] = {}
-
-    def add(own: str) -> None:
-        for line in own.splitlines():
-            name = line.split()[0].partition("[")[0] if line.split() else ""
-            if name in STANDARD and name not in parts:
-                parts[name] = STANDARD[name]
-                add(STANDARD[name])
-
-    add(text)
-    return "\n".join([text, *(f"{_LINE}\nMSG: {name}\n{part}" for name, part in parts.items())]) + "\n"
