@@ -17,7 +17,6 @@ TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
 PLAIN = [*TUTORIALS, *sorted((DOCS / "explanation").glob("*.md"))]
 PLAIN += [DOCS / f"{name}.md" for name in ("index", "glossary", "troubleshooting", "upgrading")]
 BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
-MINUTES = {"first-map", "own-video", "squeeze", "simulated-rig", "first-poke"}
 LONGEST, SHARE = 25, 0.95
 """Words of a sentence, and the share of sentences with as many at most."""
 
@@ -59,11 +58,8 @@ def test_every_page_stands_in_the_navigation() -> None:
     }
 
 
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=[pytest.mark.slow] if page.stem in MINUTES else []) for page in TUTORIALS],
-    ids=lambda page: page.stem,
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TUTORIALS, ids=page_name)
 def test_a_tutorial_runs_as_typed(page: Path, tmp_path: Path) -> None:
     run = 0
     for kind, about, block in BLOCK.findall(page.read_text(encoding="utf-8")):

@@ -113,6 +113,7 @@ def without_times(path: Path) -> list[dict[str, Any]]:
     return sorted(runs, key=lambda one: (one["job"]["scene"], one["job"]["seed"]))
 
 
+@pytest.mark.slow
 def test_a_command_that_was_killed_goes_on_with_the_same_numbers(tmp_path: Path) -> None:
     """Killed by -9 with its workers at work; then by workers, and all of it in one process."""
     arguments = ["reproduce", "table41", "--closed-form", "--scenes", "disc,two-60-150", "--seeds", "4"]

@@ -56,6 +56,7 @@ def sections(setup: dict[str, Any], look: LookFrames, thickness_m: float) -> str
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("to", ["parquet", "mcap"])
 def test_the_estimator_finds_the_same_touches_in_what_was_exported_and_imported(
     to: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

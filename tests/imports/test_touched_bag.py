@@ -29,6 +29,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run
 
 
+@pytest.mark.slow
 def test_stages_run_on_what_is_imported_and_are_replayed(imported: Path, capfd: pytest.CaptureFixture[str]) -> None:
     results = read_stage_results(imported)
     felt = [one.result for one in results if isinstance(one.result, TouchEstimate)]

@@ -275,7 +275,7 @@ def test_stepping_comes_to_the_static_state_whatever_dt(
         np.testing.assert_allclose(moved, static, rtol=0.0, atol=1e-9 * engine.extent)
 
 
-@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("shape", [(6, 7), (4, 3, 5)])
 def test_turned_and_moved_bodies_have_turned_and_moved_states(
     device: str, precision: Precision, shape: tuple[int, ...], volume: Volume, theta: float
@@ -298,7 +298,7 @@ def test_turned_and_moved_bodies_have_turned_and_moved_states(
     np.testing.assert_allclose(found.position, expected_moved, rtol=0.0, atol=limit)
 
 
-@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("shape", [(6, 7), (4, 3, 5)])
 def test_size_does_not_matter(
     device: str, precision: Precision, shape: tuple[int, ...], volume: Volume, theta: float
@@ -391,7 +391,7 @@ def test_a_tolerance_that_rounding_forbids_is_no_divergence(device: str, shape: 
 # -- time limit and progress -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("shape", [(12, 12, 12), (22, 22, 22)])
 def test_a_solve_whose_time_is_over_says_so_and_what_is_left(
     device: str, shape: tuple[int, ...], volume: Volume, theta: float
@@ -410,7 +410,7 @@ def test_a_solve_whose_time_is_over_says_so_and_what_is_left(
     assert not engine.relax(body.held_position, 0.95, theta, volume=volume, limit_s=600.0).out_of_time.any()
 
 
-@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
 def test_one_long_solve_tells_that_it_runs(
     device: str, monkeypatch: pytest.MonkeyPatch, volume: Volume, theta: float
 ) -> None:
@@ -429,7 +429,7 @@ def test_one_long_solve_tells_that_it_runs(
 # -- warm starts -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("volume", "theta"), [*MODES, ("scale", 0.3)])
+@pytest.mark.parametrize(("volume", "theta"), [*MODES, pytest.param("scale", 0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("shape", [(7, 9), (4, 4, 5)])
 def test_warm_starts_cost_less_and_change_nothing(
     device: str, precision: Precision, shape: tuple[int, ...], volume: Volume, theta: float

@@ -144,6 +144,7 @@ def quadrants() -> list[StiffnessSample]:
     return [StiffnessSample(np.array(places[i]), float(values[i]), 0.03) for i in order]
 
 
+@pytest.mark.slow
 def test_four_materials_are_four_regions() -> None:
     found = posterior(quadrants())
     shown = found.region_map()
