@@ -23,6 +23,7 @@ from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.errors import LinkLost
 from deformscope_drivers.jaco import JacoDouble
 from studies.placing import PlacedTrial
+from tests.cases import slow_but
 
 S = 1_000_000_000
 
@@ -244,7 +245,7 @@ ARM_FAULTS = {
 turns, each with two of the hand's periods."""
 
 
-QUICK = {("close", "cable"), ("close", "pushed"), ("hold", "twisted")}
+QUICK = {("close", "pushed"), ("hold", "twisted")}
 """Phase and fault of those that are not slow together."""
 
 
@@ -339,9 +340,12 @@ def test_an_arm_that_was_turned_does_not_withdraw() -> None:
     assert "retreat" not in trial.phases
 
 
+LIMITS = [({"over_squeeze_m": 0.0008}, "container over-squeezed"), ({"still_timeout_s": 0.3}, "no steady state")]
+
+
 @pytest.mark.parametrize(
     ("limit", "kind"),
-    [({"over_squeeze_m": 0.0008}, "container over-squeezed"), ({"still_timeout_s": 0.3}, "no steady state")],
+    slow_but([LIMITS[0]], LIMITS),
 )
 def test_after_a_stop_the_fingers_open_though_an_arm_carries_the_hand(limit: dict[str, float], kind: str) -> None:
     trial = PlacedTrial("kuka")

@@ -27,6 +27,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.recording.streams import RecordingTables
 from deformscope.rows import differing
 from deformscope_drivers.clock import Stamp
+from tests.cases import slow_but
 from tests.log import synthetic_rig as rig
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -65,8 +66,10 @@ def differences(before: list[Frame], now: list[Frame]) -> set[str]:
     return {name for name in found if name is not None}
 
 
-@pytest.mark.parametrize("path", [BENCH, EXPLORED], ids=lambda path: path.stem)
-@pytest.mark.parametrize("to", ["parquet", "mcap", "csv"])
+ROUNDS = [(path, to) for path in (BENCH, EXPLORED) for to in ("parquet", "mcap", "csv")]
+
+
+@pytest.mark.parametrize(("path", "to"), slow_but([ROUNDS[1], ROUNDS[2], ROUNDS[3]], ROUNDS))
 def test_what_was_exported_comes_back_to_the_last_bit(path: Path, to: str, tmp_path: Path) -> None:
     if to == "mcap":
         pytest.importorskip("mcap_ros2")

@@ -35,6 +35,7 @@ from deformscope.recording.streams import RecordingTables
 from deformscope.results.render import to_json
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 from deformscope_drivers.clock import Stamp
+from tests.cases import slow_but
 from tests.log import synthetic_rig as rig
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "recordings"
@@ -214,7 +215,7 @@ def read_mcap(path: Path) -> Iterator[tuple[str, int, Any]]:
             yield channel.topic, message.log_time, decoded
 
 
-@pytest.mark.parametrize("path", [BENCH, EXPLORED], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", slow_but([BENCH], [BENCH, EXPLORED]), ids=lambda path: path.stem)
 def test_an_mcap_is_read_alike_by_two_readers_of_others(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -507,7 +508,7 @@ def tables(path: Path) -> Iterator[tuple[str, pa.Table]]:
         yield entity, ds.open_recording(path).table(entity)
 
 
-@pytest.mark.parametrize("content", ["<robot", "", "\xff"])
+@pytest.mark.parametrize("content", slow_but(["<robot"], ["<robot", "", "\xff"]))
 def test_a_robot_description_that_is_none_is_left_out_and_none_is_anonymous(
     content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
