@@ -142,6 +142,8 @@ def run_swept(task: SweepTask) -> Any:
     with chdir(folder), redirect_stdout(out), redirect_stderr(io.StringIO()), at_hand(task) as source:
         cli.quiet_libraries()
         if swept.options is None:
+            for left in Path(task.files).parent.glob(f"{task.key}*"):  # by a worker that was killed
+                left.unlink()
             words = [word.replace(KEY, task.files) for word in swept.words]
             options = cli.parse(getattr(config, command.config), [source, *words])
         else:

@@ -18,13 +18,14 @@ PIECE = 1 << 16
 
 
 class Journal:
-    """A file that one process at a time adds lines to. A last line that was cut off is taken away.
+    """A file that one process at a time adds lines to. A last line that was cut off is not read, and makes room for the
+    next; a file that has no whole line is somebody's, and left as it is.
 
     what: its lines are; hint: what to try where they are something else
     """
 
     def __init__(self, path: Path, what: str, hint: str = "") -> None:
-        """Raises InputError where another process adds to it, and OSError."""
+        """Raises InputError where another process adds to it or it has no whole line, and OSError."""
         self.path, self._what, self._hint = path, what, hint
         self._file = path.open("a+b", buffering=0)
         with contextlib.suppress(OSError):  # a file system without locks is used without
@@ -33,7 +34,10 @@ class Journal:
             except BlockingIOError as error:
                 self._file.close()
                 raise InputError(what, "a file that another command adds to", "wait for its end", path) from error
-        self._file.truncate(self._whole())
+        self._end = self._whole()
+        if not self._end and self._file.seek(0, os.SEEK_END):
+            self._file.close()
+            raise InputError(what, "a file without a whole line", hint, path)
 
     def _whole(self) -> int:
         """Bytes up to the end of the last whole line."""
@@ -48,8 +52,10 @@ class Journal:
 
     def lines(self) -> Iterator[Any]:
         """What the lines hold, in their order. Raises InputError for what is no JSON."""
-        with self.path.open(encoding="utf-8") as file:
+        with self.path.open("rb") as file:
             for number, line in enumerate(file, start=1):
+                if not line.endswith(b"\n"):
+                    return
                 try:
                     yield json.loads(line)
                 except ValueError as error:
@@ -58,10 +64,11 @@ class Journal:
     def add(self, *lines: object) -> None:
         """Add values of what JSON has, also not finite ones; they stay when this process is killed. Raises OSError."""
         text = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in lines).encode()
-        before = self._file.seek(0, os.SEEK_END)
+        self._file.truncate(self._end)
         if os.write(self._file.fileno(), text) < len(text):
-            self._file.truncate(before)
+            self._file.truncate(self._end)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        self._end += len(text)
 
     def __enter__(self) -> Self:
         return self

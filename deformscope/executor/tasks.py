@@ -113,7 +113,7 @@ def compute(
             except Exception as error:
                 late = limit_s is not None and isinstance(error, WorkerLost) and time.monotonic() - began > limit_s
                 reasons = (*reasons, f"it took longer than {limit_s:g} s" if late else reason_of(error))
-                if isinstance(error, AGAIN) and len(reasons) < attempts:
+                if isinstance(error, AGAIN) and not late and len(reasons) < attempts:
                     again.append((item, reasons))
                 else:
                     yield TaskOutcome(item, None, error=error, reasons=reasons)

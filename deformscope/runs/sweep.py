@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from deformscope.config.executor import ExecutorOptions
-from deformscope.errors import InputError
+from deformscope.errors import InputError, printable
 from deformscope.executor.journal import Journal
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import TaskOutcome, compute
@@ -154,7 +154,7 @@ def sweep_on(
                         skipped += 1
                     else:
                         known.add(key)
-                        content = Path(source).read_bytes() if options.send and about["content"] else None
+                        content = _bytes_of(source) if options.send else None
                         files = str((out / FILES).resolve() / key)
                         varied = about | {"settings": dict(variation.settings)}
                         yield SweepTask(
@@ -189,15 +189,23 @@ def key_of(content: str, identity: str) -> str:
 
 def content_of(path: Path | str) -> str:
     """The SHA-256 of a file, or of all files in a folder with their names; empty where it cannot be read."""
-    path = resolve(path)
     try:
+        path = resolve(path)
         if not path.is_dir():
             with path.open("rb") as file:
                 return hashlib.file_digest(file, "sha256").hexdigest()
         inner = [(str(one.relative_to(path)), content_of(one)) for one in sorted(path.rglob("*")) if one.is_file()]
         return hashlib.sha256(json.dumps(inner).encode()).hexdigest()
-    except OSError:
+    except (OSError, ValueError, InputError):
         return ""
+
+
+def _bytes_of(source: str) -> bytes | None:
+    """Of a file; None where it cannot be read, which its worker says."""
+    try:
+        return Path(source).read_bytes()
+    except OSError:
+        return None
 
 
 class _Contents:
@@ -253,12 +261,13 @@ def _results(journal: Journal, plan: Sequence[tuple[str, int, str]], variations:
                 row |= {"reason": line["reasons"][-1] if "result" not in line and line["reasons"] else None}
                 row |= {"seconds": line["seconds"], "attempts": len(line["reasons"]) + ("result" in line)}
                 row |= {VARIED + name: value for name, value in line["settings"].items()}
-                yield row | to_cells(found if isinstance(found, dict) else {"result": found})
+                cells = to_cells(found if isinstance(found, dict) else {"result": found})
+                yield {**row, **cells, **row}  # what a result calls as the sweep does is in the journal alone
 
     table = make_table(rows(), TYPES)
     there = [one for one in plan if one[2] in at]
     table = table.take(pa.array([at[key] for _, _, key in there], pa.int64()))
-    sources = pa.array([source for source, _, _ in there], pa.string())
+    sources = pa.array([printable(source) for source, _, _ in there], pa.string())
     return table.set_column(table.schema.get_field_index("source"), "source", sources)
 
 
@@ -370,7 +379,9 @@ def function_variations(
     found = []
     for varied in vary(settings):
         given = {**options, **varied}
-        identity = json.dumps([module, name, plain(given)], sort_keys=True)
+        code = getattr(inspect.getmodule(function), "__file__", None)  # as the function is today
+        read = [content_of(one) for one in (*given.values(), code) if isinstance(one, str | Path)]
+        identity = json.dumps([module, name, plain(given), read], sort_keys=True)
         found.append(Variation(varied, (module, name, given), identity))
     return found
 

@@ -132,6 +132,19 @@ def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> Non
     assert written.stem == pq.read_table(out / "results.parquet")["key"][0].as_py()
 
 
+def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
+    shutil.copy(PAIR, tmp_path / "a.npz")
+    out = tmp_path / "out"
+    command = [*FIT, "--save", "{key}.npz"]
+    assert sweep(tmp_path, out, "--match", "a.npz", command=command)[0] == 0
+    (written,) = (out / "files").iterdir()
+    written.with_suffix(".rrd").write_text("left")
+    (out / "tasks.jsonl").write_text("")
+
+    assert sweep(tmp_path, out, "--match", "a.npz", command=command)[0] == 0
+    assert list((out / "files").iterdir()) == [written]
+
+
 @pytest.mark.parametrize(
     ("flags", "command", "words"),
     [
@@ -248,6 +261,38 @@ def test_a_function_of_the_library_is_swept(pairs: Path, tmp_path: Path) -> None
     assert found.failed == []
     assert "2 of 2" in str(found)
     assert found.table["beta"][1].as_py() == ds.calibrate_beta(pairs / "p1.npz", method="gradient").value
+
+
+def told(source: str, *, about: str) -> dict[str, Any]:
+    """With names that the sweep has, too."""
+    return {
+        "words": Path(about).read_text(),
+        "status": "failed",
+        "seconds": "long",
+        "size": Path(source).stat().st_size,
+    }
+
+
+def test_a_file_among_the_options_that_changed_is_read_again(tmp_path: Path) -> None:
+    about, source = tmp_path / "about.txt", tmp_path / "a.npz"
+    shutil.copy(PAIR, source)
+    for words in ("first", "second"):
+        about.write_text(words)
+        found = ds.sweep(told, [source], out=tmp_path / "out", workers=1, about=str(about))
+        assert found.computed == 1
+        assert found.table["words"].to_pylist() == [words]
+        assert found.table["status"].to_pylist() == ["done"]
+        assert found.table["seconds"][0].as_py() >= 0.0
+
+
+def test_a_file_that_is_gone_or_of_any_name_ends_nothing(tmp_path: Path) -> None:
+    about, odd = tmp_path / "about.txt", tmp_path / os.fsdecode(b"\xff.npz")
+    about.write_text("words")
+    shutil.copy(PAIR, odd)
+    sources = [tmp_path / "none.npz", odd]
+    found = ds.sweep(told, sources, out=tmp_path / "out", workers=1, send=True, about=str(about))
+    assert found.table["status"].to_pylist() == ["failed", "done"]
+    assert found.table["source"].to_pylist()[1].endswith("ff.npz")
 
 
 def test_a_function_that_workers_would_not_find_is_refused(tmp_path: Path) -> None:

@@ -27,6 +27,15 @@ def test_lines_come_back_without_one_that_was_cut_off(cut_off: str, tmp_path: Pa
         assert list(journal.lines())[-1] == "c"
 
 
+@pytest.mark.parametrize("content", [b'{"of": "another program"}', b"words\nand no end", b"\x89PNG\n\xff"])
+def test_a_file_of_another_program_stays_as_it_is(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "theirs.json"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"expected lines; .*theirs\.json"), Journal(path, "lines") as journal:
+        list(journal.lines())
+    assert path.read_bytes() == content
+
+
 def test_what_is_no_line_of_it_and_a_second_writer_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "lines.jsonl"
     path.write_text("no JSON\n")
