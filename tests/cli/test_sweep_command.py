@@ -243,6 +243,7 @@ def killed_and_equal(tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch
     assert {row["source"]: {"mean": row["mean"], "spread": row["spread"]} for row in rows} == alone
 
 
+@pytest.mark.slow
 def test_a_sweep_that_is_killed_three_times_computes_each_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     killed_and_equal(tmp_path, 80, monkeypatch)
 

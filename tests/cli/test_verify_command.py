@@ -145,6 +145,7 @@ def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytes
     assert recovered["missing"]["frames"] == FRAMES - recovered["counts"]["frames"] > 0
 
 
+@pytest.mark.slow
 def test_recover_refuses_what_it_cannot_or_need_not_mend(
     whole: Path, killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

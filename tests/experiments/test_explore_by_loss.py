@@ -154,6 +154,7 @@ def test_two_foams_that_feel_alike_are_two_regions_by_loss(by_loss: tuple[TwoFoa
     assert np.log(last.stiffness_n_per_mm).std() < 0.05 < np.log(last.loss).std()
 
 
+@pytest.mark.slow
 def test_a_replay_is_the_same_and_by_stiffness_the_same_touches_are_one_region(
     by_loss: tuple[TwoFoams, list[object]],
 ) -> None:

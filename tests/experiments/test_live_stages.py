@@ -650,6 +650,7 @@ def test_a_stage_sees_the_image_as_it_is_recorded() -> None:
     assert not np.array_equal(result.flow_px, raw.flow_px)
 
 
+@pytest.mark.slow
 def test_a_process_computes_and_is_replaced_when_it_has_died() -> None:
     processes = StageProcesses(["tactile"], int_nothing)
     with processes as beside:
@@ -660,6 +661,7 @@ def test_a_process_computes_and_is_replaced_when_it_has_died() -> None:
         assert worker.submit(math.sqrt, 16.0).result(60) == 4.0
 
 
+@pytest.mark.slow
 def test_a_recording_goes_before_every_stage() -> None:
     here = priority()
     with StageProcesses(["tactile", "contact"], int_nothing) as beside:
@@ -676,6 +678,7 @@ def priority() -> int:
     return os.getpriority(os.PRIO_PROCESS, 0)
 
 
+@pytest.mark.slow
 def test_what_a_process_computes_in_the_end_is_given_up() -> None:
     with StageProcesses(["tactile"], int_nothing) as beside:
         worker = beside["tactile"]

@@ -288,6 +288,7 @@ def test_a_kuka_whose_cable_is_pulled_ends_the_squeeze_in_time() -> None:
     assert "open" not in trial.phases
 
 
+@pytest.mark.slow
 def test_an_arm_that_drifts_slowly_ends_the_squeeze_before_the_hand_has_gone_far() -> None:
     """Too slow for the limit of speed, and without a push: by how far it has gone."""
     trial = PlacedTrial("jaco")
@@ -315,6 +316,7 @@ def test_an_arm_that_stands_is_not_stopped_by_what_the_fingers_press(good: Place
     assert good.found.stop is None
 
 
+@pytest.mark.slow
 def test_an_arm_that_was_turned_does_not_withdraw() -> None:
     """The wrist alone: the hand is where it was, and points elsewhere."""
     trial = PlacedTrial("jaco")
@@ -359,6 +361,7 @@ def test_after_a_stop_the_fingers_open_though_an_arm_carries_the_hand(limit: dic
     np.testing.assert_allclose(angles, open_deg, atol=1.0)
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_pushed_while_the_fingers_open_lets_them_open_and_does_not_withdraw() -> None:
     trial = PlacedTrial("jaco")
     trial.at("open", lambda: turned(0, 1.5)(jaco_of(trial)), 0.05)

@@ -232,6 +232,7 @@ def test_times_of_pandas_are_taken_to_the_nanosecond(tmp_path: Path) -> None:
         assert [one.stamp.host_ns for one in frames] == [one if name != "us" else one // 1000 * 1000 for one in ns]
 
 
+@pytest.mark.slow
 def test_fractions_far_below_whole_numbers_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = "".join(f"{at},0,0,\n" for at in range(400_000))
     source = csv(tmp_path / "t.csv", f"t,Fx,Fy,Fz\n{whole}400000,0.5,0,0.25\n")

@@ -374,6 +374,7 @@ def test_settings_are_checked_field_by_field(wrong: dict[str, Any]) -> None:
 # From the command line -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_waits_for_its_page(pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.json"
     words = ["calibrate", "beta", str(pair), "--candidates", "12", "--viewer", "page", "--adjust", "--json", str(out)]

@@ -216,6 +216,7 @@ def test_record_may_hold_the_last_seconds_alone(rig: Path, tmp_path: Path, viewe
     assert found["devices"]["tip"]["received"] <= frames(file)[-1].index  # of the file, not of the run
 
 
+@pytest.mark.slow
 def test_the_last_seconds_are_kept_where_the_file_beside_them_cannot_be_closed(
     rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -152,6 +152,7 @@ def test_a_full_disk_is_named_whatever_waits(
             free.set()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_read_is_not_called_kept(
     tmp_path: Path, items: list[Item], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -291,6 +291,7 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
     assert not (tmp_path / "run.rrd").exists()
 
 
+@pytest.mark.slow
 def test_what_was_ended_is_called_kept_however_long_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
