@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.executor.test_tasks import paths_of_tests
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
@@ -26,13 +28,8 @@ def page_name(path: Path) -> str:
 
 
 def environment() -> dict[str, str]:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return {
-        **os.environ,
-        "PATH": path,
-        "NO_MKDOCS_2_WARNING": "1",
-        "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'drivers'}",
-    }
+    programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return paths_of_tests() | {"PATH": programs, "NO_MKDOCS_2_WARNING": "1"}
 
 
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ from deformscope.runs.sweep import (
     SweepTask,
     Variation,
     at_hand,
-    content_of,
+    contents_of,
     files_in,
     in_order,
     sweep_on,
@@ -108,8 +108,8 @@ def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> V
     options: CommandOptions = cli.parse(kind, [str(example), *words], prog)
     if written := [one for one in options.writes() if KEY not in str(one.path)]:
         raise InputError(f"a file for each task after {written[0].flag}", str(written[0].path), f"'{KEY}.rrd'")
-    read = [one for one in options.reads() if one != str(example) and Path(one).is_file()]
-    identity = [name, plain(_with(options, fields[0], "")), *map(content_of, read)]
+    read = [one for one in options.reads() if one != str(example)]
+    identity = [name, plain(_with(options, fields[0], "")), *contents_of(read)]
     ready = None if options.writes() else options
     settings = {flag.replace("-", "_"): _number(value) for flag, value in varied.items()}
     return Variation(

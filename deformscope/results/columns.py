@@ -18,6 +18,11 @@ def cells_of(result: Any) -> dict[str, Any]:
     return to_cells(result if isinstance(result, Mapping) else to_json(result))
 
 
+def cell_text(value: object) -> str:
+    """A cell as a table shows it."""
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
 def to_cells(found: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Numbers, words and truths by the names of the JSON, with a dot before those inside others.
 

@@ -21,7 +21,7 @@ from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.report import Link, Section, Table, html_report
 from deformscope.plain import plain
 from deformscope.recording.ledger import ledger_path
-from deformscope.results.columns import HIGH, LOW, cells_of
+from deformscope.results.columns import HIGH, LOW, cell_text, cells_of
 from deformscope.runs.result import LibraryResult
 from deformscope.terminal import Progress
 from deformscope.version import __version__
@@ -56,7 +56,7 @@ class CatalogResult(LibraryResult):
 
     def tables(self) -> tuple[Table, ...]:
         there = [name for name in self.names if self.table[name].null_count < self.table.num_rows]
-        rows = [[_cell(row[name]) for name in there] for row in self.table.select(there).to_pylist()]
+        rows = [[cell_text(row[name]) for name in there] for row in self.table.select(there).to_pylist()]
         return (Table(rows, there, f"{self.table.num_rows} recordings"),)
 
     def as_json(self) -> dict[str, Any]:
@@ -144,10 +144,6 @@ def _summarised(of: tuple[str, str]) -> dict[str, Any]:
     return found
 
 
-def _cell(value: object) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
 # The page -------------------------------------------------------------------------------------------------------------
 
 
@@ -174,7 +170,7 @@ def catalog_page(
         link = Link(
             row["path"], f"{number}/" if served else quote(row["path"]), png.read_bytes() if png.exists() else b""
         )
-        cells.append((link, *(_cell(row[name]) for name in names)))
+        cells.append((link, *(cell_text(row[name]) for name in names)))
     more = f", of which the first {PAGE_ROWS} are shown" if found.table.num_rows > PAGE_ROWS else ""
     words = f"{found.table.num_rows} recordings{more}. A picture opens its recording"
     words += "." if served else ", where rerun opens .rrd files."
@@ -227,7 +223,7 @@ class ComparedRecordings(LibraryResult):
 
     def tables(self) -> tuple[Table, ...]:
         names = ("", self.first.stem, self.second.stem)
-        settings = [(name, _cell(a), _cell(b)) for name, (a, b) in self.settings.items()]
+        settings = [(name, cell_text(a), cell_text(b)) for name, (a, b) in self.settings.items()]
         results = [
             (one["name"], *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
             for one in self.results
@@ -317,7 +313,7 @@ def _with_ends(one: Mapping[str, Any] | None) -> str:
     if one is None:
         return ""
     ends = " ({:.4g} to {:.4g})".format(*one["interval"]) if "interval" in one else ""
-    return _cell(one["value"]) + ends
+    return cell_text(one["value"]) + ends
 
 
 def _series(first: Replay, second: Replay) -> tuple[list[dict[str, Any]], str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from deformscope.config import ClassifyConfig
+from deformscope.executor.local import core_count
 from deformscope.file_io import resolve
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -236,11 +236,6 @@ def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
     return tuple(made)
 
 
-def cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def classify_table(
     table: LabelledTable,
     name: str,
@@ -253,7 +248,7 @@ def classify_table(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
-        found = evaluate(table, dataclasses.replace(options, workers=cores()), progress, beyond)
+        found = evaluate(table, dataclasses.replace(options, workers=core_count()), progress, beyond)
     return ClassificationResult(found, name)
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from deformscope.experiments.device_stages import Stage
 
 LONG_GAP = 100
-"""Of so many usual steps a gap in a stream is told."""
+"""A gap in a stream is reported where it is longer than so many usual steps."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from deformscope.robot.setup import RigParts, Setup
     from deformscope.robot.squeeze_setup import SqueezeSetup
 
-LAB, RECORDING = "lab:", ".rrd"
+LAB = "lab:"
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -100,11 +100,12 @@ def setup_of(
             "drawn": made.drawn.plain(),
         }
         return Opening(made.setup, options, {"scene": scene.name, "laboratory": laboratory}, made.lab)
+    from deformscope.recording.target import SUFFIX
     from deformscope.rig.rig_file import load_rig
 
     if not Path(name).exists() and _is_scene(name):
         raise InputError("a rig file, or lab:NAME", repr(name), f"{LAB}{name}")
-    is_recording = name.lower().endswith(RECORDING)
+    is_recording = name.lower().endswith(SUFFIX)
     rig = recorded_rig(Path(name)) if is_recording else load_rig(name, trusted=trusted)
     options = dataclasses.replace(
         options,

@@ -32,16 +32,16 @@ from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import TaskOutcome, compute
 from deformscope.file_io import make_folder, resolve
 from deformscope.files.result_table import make_table, write_table
-from deformscope.files.sources import natural_key
+from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.distributions import distributions_png
 from deformscope.pictures.report import Figure, Link, ReportVerdict, Section, Table, html_report
 from deformscope.plain import plain
-from deformscope.results.columns import HIGH, LOW, to_cells
+from deformscope.results.columns import HIGH, LOW, cell_text, to_cells
 from deformscope.runs.result import LibraryResult
 from deformscope.terminal import Progress
 from deformscope.version import __version__
 
-ENDINGS = (".rrd", ".npz", ".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv")
+ENDINGS = (RECORDING_SUFFIX, ".npz", ".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv")
 """Of recordings, pair files and videos."""
 JOURNAL, RESULTS, OVERVIEW, FILES = "tasks.jsonl", "results.parquet", "index.html", "files"
 TYPES = {name: pa.string() for name in ("source", "status", "reason", "key")} | {"seconds": pa.float64()}
@@ -200,6 +200,12 @@ def content_of(path: Path | str) -> str:
         return ""
 
 
+def contents_of(named: Iterable[object]) -> list[str]:
+    """The contents of those that name files or folders, which a task reads as well as its source."""
+    contents = (content_of(one) for one in named if isinstance(one, str | Path) and str(one))
+    return [one for one in contents if one]
+
+
 def _bytes_of(source: str) -> bytes | None:
     """Of a file; None where it cannot be read, which its worker says."""
     try:
@@ -295,7 +301,7 @@ def _overview(found: SweepResult) -> str:
     names = [*varied, "verdict", *quantities, *(name + end for name in quantities for end in (LOW, HIGH)), "seconds"]
     names = [name for name in names if name in table.schema.names]
     listed = table.filter(pc.field("status") == "done").slice(0, LISTED).to_pylist()
-    rows = [(_source_link(one["source"], found.folder), *(_cell(one[name]) for name in names)) for one in listed]
+    rows = [(_source_link(one["source"], found.folder), *(cell_text(one[name]) for name in names)) for one in listed]
     shown = f"The first {LISTED}; all are in {RESULTS}." if done > LISTED else f"Also in {RESULTS}."
     sections.append(Section("Results", [shown, Table(rows, ("source", *_short(names)))]))
     return html_report(f"Sweep: {found.folder.name}", sections)
@@ -330,10 +336,6 @@ def _distributions(table: pa.Table, names: Sequence[str], varied: Sequence[str])
 
 def _short(names: Iterable[str]) -> list[str]:
     return [name.removeprefix(VARIED) for name in names]
-
-
-def _cell(value: object) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _source_link(source: str, folder: Path) -> Link:
@@ -376,13 +378,12 @@ def function_variations(
     module, name = function.__module__, function.__qualname__
     if module == "__main__" or getattr(inspect.getmodule(function), name, None) is not function:
         raise InputError("a function of a module", f"{name} of {module}", "put it into a file that can be imported")
+    code = contents_of([getattr(inspect.getmodule(function), "__file__", None)])  # the function as it is today
     found = []
     for varied in vary(settings):
         given = {**options, **varied}
-        code = getattr(inspect.getmodule(function), "__file__", None)  # as the function is today
-        read = [content_of(one) for one in (*given.values(), code) if isinstance(one, str | Path)]
-        identity = json.dumps([module, name, plain(given), read], sort_keys=True)
-        found.append(Variation(varied, (module, name, given), identity))
+        identity = [module, name, plain(given), code, *contents_of(given.values())]
+        found.append(Variation(varied, (module, name, given), json.dumps(identity, sort_keys=True)))
     return found
 
 

@@ -264,7 +264,7 @@ def test_a_function_of_the_library_is_swept(pairs: Path, tmp_path: Path) -> None
     assert found.table["beta"][1].as_py() == ds.calibrate_beta(pairs / "p1.npz", method="gradient").value
 
 
-def told(source: str, *, about: str) -> dict[str, Any]:
+def described(source: str, *, about: str) -> dict[str, Any]:
     """With names that the sweep has, too."""
     return {
         "words": Path(about).read_text(),
@@ -279,7 +279,7 @@ def test_a_file_among_the_options_that_changed_is_read_again(tmp_path: Path) -> 
     shutil.copy(PAIR, source)
     for words in ("first", "second"):
         about.write_text(words)
-        found = ds.sweep(told, [source], out=tmp_path / "out", workers=1, about=str(about))
+        found = ds.sweep(described, [source], out=tmp_path / "out", workers=1, about=str(about))
         assert found.computed == 1
         assert found.table["words"].to_pylist() == [words]
         assert found.table["status"].to_pylist() == ["done"]
@@ -291,7 +291,7 @@ def test_a_file_that_is_gone_or_of_any_name_ends_nothing(tmp_path: Path) -> None
     about.write_text("words")
     shutil.copy(PAIR, odd)
     sources = [tmp_path / "none.npz", odd]
-    found = ds.sweep(told, sources, out=tmp_path / "out", workers=1, send=True, about=str(about))
+    found = ds.sweep(described, sources, out=tmp_path / "out", workers=1, send=True, about=str(about))
     assert found.table["status"].to_pylist() == ["failed", "done"]
     assert found.table["source"].to_pylist()[1].endswith("ff.npz")
 
