@@ -59,7 +59,7 @@ def quiet_warp() -> None:
     quiet.quiet_warp()
     compiled = any(Path(str(wp.config.kernel_cache_dir)).glob("wp_deformscope_*"))
     if not compiled and is_watched() and multiprocessing.parent_process() is None:
-        say("compiling kernels once, about 30 s: they are kept for later starts")
+        say("compiling kernels once, about 30 s: later starts use the stored ones")
 
 
 def begin_worker() -> None:
@@ -122,7 +122,7 @@ def keep_page() -> None:
 
     if at_terminal() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
-            say(f"the page stays until Ctrl-C: {', '.join(page.address for page in pages)}")
+            say(f"the page stays open until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():
                 time.sleep(PAGE_LOOK_S)
     end_pages()
@@ -200,14 +200,14 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         raise InputError(f"a file after {flag}", "a folder", where=path)
     if path.exists() and not path.is_file():  # a device or a pipe: opening it could wait for a reader
         if not os.access(path, os.W_OK):
-            raise InputError(f"a file after {flag} that can be written", "one that cannot", where=path)
+            raise InputError(f"a writable file after {flag}", "one that cannot", where=path)
         return
     if path.exists() and not replace:
         raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
     path = Path(os.path.realpath(path))
     if not path.parent.is_dir():
         came = "something else" if path.parent.exists() else "none"
-        raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)
+        raise InputError(f"a folder for the file of {flag}", came, f"mkdir -p {path.parent}", path)
     probe = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         if path.exists():
@@ -215,4 +215,4 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         probe.open("xb").close()
         probe.unlink()
     except OSError as error:
-        raise InputError(f"a file after {flag} that can be written", str(error.strerror), where=path) from error
+        raise InputError(f"a writable file after {flag}", str(error.strerror), where=path) from error

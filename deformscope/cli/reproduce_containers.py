@@ -33,9 +33,9 @@ KEPT_TOGETHER = 40
 THREE = {"liquid": ("water", "yogurt"), "granular": ("flour", "rice")}
 """The thesis's three classes, beside `empty`."""
 COMPARISON_TEXT = (
-    "The thesis squeezed real cartons; these are simulated ones, whose constants come from handbooks and were fixed "
-    "before any classifier ran on them. Nearest neighbours on components as in the thesis, with 90 % intervals; unlike "
-    "there, whole containers are left out of the training."
+    "The thesis squeezed real cartons. These are simulated ones; their constants come from handbooks and "
+    "were fixed before any classifier ran on them. Nearest neighbours on components as in the thesis, with "
+    "90 % intervals; unlike in the thesis, whole containers are left out of the training."
 )
 
 

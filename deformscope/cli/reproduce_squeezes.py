@@ -35,7 +35,7 @@ def run(config: SqueezesConfig) -> None:
     with recorder_of(config) as recorder:
         every = _squeezed(config)
         png = truth_png(every)
-        caption = "Squeezes of the laboratory beside what was simulated"
+        caption = "Squeezes of the laboratory compared with the simulated truth"
         found = Findings((Table(truth_rows(every), caption=caption),), (Figure(png, caption),))
         recorder.write(Step((found,), frame=0))
     show(found)

@@ -43,7 +43,7 @@ def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and print the table."""
     paces = _named(config.pace, get_args(Pace), "paces")
     if config.closed_form and paces != ["careful"]:
-        raise InputError("--pace with touches that are made", "--closed-form, which travels nowhere", "one of them")
+        raise InputError("--pace with simulated touches", "--closed-form, which has no travel", "one of them")
     make_folder(config.out)
     # the thesis's planner is of `reproduce chapter4`
     planners = _named(config.planners, [name for name in get_args(Planner) if name != "thesis"], "planners")
@@ -171,11 +171,9 @@ def _tables(
             (f"{row['scene']}, IoU {row['iou']:g}: {row['planner']} / {row['against']}", _ratios(row))
             for row in compared
         ]
-        caption = (
-            "What it takes until the map is so good: ratios of the means (5 to 95 % of the bootstrap over layouts)"
-        )
+        caption = "Cost of reaching this quality: ratios of the means (5 to 95 % of the bootstrap over layouts)"
         tables.append(Table(ratios, caption=caption))
-    computing = f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, beside what else this machine did"
+    computing = f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, under the load of this machine"
     force = f"{cost['max_force_n']:.2f} N"
     summary = [
         ("largest true contact force", force),

@@ -14,7 +14,7 @@ ROOT = Path(deformscope.__file__).parent
 SAYS = sorted({*ROOT.glob("reproduce/*.py"), *ROOT.glob("cli/reproduce_*.py"), *ROOT.parent.glob("studies/*.py")})
 QUOTED = "FindingComparison"
 """Its first argument is the thesis's statement; the second is computed."""
-METHOD = ("The thesis squeezed real cartons; these are simulated ones",)
+METHOD = ("The thesis squeezed real cartons. These are simulated ones",)
 """How sentences begin that say what was done, whatever came of it."""
 
 
