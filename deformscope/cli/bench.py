@@ -128,10 +128,7 @@ def details(row: TimingRow) -> str:
     moved, bandwidth = row.facts.get("bytes"), row.facts.get("bandwidth_bytes_s")
     if isinstance(moved, int) and isinstance(bandwidth, float) and row.median is not None:
         times = row.median / 1e3 / (moved / bandwidth)
-        parts.append(
-            f"{times:.2g} times the time that moving {moved / 1000000.0:.0f} MB takes at "
-            f"{bandwidth / 1000000000.0:.0f} GB/s"
-        )
+        parts.append(f"{times:.2g} times the time that moving {moved / 1e6:.0f} MB takes at {bandwidth / 1e9:.0f} GB/s")
     if row.doubt:
         parts.append(row.doubt)
     return "; ".join([*parts, *([row.note] if row.note else [])])

@@ -43,7 +43,7 @@ longer."""
 MOST_CORRECTION_M = 0.03
 """A height further from what was asked for is a slip, as of cm for mm, and is asked again: corrections are of a few
 millimetres. Larger believes slips; smaller refuses true heights where a stick was put down roughly."""
-AGAIN = "a height in mm, as the scale shows it, or nothing where it is as asked for: "
+AGAIN = "a height in mm on the scale, or nothing for the requested height:"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

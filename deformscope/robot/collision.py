@@ -79,7 +79,7 @@ class CollisionWatch:
         self._beyond += 1
         if self._beyond < IN_A_ROW:
             return ""
-        return f"joint {worst + 1} feels {beside_nm[worst]:.1f} Nm more than before, limit {limits_nm[worst]:.1f} Nm"
+        return f"joint {worst + 1} has {beside_nm[worst]:.1f} Nm more than before, limit {limits_nm[worst]:.1f} Nm"
 
     def _levers_m(self, joints_deg: tuple[float, ...]) -> FloatArray:
         """(n,) torque on each joint [Nm] of 1 N on the tip in the direction in which that is the most."""

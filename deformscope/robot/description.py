@@ -229,7 +229,7 @@ def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list
             off_m = float(np.linalg.norm(apart[:3, 3]))
             off_rad = float(np.linalg.norm(apart[:3, :3] - np.eye(3)) / np.sqrt(2.0))
             if off_m > SAME_M or off_rad > SAME_RAD:
-                came = f"link {link} is {1e3 * off_m:.0f} mm and {np.degrees(off_rad):.1f} deg off as joints turn"
+                came = f"link {link} differs by {1e3 * off_m:.0f} mm and {np.degrees(off_rad):.1f} deg as joints turn"
                 raise InputError(f"a URDF whose joints are those of {chain.name}, in their order", came, where=path)
     parts: list[DescribedPart] = []
     for link, T in first.items():

@@ -28,8 +28,8 @@ PATIENCE_S, PUSHES = 60.0, 3
 """For a person to press [s], and how many pushes are looked at, before the check fails and the arm stays where it is.
 More only wait for longer."""
 FINGER = (
-    f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (what shows 500 g on a kitchen "
-    "scale), and hold it for a second: nothing but its force sensor guards this arm, which has no joint torques."
+    f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (500 g on a kitchen "
+    "scale), and hold it for a second. This arm has no joint torques: its force sensor is its only guard."
 )
 WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N"
 

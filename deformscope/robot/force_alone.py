@@ -76,6 +76,6 @@ class ForceAlone:
         """Both forces, with the stiffness and delay that they follow from."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
-            f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} ms until the "
-            f"arm stands; {self.unfelt_n:.0f} N where the sensor fails on the way down{else_n}"
+            f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} "
+            f"ms until the arm rests; {self.unfelt_n:.0f} N if the sensor fails on the way down{else_n}"
         )

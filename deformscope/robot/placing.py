@@ -46,7 +46,7 @@ STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
 """So far the hand may be from where the arm has placed it, so far it may be turned (half a centimetre at the
 fingertips), and so far each joint may be from where a way was planned from. More, and the ways that were looked at are
 not those it takes; less, and an arm that settles counts as moved."""
-BEGINS_AT_IT = "as the arm begins too near the container"
+BEGINS_AT_IT = "the arm begins too near the container"
 STEP_DEG = 2.0
 """Between the joint angles that are looked at on a way: 2 cm of an arm half a metre long."""
 
@@ -184,14 +184,14 @@ def strayed(robot: Robot, plan: GraspPlan) -> str:
     off_m, turned_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if off_m <= STAYED_M and turned_rad <= STAYED_RAD:
         return ""
-    return f"{1e3 * off_m:.0f} mm and {np.degrees(turned_rad):.0f} deg from where it placed the hand"
+    return f"{1e3 * off_m:.0f} mm and {np.degrees(turned_rad):.0f} deg from the hand's first pose"
 
 
 def plan_checks(plan: GraspPlan, robot: Robot) -> tuple[Check, Check]:
     """Rows of the preflight: the way was looked at, and begins where the arm stands."""
     turned = towards(robot.pose.joints_deg, plan.start_deg, ~np.isfinite(robot.arm.chain.upper_deg))
     off_deg = float(np.abs(turned).max())
-    wanted = f"joints within {STAYED_DEG:g} deg of where the way begins"
+    wanted = f"joints within {STAYED_DEG:g} deg of the path's start"
     begins = Check("place: start", off_deg <= STAYED_DEG, wanted, f"{off_deg:.1f} deg")
     turns = f"a way of {len(plan.joints_deg)} turn{'s' * (len(plan.joints_deg) != 1)}, then straight"
     way = "; ".join([turns, *_counted(plan.refused)])

@@ -202,7 +202,7 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
         table_m, itself_m = robot.clearance.over_table_m(links), robot.clearance.to_itself_m(links)
         wanted = f"elbow and wrist {100 * limits.table_m:g} cm or more above it"
         yield Check("arm: over the table", table_m > limits.table_m, wanted, f"{100 * table_m:.1f} cm")
-        wanted = f"{100 * limits.itself_m:g} cm or more between parts that could meet"
+        wanted = f"{100 * limits.itself_m:g} cm or more between parts that may collide"
         yield Check("arm: clear of itself", itself_m > limits.itself_m, wanted, f"{100 * itself_m:.1f} cm")
         if limits.arm_box is not None:
             inside_m = robot.clearance.in_box_m(links, limits.arm_box)
@@ -210,9 +210,9 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
     yield from _torques(robot, states)
     if (zones := getattr(robot.arm.config, "protection_zones", None)) is not None:  # an arm that did not, did not open
         wanted = "those of the rig file set as it was opened"
-        yield Check("arm: protection zones", True, wanted, f"{len(zones)} kept by the arm")
+        yield Check("arm: protection zones", True, wanted, f"{len(zones)} stored in the arm")
     homed = robot.arm.homed
-    yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
+    yield Check("arm: homed", homed, "since power-on", "it was" if homed else "the arm reports that it was not")
     if (call_ms := robot.arm.health().extra.get(CALL_MS)) is not None:
         wanted = f"a call in less than {LONGEST_CALL_MS:g} ms"
         yield Check("arm: link", call_ms < LONGEST_CALL_MS, wanted, f"{call_ms:.1f} ms")
@@ -272,7 +272,7 @@ def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription)
     over_m = described.over_tip_m(robot.placement, robot.arm.chain.forward(robot.pose.joints_deg))
     if np.isfinite(over_m):
         left_m = over_m - max(plan.max_depth_m for plan in plans)
-        wanted = f"{1e3 * HAND_M:g} mm or more above it beside the deepest dent"
+        wanted = f"{1000.0 * HAND_M:g} mm or more above the surface around the deepest dent"
         yield Check("hand: above the surface", left_m >= HAND_M, wanted, f"{1e3 * left_m:.0f} mm")
 
 

@@ -183,7 +183,7 @@ class Robot:
     def pose(self) -> ArmSample:
         """The newest state of the arm. Raises RuntimeError before the first."""
         if self._pose is None:
-            raise RuntimeError("the arm has not been seen yet: cycle() first")
+            raise RuntimeError("no state of the arm yet: cycle() first")
         return self._pose
 
     @property
@@ -289,7 +289,7 @@ class Robot:
         """From now on velocities are sent. Raises InputError, which names the checks, unless all have passed."""
         if not preflight.passed:
             failed = "; ".join(f"{check.name}: {check.came}" for check in preflight.checks if not check.passed)
-            raise InputError("a preflight that passed", failed, "see to it, and check again")
+            raise InputError("a preflight that passed", failed, "remove the cause, and check again")
         self._may_move = True
         del self._judged_ns[:]
 
@@ -334,7 +334,7 @@ class Robot:
         try:
             self.watch(self.seen, verdict)
         except BaseException as error:
-            self.halt(f"what watches it failed: {type(error).__name__}")
+            self.halt(f"its monitor failed: {type(error).__name__}")
             raise
 
     def _begin_anew(self) -> None:

@@ -147,7 +147,7 @@ def seen(robot: Robot) -> Robot:
     except RobotStopped as stopped:
         verdict = stopped.verdict
         came = f"{verdict.fault}: {verdict.reason}"
-        raise InputError("devices that are well", came, f"see to {advice(verdict.fault)}") from stopped
+        raise InputError("devices without faults", came, f"see to {advice(verdict.fault)}") from stopped
     return robot
 
 
@@ -316,7 +316,10 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
     ):
         hz = getattr(entry.config, key)
         if silent_s is not None and hz is not None and hz * silent_s < FEWEST_PERIODS:
-            least = f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, missed after {silent_s:g} s"
+            least = (
+                f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, which fails after "
+                f"{silent_s:g} s of silence"
+            )
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
@@ -327,7 +330,7 @@ def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
     camera_s = limits.camera_periods * limits.camera_period_s
     for entry, silent_s in zip(devices, (limits.arm_silent_s, limits.force_silent_s, camera_s), strict=True):
         if entry.late_ns >= 1e9 * silent_s:
-            least = f"{entry.name} late by less than the {silent_s:g} s that it may be silent for"
+            least = f"{entry.name} with a delay below its limit on silence, {silent_s:g} s"
             came = f"{entry.late_ns / 1e9:g} s, by calibrate time"
             raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
 
@@ -351,7 +354,7 @@ def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
         return AS_CAPSULES
     model = MANUAL if arm.driver.name == "placed" else arm.config.model
     if model is None:
-        raise InputError('model = "..." of the arm, beside [shape]', "none", 'model = "j2n6s300"', arm.name)
+        raise InputError('model = "..." of the arm, besides [shape]', "none", 'model = "j2n6s300"', arm.name)
     try:
         return describe(rig.shape, chain_of(model), rig.folder)
     except InputError as error:

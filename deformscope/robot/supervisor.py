@@ -328,7 +328,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         if age_s := self._silent_s(self._arm_ns, limits.arm_silent_s):
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
         if self._unmoved_m > limits.arm_frozen_m and self._unmoved_ns >= limits.arm_frozen_s * 1e9:
-            why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
+            why = f"its joints report no motion while commands moved {self._unmoved_m * 1e3:.1f} mm"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
 
@@ -337,14 +337,14 @@ class Supervisor(LatchingSupervisor[Fault]):
         if limit_nm > 0 and (sample.currents or self._motors):
             self._motors = True
             if not sample.currents:
-                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, where collisions are seen by them")]
+                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, which collisions are detected by")]
             why = self._currents.look(sample.currents, sample.joints_deg, self._tip_n, sample.time_ns)
             return [(Action.STOP, Fault.COLLISION, why)] if why else []
         if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):
             return []
         self._torques = True
         if not torques_nm or not np.all(np.isfinite(torques_nm)):
-            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm} where collisions are seen by them")]
+            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm}, which collisions are detected by")]
         why = self._collisions.look(torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
         return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
@@ -427,7 +427,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         tilt_deg = _angle_deg(commanded, sample.T_base_ee)
         if tilt_deg <= self.limits.tilt_deg:
             return []
-        why = f"{tilt_deg:.1f} deg beside what was commanded, limit {self.limits.tilt_deg:g} deg"
+        why = f"{tilt_deg:.1f} deg from the command, limit {self.limits.tilt_deg:g} deg"
         return [(Action.STOP, Fault.TILT, why)]
 
     def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[Alarm[Fault]]:

@@ -648,10 +648,10 @@ def take_tare(robot: Robot) -> FloatArray:
     noise_n = forces_n.std(axis=0)
     if varies_n > TARE_STILL_N or float(np.max(noise_n)) > TARE_STILL_N:
         came = f"a load that varies by {max(varies_n, float(np.max(noise_n))):.2f} N"
-        raise NotThere(f"a load within {TARE_STILL_N:g} N in free air", came, "let nothing touch the tip")
+        raise NotThere(f"a load within {TARE_STILL_N:g} N in free air", came, "keep the tip free of contact")
     mean_n = forces_n.mean(axis=0)
     if float(np.linalg.norm(mean_n)) > TARE_DRIFT_N:
-        came = f"{np.linalg.norm(mean_n):.2f} N beside the last tare"
+        came = f"{np.linalg.norm(mean_n):.2f} N from the last tare"
         raise NotThere(f"less than {TARE_DRIFT_N:g} N: a sensor's drift", came, "lift the tip: it seems to touch")
     robot.tare_n = robot.tare_n + mean_n
     return np.asarray(noise_n)

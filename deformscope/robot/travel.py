@@ -111,7 +111,7 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
         nearest, patience = (farthest, PATIENCE) if farthest < nearest - REACHED_DEG else (nearest, patience - 1)
         step(robot, JointRates(turn / farthest * min(JOINT_DEG_S, GAIN_PER_S * farthest)))
     robot.cycle()
-    raise NotThere("the joints where they were sent", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
+    raise NotThere("joints at their commanded angles", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
 
 
 def to_above(
@@ -249,24 +249,24 @@ def _forbidden(
     centers_m = placement.T_surface_center(frames[:, -1])[:, :3, 3]
     inside = in_box(placement, limits, centers_m)
     if not inside[int(inside.argmax()) :].all() or not inside[-1]:  # it may come in from outside
-        return "whose way leaves the box of [workspace]"
+        return "whose path leaves the box of [workspace]"
     if centers_m[:, 2].min() < lowest_m:
-        return "whose way sinks to the surface"
+        return "whose path goes below the surface"
     if clearance is not None:
         table_m = min(map(clearance.over_table_m, frames))
         itself_m = min(map(clearance.to_itself_m, frames))
         box_m = min(clearance.in_box_m(one, limits.arm_box) for one in frames)
         if table_m < limits.table_m or itself_m < limits.itself_m or box_m < 0:
-            return "on whose way the arm comes near the table or itself, or leaves its own box"
+            return "whose path brings the arm near the table or itself, or out of its box"
     return ""
 
 
-NEAR_LIMITS = "a way to which leads near a joint's limit or a singularity"
+NEAR_LIMITS = "whose path leads near a joint's limit or a singularity"
 
 
 def _no_way(to_m: FloatArray, why: str) -> NotThere:
     came = f"a place at {np.round(to_m, 3)} m, {why}"
-    return NotThere("a way that the arm can follow", came, "another place, or move arm or surface")
+    return NotThere("a path that the arm can follow", came, "another place, or move arm or surface")
 
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:

@@ -162,9 +162,9 @@ def format_told(found: Evaluation, score: ClassificationScore) -> str:
     low, high = found.elsewhere(score)
     (near_low, near_high), method = score.accuracy.interval, f"{score.modality}, {score.method}"
     return (
-        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new trials of "
-        f"those that were squeezed {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), chance "
-        f"{score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
+        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new "
+        f"trials of the same containers {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), "
+        f"chance {score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
     )
 
 
@@ -201,7 +201,7 @@ def format_fusion(found: Evaluation) -> str:
     words = [whole or "late fusion was not compared"]
     if gained:
         words.append(f"better in {', '.join(gained)}")
-    words.append(f"WORSE in {', '.join(worse)}" if worse else "worse than the better modality in no class")
+    words.append(f"WORSE in {', '.join(worse)}" if worse else "in no class worse than the better modality")
     return "; ".join(words)
 
 

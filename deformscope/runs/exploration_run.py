@@ -130,9 +130,9 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
-        say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
+        say(f"--fault {fault.injected.word}@{fault.touch} was not injected: its moment did not occur")
     if found.stop is not None and found.stop.kind == DRY_RUN and not asked.is_set():
-        say(f"dry run: {found.stop.reason}; the arm stands. Without --dry-run it touches.")
+        say(f"dry run: {found.stop.reason}; the arm is at rest. Without --dry-run it touches.")
         return explored
     if found.stop is not None or asked.is_set():
         path, stands = recorder.summary().path, ending.arm_stopped
@@ -147,7 +147,9 @@ def _check_first(config: ExploreConfig, setup: Setup) -> None:
         if not (0.0 < x < width and 0.0 < y < height):
             raise InputError(f"--first on the surface: between 0,0 and {width:g},{height:g} m", f"{x:g},{y:g}")
     if config.dry_run and setup.person is not None:
-        raise InputError("an arm that moves by itself, for --dry-run", "one that a person places", "explore without it")
+        raise InputError(
+            "an arm that moves on commands, for --dry-run", "one that a person places", "explore without it"
+        )
 
 
 def _run(
@@ -315,18 +317,18 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
         if result.target_m is None or result.stop_reason:
             yield f"no further touch: {format_stop(result.stop_reason) if result.stop_reason else result.reason}"
         else:
-            left = f"; some {spent_s / made * (budget - made):.0f} s to go for all {budget}" if made else ""
+            left = f"; about {spent_s / made * (budget - made):.0f} s left for all {budget}" if made else ""
             yield f"touch {made + 1} of at most {budget}, at {_cm(result.target_m)} cm: {result.reason}{left}"
     elif isinstance(result, TouchForecast):
         low, high = result.stiffness_interval
         expected = f"{result.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
-        yield f"asked for on the page: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
+        yield f"requested on the page: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
     elif isinstance(result, SteeringDecision):
         yield f"page: {result.kind} at {_cm(result.xy_m)} cm{': ' * bool(result.reason)}{result.reason}"
     elif isinstance(result, TouchEstimate):
         yield f"  measured at {_cm(result.xyz_m[:2])} cm: {to_line(result)}"
         if result.creep is not None:
-            at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
+            at = "" if result.speed_m_s is None else f", detected at {1e3 * result.speed_m_s:.2g} mm/s"
             yield f"  creep{at}: {result.creep.text}"
     elif isinstance(result, MapEstimate):
         truth = f", {format_iou(result)}" if format_iou(result) else ""
@@ -403,7 +405,7 @@ def _result(
 def _thickness(exploration: Exploration, options: ExploreOptions) -> LayerThickness:
     surface = exploration.surface
     known_m = None if surface is None else surface.layer_m
-    by = "stated" if options.thickness_stated else NOT_KNOWN if known_m is None else "seen over the table beside it"
+    by = "stated" if options.thickness_stated else NOT_KNOWN if known_m is None else "measured from the table around it"
     return LayerThickness(known_m, None if surface is None else surface.layer_sd_m, by)
 
 

@@ -239,7 +239,7 @@ def run_material_files(
     """Pairs, all in one fit, or one motion, given by name and content: the same for files and recordings."""
     used = {**settings, "material": dataclasses.asdict(job)}
     if job.find == "field" and len(raws) > 1:
-        raise InputError("one pair file", str(len(raws)), "name them in several commands")
+        raise InputError("one pair file", str(len(raws)), "give them in several commands")
     if job.find in ("axes", "field"):
         seen = [parse_pair(raw, name, noise_m=job.noise_m) for name, raw in raws]
         for remark in size_notes([one.rest for one in seen]):
@@ -251,7 +251,7 @@ def run_material_files(
             recorder.write(Step((result.findings(),), frame=0))
         return dataclasses.replace(result, recording=recorder.summary())
     if len(raws) > 1:
-        raise InputError("one motion file", str(len(raws)), "name them in several commands")
+        raise InputError("one motion file", str(len(raws)), "give them in several commands")
     (name, raw), *_ = raws
     motion = parse_motion(raw, name, noise_m=job.noise_m)
     for remark in size_notes([motion.rest]):

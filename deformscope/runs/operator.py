@@ -50,7 +50,7 @@ class RunOperator:
     def confirm(self, prompt: str, *, or_ended: bool = False) -> RigExperiment[None]:
         """As `line`; raises InputError unless somebody says yes. or_ended: nor where somebody ends the run"""
         if self.agreed is None and not at_terminal():
-            raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
+            raise InputError("a person who confirms", "no terminal for questions", "--yes")
         if (yield from self.line(prompt)) != "yes" and not (or_ended and self.asked.is_set()):
             raise InputError("yes", f"{self.asked.by or 'something else'}: nothing has moved")
 
@@ -65,7 +65,7 @@ class PersonAtTerminal:
         if not select.select([sys.stdin], [], [], 0.0)[0]:
             return None
         if not (line := sys.stdin.readline()):
-            raise InputError("somebody at the terminal who places the arm", "the end of its input", "a terminal")
+            raise InputError("a person at the terminal who places the arm", "the end of its input", "a terminal")
         return line.strip()
 
 
@@ -88,7 +88,7 @@ def terminal_keys() -> Iterator[Keys]:
     import tty
 
     if not at_terminal():
-        raise InputError("a terminal, whose keys move the arm", "none", "run it in one")
+        raise InputError("a terminal, whose keys move the arm", "none", "run it in a terminal")
     descriptor = sys.stdin.fileno()
     kept = termios.tcgetattr(descriptor)
 

@@ -108,7 +108,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         {"results": len(recorded), "identical": True, "failures": failed},
         verdict=f"replay: {len(recorded)} results from {start}, identical to the recorded numbers",
         notes=(
-            *(f"failed when it was recorded: {format_failure(one)}" for one in failed),
+            *(f"failed during the recording: {format_failure(one)}" for one in failed),
             *([LEAN] if options.detail == "lean" else []),
         ),
     )

@@ -56,7 +56,7 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
     return ReplayResult(
         {"results": compared, "identical": True, "stopped": stops},
         verdict=f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers",
-        notes=tuple(f"stopped when it was recorded: {stop.kind}: {stop.reason}" for stop in stops),
+        notes=tuple(f"stopped during the recording: {stop.kind}: {stop.reason}" for stop in stops),
     )
 
 

@@ -144,7 +144,7 @@ class Watch:
         """Whatever ends this, the arm is then halted, also where halting it was interrupted. Beyond it are the
         end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
         self.robot = robot
-        reason = "what moved it has ended"
+        reason = "the page that moved it has ended"
         try:
             yield
         except BaseException as error:
@@ -194,8 +194,8 @@ def permitted(
         touches = f"up to {options.budget} touches of {robot.format_forces}"
         if setup.person is None:
             say(
-                f"The arm will now move by itself: {touches}.\n"
-                "This program is no safety function: keep the emergency stop in your hand."
+                f"The arm will now move: {touches}.\nThis program is no safety function: keep the emergency "
+                "stop in your hand."
             )
         else:
             say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
@@ -239,7 +239,7 @@ def leave_arm(
     stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: look at it, use its emergency stop"
     state = f" after {touched} touch{'es' * (touched != 1)}; {stands}"
     ended = stop is None or stop.kind == Fault.ASKED
-    leave(stop, state, asked, recording, "an exploration that comes to its end", "explore again", ended=ended)
+    leave(stop, state, asked, recording, "an exploration that ends normally", "explore again", ended=ended)
 
 
 def leave(
@@ -260,7 +260,7 @@ def leave(
 
     advice = f"see to {stop.advice}" if stop is not None and stop.advice else ""
     if ended or stop is None:
-        kept = "" if recording is None else f"; the recording is whole: {recording}"
+        kept = "" if recording is None else f"; the recording is complete: {recording}"
         by = asked.by or f"by {signal_word(asked.signal_number)}"
         say(f"deformscope: ended {by}{state}{advice and f'; {advice}'}{kept}")
         raise SystemExit(128 + (asked.signal_number or signal.SIGINT))

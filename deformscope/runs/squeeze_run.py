@@ -270,7 +270,7 @@ def _placed(
     if not config.yes or at_terminal():
         if page is not None:
             page.session.remark(words)
-        yield from agree(asked, page, "the hand closes", enter_when="when it stands still")
+        yield from agree(asked, page, "the hand closes", enter_when="when it is at rest")
         if page is not None:
             page.go_on()
 
@@ -345,7 +345,7 @@ def _format_size(setup: SqueezeSetup) -> str:
     """What a recording will take."""
     pixels = 640 * 480 if setup.names.camera else 0
     bytes_s = 30 * TACTILE_BYTES + setup.camera.rate_hz * pixels * 2 * DEPTH_SHARE
-    return f"a recording of some {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
+    return f"a recording of about {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
 
 
 def leave(squeezed: SqueezeOutcome) -> None:
@@ -356,7 +356,7 @@ def leave(squeezed: SqueezeOutcome) -> None:
         return
     state, expected, again = (
         f"; the hand {result.hand_text}",
-        "a squeeze that comes to its steady state",
+        "a squeeze that reaches its steady state",
         "squeeze again",
     )
     skeleton.leave(stop, state, squeezed.asked, result.recording, expected, again, ended=squeezed.interrupted)

@@ -427,7 +427,7 @@ def test_a_full_disk_halts_the_arm_first(
     last = shown.err.strip().splitlines()[-1]
     assert "MiB free on the disk" in last
     assert Phase.PRESS not in began
-    assert stopped == ["what watches it failed: RecordingError"]
+    assert stopped == ["its monitor failed: RecordingError"]
     assert re.search(r"^  touches +0, ", shown.out, re.MULTILINE)  # what is known, and that the arm is at rest
     assert re.search(r"^  arm +at rest$", shown.out, re.MULTILINE)
     assert list(tmp_path.glob("*.part.rrd"))

@@ -284,7 +284,7 @@ def test_a_place_without_a_way_is_left_out_before_it_is_tried(monkeypatch: pytes
         refused = len(tried) < 2
         tried.append((float(xy_m[0]), refused))
         if refused:
-            raise NotThere("a way that the arm can follow", "one out of the box", "another place")
+            raise NotThere("a path that the arm can follow", "one out of the box", "another place")
         return approach(self, xy_m, *others)  # type: ignore[arg-type]
 
     monkeypatch.setattr(AsMeasured, "approach", no_way_at_first)

@@ -448,7 +448,7 @@ def test_fingers_that_are_pressed_do_not_set_out_and_the_words_are_of_a_hand() -
     assert found.stop is not None
     assert found.stop.kind == "checks before motion"
     assert "fingers: tare: 1.0" in found.stop.reason
-    assert found.stop.advice == "let nothing touch the fingers, and start again"
+    assert found.stop.advice == "keep the fingers free of contact, and start again"
 
 
 def test_an_arm_that_begins_at_the_container_says_so(good: PlacedTrial) -> None:

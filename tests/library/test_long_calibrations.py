@@ -90,7 +90,7 @@ def test_a_long_sequence_is_thinned_and_the_estimate_is_that_of_all_frames(
     assert (quick.estimate.settings["frames"], quick.estimate.settings["frames_of"]) == (KEPT, COUNT)
     assert fine.estimate.settings["frames"] == COUNT
     assert "frames_of" not in fine.estimate.settings
-    assert f"{COUNT} frames are followed, which takes about" in caplog.text.removeprefix(words)
+    assert f"{COUNT} frames are tracked, in about" in caplog.text.removeprefix(words)
     assert [(done, total) for what, done, total in seen if what == "frames"] == [
         *((done, KEPT) for done in range(1, KEPT + 1)),
         *((done, COUNT) for done in range(1, COUNT + 1)),
@@ -110,7 +110,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)
     assert own.estimate.settings["frames"] == (COUNT + 1) // 2
-    assert f"{(COUNT + 1) // 2} frames are followed, which takes about" in caplog.text
+    assert f"{(COUNT + 1) // 2} frames are tracked, in about" in caplog.text
 
 
 def test_what_was_thinned_replays_to_the_same_numbers(
@@ -151,7 +151,7 @@ def test_a_coarser_lattice_says_so_counts_its_steps_to_one_end_and_replays(
     assert main(["calibrate", "beta", str(pair), *flags, "--record", str(record)]) == 0
     said = capsys.readouterr()
     assert "the fit takes about" in said.out + said.err
-    assert "--fine sets them 5 mm apart" in said.out + said.err
+    assert "--fine spaces them 5 mm apart" in said.out + said.err
     assert main(["replay", str(record), "--viewer", "none"]) == 0
     with np.load(pair) as arrays:
         found = ds.calibrate_beta(
