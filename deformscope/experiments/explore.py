@@ -58,7 +58,7 @@ class ExplorationStopped(InputError):
     """The robot must not go on, or what it was to do came to nothing. stop: why, and when on the robot's clock"""
 
     def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
-        super().__init__("an exploration that comes to its end", f"{stop.kind}: {stop.reason}", stop.advice)
+        super().__init__("an exploration that ends normally", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
 
@@ -338,7 +338,7 @@ def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> Ex
     stop = ExplorationStop(
         kind=ESTIMATES_FAILED,
         reason=reason,
-        advice="what failed, in the recording",
+        advice="the failure, in the recording",
         action="stop",
         touch=len(found.touches),
     )

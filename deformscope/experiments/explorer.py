@@ -129,7 +129,7 @@ class ExplorationStages:
                 break
             except NotThere as error:  # left out, until the arm has moved
                 self._no_way.append(plan.target_m)
-                where = f"({100 * plan.target_m[0]:.0f}, {100 * plan.target_m[1]:.0f}) cm is left out: "
+                where = ""
                 explorer.failures.append(
                     StageFailure(stage=WAY, touch=len(explorer.touches), reason=f"{where}{error}", trace="")
                 )
@@ -158,15 +158,15 @@ class ExplorationStages:
         grid = self.explorer.grid
         x_cm, y_cm = (100.0 * value for value in grid.size_m)
         if not ((xy_m > 0.0) & (xy_m < grid.size_m)).all():
-            return f"it is beside the surface, which has {x_cm:g} by {y_cm:g} cm"
+            return f"it is outside the surface, which has {x_cm:g} by {y_cm:g} cm"
         border_m = self.explorer.options.border_m
         if not ((xy_m > border_m) & (xy_m < np.asarray(grid.size_m) - border_m)).all():
             return f"it is within {100 * border_m:g} cm of the surface's edge"
         seen_m = self.explorer.surface.points_m
         if not len(seen_m) or float(np.hypot(*(seen_m[:, :2] - xy_m).T).min()) > SEEN_M:
-            return f"the camera has not seen the surface there: no point within {1e3 * SEEN_M:g} mm"
+            return f"the camera measured no surface there: no point within {1e3 * SEEN_M:g} mm"
         cell = tuple((xy_m[::-1] / grid.cell_m).astype(int))
-        return "" if self._reached()[cell] else "the arm cannot be led there from above"
+        return "" if self._reached()[cell] else "the arm cannot reach it from above"
 
     def _reached(self) -> BoolArray:
         if self._reachable is None:
@@ -281,7 +281,7 @@ class Explorer:
         if self._without_map < MOST_FAILED:
             return ""
         last = next((one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP), None)
-        why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
+        why = "no touch held its force long enough" if last is None else f"the last for {last.stage}: {last.reason}"
         return f"{self._without_map} touches in a row gave no map, {why}"
 
     # The next touch ---------------------------------------------------------------------------------------------------
@@ -318,7 +318,7 @@ class Explorer:
         """Raises InputError where the arm does not reach a place (2,) [m]."""
         cell = int(np.argmin(np.linalg.norm(self.grid.centres_m - xy_m, axis=1)))
         if reachable is not None and not reachable.ravel()[cell]:
-            raise InputError("--first at a place that the tip can be led to", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
+            raise InputError("--first at a place that the tip can reach", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""

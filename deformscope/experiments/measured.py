@@ -284,7 +284,7 @@ class SetupGeometry:
         self, depth_m: npt.NDArray[np.floating], pose: ArmSample, look: LookFrames, box: Box, cell_m: float | None
     ) -> Perceived:
         if self.camera.T_surface_camera is None:
-            raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
+            raise InputError("[camera] T_arm_camera", "none", "the camera's pose")
         (fx, fy), (cx, cy) = look.focal_px, look.center_px
         camera = Intrinsics((fx, fy), (cx, cy), self.camera.distortion)
         robot = self.posed_robot(pose, chain_of(look.arm_model))

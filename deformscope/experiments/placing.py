@@ -208,7 +208,7 @@ class PlacingArm:
             if not one.name.startswith(LEAVE_OUT)
         ]
         felt = robot.supervisor.sees_collisions
-        wanted = "joint torques or motor currents, by which a collision is seen"
+        wanted = "joint torques or motor currents, which collisions are detected by"
         rows.append(Check("arm: collisions", felt, wanted, "reported" if felt else "none"))
         return Preflight((*rows, *plan_checks(plan, robot)))
 
@@ -324,7 +324,7 @@ class Placing:
         """Look, draw, check, carry, look again. Raises SqueezeEnded."""
         first = yield from self._look("before")
         if first.fit is None:
-            raise self._ended(NOT_FOUND, first.refused, "the table, and where camera and table are to one another")
+            raise self._ended(NOT_FOUND, first.refused, "the table, and the poses of camera and table")
         placing, grip = self.setup.placing, GripShape.of(self.setup.container, self.setup.squeeze)
         assert placing is not None
         assert self.frames.arm_now is not None
@@ -342,7 +342,7 @@ class Placing:
             yield from self._planned(none, obstacle)
             if none.refused == (BEGINS_AT_IT,):
                 raise self._ended(BEGINS_NEAR, str(none), "the arm: move it away by its joystick") from none
-            raise self._ended(NO_GRASP, str(none), "where the container stands, and the arm's reach") from none
+            raise self._ended(NO_GRASP, str(none), "the container's place, and the arm's reach") from none
         self._plan = plan
         yield from self._planned(plan, obstacle)
         preflight: Preflight = yield from ask(CheckArm(plan))
@@ -373,7 +373,7 @@ class Placing:
         try:
             yield from self._look("after", near=stopped is not None)
         except (InputError, ValueError) as error:  # what was squeezed, and why the arm stopped, count for more
-            yield Step(notes=(SessionNote(self.setup.clock(), "stage", f"container not looked at: {error}"),))
+            yield Step(notes=(SessionNote(self.setup.clock(), "stage", f"container not measured: {error}"),))
         if stopped is not None:
             raise stopped
 
@@ -383,7 +383,7 @@ class Placing:
         placed = when == "placed"
         change = (yield from self._look(when, near=placed)).change
         if change is not None and (change.changed if placed else change.kind != "stands"):
-            met = "the hand has met it" if placed else "somebody has moved it"
+            met = "the hand hit it" if placed else "a person moved it"
             raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
 
     def _look(self, when: str, *, near: bool = False) -> RigExperiment[ContainerSighting]:

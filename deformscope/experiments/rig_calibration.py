@@ -54,7 +54,7 @@ Assistant = Callable[[SetupRequest], RigExperiment[None]]
 
 
 CORNER_WORDS = (
-    "the corner that is to be the origin",
+    "the corner of the origin",
     "the corner at the end of the x edge",
     "the corner at the end of the y edge",
     "the far corner",
@@ -133,7 +133,7 @@ def _held(operator: Assistant, request: SetupRequest, arm: str, note: Callable[[
         if found.moved_m < STILL_M and found.moved_deg < STILL_DEG:
             return found
         note(f"the arm moved by {1e3 * found.moved_m:.1f} mm: again")
-    raise InputError("an arm that is held still", f"one that moved, {TRIES} times", "let go of the joystick")
+    raise InputError("an arm at rest", f"one that moved, {TRIES} times", "let go of the joystick")
 
 
 def touch_corners(
@@ -196,7 +196,7 @@ def push_tip(
 ) -> RigExperiment[PushedTip]:
     """What the sensor gives in free air, while a finger pushes the tip along the table's axes, under a known load [N],
     and in free air with the stick tilted so often."""
-    yield from operator(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
+    yield from operator(SetupRequest("rest", 0, "keep the tip free of contact, the stick upright"))
     rest = yield from _frames(REST_S, {wrench: WrenchFrame})
     free = _forces(rest[wrench])
     where = yield from _frames(HOLD_S, {arm: ArmFrame})
@@ -215,7 +215,7 @@ def push_tip(
         note(f"  {np.linalg.norm(felt[-1]):.1f} N")
     loaded: list[FloatArray] = []
     for number in range(LOADS if load_n is not None else 0):
-        yield from operator(SetupRequest("rest", 1 + number, "let nothing touch the tip"))
+        yield from operator(SetupRequest("rest", 1 + number, "keep the tip free of contact"))
         before_n = _forces((yield from _frames(PUSH_S, {wrench: WrenchFrame}))[wrench]).force_n
         words = (
             f"press the tip down onto a scale until it shows {load_n:g} N ({(load_n or 0.0) / 9.80665:.3f} kg), hold"
@@ -226,7 +226,7 @@ def push_tip(
         note(f"  {np.linalg.norm(loaded[-1]):.2f} N")
     tilted, weighed = [], []
     for number in range(tilts):
-        words = f"let nothing touch the tip, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
+        words = f"keep the tip free of contact, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
         tilted.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
         frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
         weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
@@ -324,7 +324,7 @@ def view_board(
         image = _colour(frames[camera][-1])
         found = find_board(image, board)
         if found is None:
-            note("  the board was not seen in this one")
+            note("the camera did not find the board in this view")
             continue
         poses.append(pose.T_base_ee)
         seen.append(found)
@@ -333,7 +333,7 @@ def view_board(
         if len(seen) >= count and turned_about(np.array(poses)) >= LEAST_SPREAD_RAD:
             return BoardViews(np.array(poses), tuple(seen), size_px)
         if len(seen) >= count:
-            note("  turned about one axis alone so far: more views, as the next request says")
+            note("turned about one axis only so far: more views, as the next request says")
     if len(seen) >= count:
         check_turns(np.array(poses))
     raise InputError(f"{count} views of the board", f"{len(seen)}", "more light, the board flat and whole in view")

@@ -68,7 +68,7 @@ class SqueezeEnded(InputError):
     """The squeeze must not go on. stop: why; time_ns: when, on the devices' clock"""
 
     def __init__(self, stop: SqueezeStop, time_ns: int) -> None:
-        super().__init__("a squeeze that comes to its steady state", f"{stop.kind}: {stop.reason}", stop.advice)
+        super().__init__("a squeeze that reaches its steady state", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
 

@@ -284,7 +284,7 @@ class TouchingRobot:
     def format_forces(self) -> str:
         """What a touch presses with, in words."""
         set_n, more_n = self._options.set_force_n, self.geometry.more_force_n(self._options)
-        return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N where that makes a dent below 2 mm")
+        return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N if the dent is below 2 mm")
 
     def let_move(self, preflight: Preflight) -> None:
         """From now on the robot may move. Raises InputError where a check has failed, with which."""
@@ -353,7 +353,7 @@ class TouchingRobot:
             return self._stop(record.ending, f"{where}: {record.reason or 'something was met'}")
         lowest_m = float(record.position_m[:, 2].min()) - self.geometry.placement.center_offset_m
         over_cm = 100.0 * (lowest_m - float(record.plan.point_m[2]) + self._options.lift_m)
-        reason = f"the first touch, {where}, met nothing; the tip stayed {over_cm:.1f} cm above the surface"
+        reason = f"the first touch, {where}, made no contact; the tip stayed {over_cm:.1f} cm above the surface"
         return ExplorationStopped(ExplorationStop(DRY_RUN, reason, "", str(Action.GO_ON), 0), self._setup.clock())
 
     def _touched(
@@ -484,7 +484,7 @@ def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
     off = np.abs(np.asarray(center_px) - (0.5 * columns, 0.5 * rows)) / (columns, rows)
     if (off > OFF_MIDDLE).any():
         came = f"({center_px[0]:g}, {center_px[1]:g}) in images of {columns} x {rows} px"
-        try_this = "focal_px and center_px for this resolution, or neither: then the camera's own are used"
+        try_this = "focal_px and center_px for this resolution, or neither: then the camera's own values are used"
         raise InputError("[camera] center_px near the middle of its images", came, try_this)
 
 
@@ -493,7 +493,7 @@ def reported_lens(reported: Intrinsics | None) -> tuple[tuple[float, float], tup
     if reported is None:
         raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
     if any(reported.distortion):
-        came = f"none, and a camera whose pictures have distortion = {list(reported.distortion)}"
+        came = f"none, and a camera whose images have distortion = {list(reported.distortion)}"
         raise InputError("[camera] focal_px, center_px and distortion", came, "deformscope calibrate camera")
     return (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
 

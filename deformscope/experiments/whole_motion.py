@@ -236,7 +236,7 @@ def _judges(motion: TrackedMotion, ways: Sequence[Way]) -> BoolArray:
     judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
     if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
         raise InputError(
-            f"{JUDGES_LEAST} particles that are free whatever is held, to judge by",
+            f"{JUDGES_LEAST} particles that are free with all held parts, for the comparison",
             str(np.count_nonzero(judged & motion.history[-1].seen)),
             "a finer --grid, or --select without held",
         )
@@ -348,7 +348,7 @@ def _pace_message(tried: Sequence[Trial], best: int, still: HeldOut, choices: Se
         said.append("alpha " + _span([pace.alpha for pace in good]))
     if "dt" in choices:
         said.append("dt " + _span([pace.dt for pace in good]) + " s")
-    return f"time stepping fits better than static states: {', '.join(said)} (what creeps or yields looks so too)"
+    return f"time stepping fits better than static states: {', '.join(said)} (creep and yield have the same effect)"
 
 
 def _span(values: Sequence[float]) -> str:

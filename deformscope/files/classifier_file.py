@@ -114,7 +114,7 @@ def load_classifier(path: Path) -> ContentModel:
         return _model(found)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError) as error:
         came = f"one without or with a wrong {' '.join(str(error).split())[:120]}"
-        raise InputError("a whole classifier file", came, HOW, path) from error
+        raise InputError("a complete classifier file", came, HOW, path) from error
 
 
 def _model(found: Arrays) -> ContentModel:

@@ -71,7 +71,7 @@ def load_model(path: Path) -> FittedModel:
     try:
         return _model(found)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError("a whole model file", f"one without or with a wrong {error}", where=path) from error
+        raise InputError("a complete model file", f"one without or with a wrong {error}", where=path) from error
     except InputError as error:
         raise type(error).about(error, path) from error
 

@@ -172,7 +172,7 @@ def _images(paths: list[Path], name: str, stride: int, fps: float | None, mask: 
     frames = [path for path in paths if path.resolve() != masked]
     if not frames:
         came = "the mask alone" if paths else "none"
-        raise InputError("a folder with images, one a frame", came, "a folder that holds PNG, TIFF or JPEG files", name)
+        raise InputError("a folder with images, one a frame", came, "a folder with PNG, TIFF or JPEG files", name)
     kept = frames[::stride]
     if len(kept) < 2:
         came = f"{len(frames)} image{'s' * (len(frames) > 1)}" + (f" and a stride of {stride}" if stride > 1 else "")
@@ -235,7 +235,7 @@ def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
-            came = "an empty file" if path.stat().st_size == 0 else "a file that is none, or damaged"
+            came = "an empty file" if path.stat().st_size == 0 else "a damaged file, or one of another kind"
             raise InputError("a video that FFmpeg can read", came, "convert it to MP4, or to a folder of PNG", path)
         yield capture
     finally:

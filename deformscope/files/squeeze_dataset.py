@@ -238,7 +238,7 @@ class SqueezeDataset:
                 same = measured.setdefault(_features_of(row), name)
                 if same != name:
                     came = f"{name}, whose features are those of {same}"
-                    raise InputError("a trial that is not there yet", came, "another --seed", self.folder)
+                    raise InputError("a trial with a new name", came, "another --seed", self.folder)
             names.add(name)
 
     def _write(self, rows: Sequence[TrialRow]) -> None:

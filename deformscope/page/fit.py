@@ -198,7 +198,7 @@ class PageFit:
         try:
             camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {format_error(problem)}")
+            self._show(problem=f"the pictures cannot be stored: {format_error(problem)}")
             return
         self._show(following=False)
         self._set(self._shown)
@@ -231,7 +231,7 @@ class PageFit:
             self._show(**shown, problem=format_error(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
-        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        restless = "" if error.converged else "the simulation does not converge with these settings"
         changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
             **changes,

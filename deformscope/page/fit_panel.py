@@ -56,10 +56,10 @@ class FitPanel:
         if isinstance(command, OpenFit):
             return self._open(command)
         if fit is None or not fit.goes_on:
-            return "refused", "no fit goes on"
+            return "refused", "no fit is running"
         if isinstance(command, CloseFit):
             self._show(fit, shown=False)
-            return "done", "what is set there stays"
+            return "done", "its settings are unchanged"
         return fit.handle(command)
 
     def close(self) -> None:

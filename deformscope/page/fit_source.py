@@ -183,7 +183,7 @@ class FollowedCamera:
     def named(self, config: BetaConfig | ThetaConfig) -> BetaConfig | ThetaConfig:
         """The options, of the files that were kept. Raises InputError where none were."""
         if self._kept is None:
-            raise InputError("pictures of the camera that are kept", "none", "room and rights in [record] folder")
+            raise InputError("stored pictures of the camera", "none", "space and permissions in [record] folder")
         return dataclasses.replace(config, sources=self._kept, images=dataclasses.replace(config.images, camera=None))
 
 
@@ -192,7 +192,7 @@ def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads:
     the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
-        raise InputError("pictures of one size", came, "take the one at rest again")
+        raise InputError("pictures of one size", came, "take the image at rest again")
     cv2.setNumThreads(threads)
     pair = [ColorFrame(Stamp(index), index, image) for index, image in enumerate((rest, newest))]
     return CachedFlow(pair, method, lambda done: None)

@@ -33,9 +33,9 @@ class PageSqueezing(RobotPage):
 
     def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
         if not isinstance(command, StartSqueezing):
-            return "refused", "not while something is squeezed"
+            return "refused", "not during a squeeze"
         self.session.ask(self._what, self._agree, self.session.remark)
-        return "begun", "waits for a confirm"
+        return "begun", "waits for a confirmation"
 
 
 def show_squeezed(session: PageSession, table: Iterable[Sequence[object]]) -> None:

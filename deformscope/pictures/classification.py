@@ -364,9 +364,9 @@ def steps_png(found: Evaluation) -> bytes:
         early.plot(time, [one.stopped for one in points], color=color)
         early.plot(time, [one.right for one in points], ":", color=color)
     now.axhline(found.scores[0].chance, color="tab:gray", linestyle="--", label="no-information rate")
-    early.plot([], [], color="0.3", label="sure enough to stop by then")
-    early.plot([], [], ":", color="0.3", label="named rightly, of those")
-    for axis, title in ((now, "named rightly at that moment"), (early, "stopped as soon as it is sure")):
+    early.plot([], [], color="0.3", label="confident enough to stop by then")
+    early.plot([], [], ":", color="0.3", label="right answers, of those")
+    for axis, title in ((now, "right answers at that moment"), (early, "stopped once it is confident")):
         axis.set(xlabel="time since the first contact [s]")
         axis.set_title(title, fontsize=10)
         axis.grid(alpha=0.25)

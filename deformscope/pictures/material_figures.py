@@ -151,7 +151,7 @@ def recovery_png(found: RecoveryEstimate) -> bytes:
     axis.plot(found.time, found.observed, ".", color="tab:blue", label="observed")
     axis.plot(found.time, found.simulated, "-", color="tab:red", label="law of recovery")
     if found.released < len(found.time):
-        axis.axvline(found.time[found.released], color="tab:gray", linestyle="--", label="nothing touches it from here")
+        axis.axvline(found.time[found.released], color="tab:gray", linestyle="--", label="no contact from here on")
     low, high = found.set.interval
     axis.axhspan(low, max(high, low + 1e-3), color="tab:orange", alpha=0.3, label=f"kept for good, {found.level:.0%}")
     axis.set(xlabel="time [s]", ylabel="share of the largest displacement [-]")

@@ -120,7 +120,7 @@ class SensorAlarms:
         for item in items:
             if isinstance(item, HealthReport):
                 for name, health in item.devices:
-                    causes = {"reading": "stuck: the same reading again and again"} if health.stuck else {}
+                    causes = {"reading": "stuck: the sensor repeats the same reading"} if health.stuck else {}
                     notes += _changes(name, self._watched[name], HealthReport, causes, item.host_ns)
             elif not isinstance(item, RawBytes | LinkChange | SessionNote):
                 groups.setdefault((type(item), item.device), []).append(item)
@@ -200,7 +200,7 @@ def _color(frames: Sequence[ColorFrame], stream: Stream, watched: _Watched) -> d
 
 def _depth(frames: Sequence[DepthFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
     if (frames[-1].depth[::PICTURE_STEP, ::PICTURE_STEP] == 0).all():
-        return {"nothing": "saturated: nothing is seen within its range"}
+        return {"nothing": "saturated: no pixel within its range"}
     return {}
 
 

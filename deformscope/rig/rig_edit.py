@@ -41,7 +41,7 @@ def edited(text: str, values: Values) -> str:
         same = False
     if not same:
         by_hand = lines_of(values).replace("\n", "; ")
-        raise InputError("a rig file with plain [SECTION] lines", "another way of writing", by_hand)
+        raise InputError("a rig file with plain [SECTION] lines", "another notation", by_hand)
     return made
 
 

@@ -302,7 +302,7 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
         content = _read_regular(Path(text).expanduser()).decode("utf-8")
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user that there is not
         came = getattr(error, "strerror", None) or (
-            "a file that is no text" if isinstance(error, UnicodeDecodeError) else _line(error)
+            "a file without text" if isinstance(error, UnicodeDecodeError) else _line(error)
         )
         raise InputError("a rig file (TOML), or lab:NAME", came.lower(), EXAMPLE, text) from error
     return parse_rig(content, text, trusted=trusted)
@@ -356,7 +356,9 @@ def _check_values(content: dict[str, Any]) -> None:
                 (f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner.items()
             )
         elif isinstance(value, int | float):
-            check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
+            check(
+                abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number that is too large"
+            )
         elif isinstance(value, str):
             check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
 
@@ -410,7 +412,7 @@ def _read(kind: type[Any], given: object, section: str) -> Any:
     try:
         return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{section} as its keys want it", _format_error(error)) from error
+        raise InputError(f"{section} with valid keys", _format_error(error)) from error
     except InputError as error:
         expected, _, came = str(error).removeprefix("expected ").partition("; got ")
         raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error

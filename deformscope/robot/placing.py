@@ -46,7 +46,7 @@ STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
 """So far the hand may be from where the arm has placed it, so far it may be turned (half a centimetre at the
 fingertips), and so far each joint may be from where a way was planned from. More, and the ways that were looked at are
 not those it takes; less, and an arm that settles counts as moved."""
-BEGINS_AT_IT = "the arm begins too near the container"
+BEGINS_AT_IT = "as the arm begins too near the container"
 STEP_DEG = 2.0
 """Between the joint angles that are looked at on a way: 2 cm of an arm half a metre long."""
 

@@ -74,7 +74,7 @@ def test_every_number_has_its_meaning() -> None:
     assert rows["modulus"] == "no interval: foam on its plateau may have up to 2.8 times as much"
     assert rows["region 2"] == "> 8.57 N/mm (a lower bound: hardly dented)"
     assert rows["truth"] == "3 regions; IoU of the map's with them 0.513, border 4.6 cm off"
-    assert rows["ended"] == "all touches that were allowed are made"
+    assert rows["ended"] == "the allowed number of touches is reached"
     assert rows["contact force"] == (
         "set to 3 N (5 N if the dent is below 2 mm); "
         "largest: measured 4.99 N, true 5.37 N (available in simulation only)"
@@ -146,7 +146,7 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
     assert said[0] == "touch 1 of at most 12, at (15, 20) cm: because"
     assert said[2].startswith("touch 2 of at most 12, at (15, 20) cm: because; some ")
     assert said[2].endswith(" s left for all 12")
-    assert said[-1] == "no further touch: all touches that were allowed are made"
+    assert said[-1] == "no further touch: the allowed number of touches is reached"
 
 
 def test_touches_stand_in_a_table_of_what_was_measured_of_any() -> None:

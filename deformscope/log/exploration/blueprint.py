@@ -62,7 +62,7 @@ def exploration_blueprint(
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
     if inclusions:
         maps |= {"beta": _picture(LUMPS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
-    gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
+    gain, force = _picture(GAIN, "Gain of each place for the next touch"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     words = INCLUSIONS_SUMMARY if inclusions else SUMMARY
     summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")

@@ -78,7 +78,7 @@ from deformscope.stages.map.perception import LookPerception, TouchPerception
 SURFACE = ShownStage("surface", 4, "its height and deviation (eq. 4.3, 4.4)", costs=("look",))
 PLAN = ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",))
 CONTACT = ShownStage("contact", 4, "force over depth, and the stiffness of its law", costs=("touch",))
-DENT = ShownStage("dent", 4, "points seen around the tip while it pressed", field="observed_m")
+DENT = ShownStage("dent", 4, "points measured around the tip during the press", field="observed_m")
 BETA = ShownStage(
     "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
 )
@@ -97,16 +97,16 @@ REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", c
 BETA_FIELD = ShownStage("beta field", 4, "over the surface, with deviation", field="beta", when="explore.beta_model")
 LOSS = ShownStage("loss", 4, "of a touch's energy, over the surface", field="loss", when="explore.feel=loss")
 INCLUSIONS = ShownStage(
-    "inclusions", 4, "found, and what may be missed", costs=("lumps",), when="explore.goal=inclusions"
+    "inclusions", 4, "found inclusions, and the detection limit", costs=("lumps",), when="explore.goal=inclusions"
 )
 AIM, DECISION, PHASE, FAILED, STOPPED, INPUT = (
     ShownStage(name, 0, gives, when="" if name == "phase" else SOMETIMES)
     for name, gives in (
-        ("aim", "what a person's touch would feel"),
-        ("decision", "of a person, about the next touch"),
-        ("phase", "what the robot does"),
+        ("aim", "forecast of a touch that a person chose"),
+        ("decision", "requests of a person about the next touch"),
+        ("phase", "state of the robot"),
         ("failed", "a stage that failed"),
-        ("stopped", "why it ended before its plan"),
+        ("stopped", "reason for the early end"),
         ("input", "frames or measurements that results are computed from"),
     )
 )

@@ -14,7 +14,7 @@ NAMED = "display/squeeze/named"
 
 
 def log_not_named(now: ResultBatch) -> None:
-    text = "*Named from the first contact on.*"
+    text = "*Classified from the first contact on.*"
     now.show(NAMED, rr.TextDocument(text, media_type="text/markdown"))
 
 

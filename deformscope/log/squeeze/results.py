@@ -43,9 +43,9 @@ from deformscope.stages.squeeze.trial import (
 )
 
 CAMERA = "squeezed.names.camera"
-PHASE, STOPPED = ShownStage("phase", 0, "what the hand does"), ShownStage("stopped", 0, "why", when=SOMETIMES)
+PHASE, STOPPED = ShownStage("phase", 0, "state of the hand"), ShownStage("stopped", 0, "why", when=SOMETIMES)
 SIGHTING = ShownStage("sighting", 2, "the container in the depth image", when=SOMETIMES)
-PLACEMENT = ShownStage("placement", 2, "the grasp drawn, and the arm's way there", when=SOMETIMES)
+PLACEMENT = ShownStage("placement", 2, "the drawn grasp, and the arm's path to it", when=SOMETIMES)
 FINGERTIPS = ShownStage("fingertips", 2, "force, area, centre and axis of pressure (fig. 2.4)")
 EVENTS = ShownStage("events", 2, "first contact and steady state")
 TRACK = ShownStage("track", 2, "pose of the rigid model in a depth image (fig. 2.8)", when=CAMERA)

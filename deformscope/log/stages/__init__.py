@@ -109,7 +109,7 @@ FLOW, PARTICLES, BETA, THETA, FIELD, TACTILE, SURFACE, CONTACT = (
         ("particles", 3, "where the flow moves particles", "rest_px"),
         ("beta", 3, "observed and simulated particles (eq. 3.13)", "rest_px"),
         ("theta", 3, "observed and simulated particles (eq. 3.17)", "rest_px"),
-        ("field", 3, "how stiff each place is against the others", "place_px"),
+        ("field", 3, "relative stiffness of each place", "place_px"),
         ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
         ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
         ("contact", 4, "force over depth of an approach", "approach_m"),

@@ -44,7 +44,7 @@ UNSEEN_S = 30.0
 BEAT_S = 0.3
 """What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
 
-GONE = "nothing waits for this confirm: it has expired, or something else was asked for"
+GONE = "no motion waits for this confirmation: it has expired, or another was requested"
 
 
 class PageRun(Protocol):
@@ -148,7 +148,7 @@ class PageSession:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
         the reason where it is cancelled, or not confirmed in CONFIRM_S from when the page has drawn it, and from now on
         where it does not say. What waited before is let be."""
-        self._drop("another move was asked for")
+        self._drop("another move was requested")
         with self._lock:
             self._moves += 1
             self._answers = confirmed, let_be
@@ -266,7 +266,7 @@ class PageSession:
                 self.show(pending=None)
         if late:
             self._drop(_expired(), command.number)
-            return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
+            return "refused", f"not confirmed within {CONFIRM_S:g} s: nothing moves"
         if absent:
             return "refused", absent
         confirmed()
