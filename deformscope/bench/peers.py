@@ -80,5 +80,5 @@ class Peer:
         if not line:
             self._stderr.seek(0)
             said = self._stderr.read().strip().splitlines()
-            raise PeerFailed(said[-1] if said else "it ended without a word")
+            raise PeerFailed(said[-1] if said else "it ended without an error message")
         return line

@@ -119,7 +119,7 @@ def press_foam(
         found = explorer.touch(touched).estimate
         dent = explorer.betas[0].dent
         if dent is None:
-            raise InputError("a foam that 3 N dent", f"{hardness_n} N", "a softer one")
+            raise InputError("a foam that 3 N dents", f"{hardness_n} N", "a softer one")
         radius, thickness = options.tip_radius_m, scene.thickness_m
         level = thickness - found.depth_m
         ball = BallContact(np.append(at, level), radius, found.depth_m, found.peak_force_n)
@@ -261,7 +261,7 @@ def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float
 def _trends(foams: Sequence[FoamDent]) -> list[str]:
     """How beta changes with hardness, by how the model is held."""
     if len(foams) < 2:
-        return [f"Figure 4.5 has {len(foams)} foam: how beta changes with hardness takes two."]
+        return [f"Figure 4.5 has {len(foams)} foam: a trend of beta with hardness needs two."]
     betas: dict[Hold, list[FloatArray]] = {}
     for same in zip(*(one.betas for one in sorted(foams, key=lambda one: one.hardness_n)), strict=True):
         betas.setdefault(same[0].hold, []).append(np.array([one.beta for one in same]))
@@ -278,7 +278,7 @@ def _format_field(name: str, explored: Sequence[Scenario], swept: FloatArray) ->
     fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
     right = sum(found.regions == count for found, count in fields)
     betas = [beta for found, _ in fields for beta in found.touches]
-    words = f"With {name}, {right} of {len(fields)} explorations have as many regions as there are"
+    words = f"With {name}, {right} of {len(fields)} explorations find the true number of regions"
     words += f"; beta is {min(betas):.2f} to {max(betas):.2f}"
     if max(betas) <= swept[0] or min(betas) >= swept[-1]:
         words += ", the end of the sweep for all touches: no isopleth divides them"

@@ -38,9 +38,10 @@ def compare_findings(five: Evaluation, three: Evaluation) -> list[FindingCompari
             "Of three classes, touch is better for empty and granular contents.",
             _better(three, three.score(TOUCH, "knn"), three.score(VISION, "knn"), ("empty", "granular")),
         ),
-        FindingComparison("Yogurt is felt as flour or as water.", _named(five, touch, "yogurt")),
+        FindingComparison("Touch confuses yogurt with flour or water.", _named(five, touch, "yogurt")),
         FindingComparison(
-            "Rice and flour are seen as yogurt.", f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}"
+            "Vision confuses rice and flour with yogurt.",
+            f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}",
         ),
         FindingComparison(
             f"Contents next to one another ({', '.join(HARDNESS)}) are confused with one another.",
@@ -97,7 +98,7 @@ def _named(found: Evaluation, score: ClassificationScore, label: str) -> str:
     at = found.table.classes.index(label)
     named = [(float(score.shares[at, one]), answer) for one, answer in enumerate(found.table.classes) if one != at]
     wrong = ", ".join(f"{answer} {share:.0%}" for share, answer in sorted(named, reverse=True) if share >= 0.005)
-    rightly = f"{label[0].upper()}{label[1:]} is named rightly in {_recall(found, score, label)}"
+    rightly = f"{label[0].upper()}{label[1:]} is classified rightly in {_recall(found, score, label)}"
     return f"{rightly}, else as {wrong or 'nothing'}."
 
 

@@ -132,7 +132,7 @@ def draw_clusters(path: Path, found: Sequence[CubeResult], cluster_size: int) ->
     """Errors of one cluster and of overlapping ones, and the side of the cube that separates them the most."""
     some = [one for one in found if one.overlapping is not None and one.one_cluster is not None]
     resolutions = list(dict.fromkeys(one.cube.resolution for one in some))
-    many = f"clusters of {cluster_size} a side, theta and beta"
+    many = f"clusters of {cluster_size} per side, theta and beta"
     with figure(path, 2) as axes:
         left, right = axes[0]
         for number, name in enumerate(resolutions):
@@ -256,7 +256,7 @@ def search_summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     for name in dict.fromkeys(row["search"] for row in rows):
         some = [row for row in rows if row["search"] == name]
         count, off = (np.array([row[of] for row in some]) for of in ("evaluations", "theta_off"))
-        words = f"{np.median(count):.0f} static states ({count.max()} at most), theta off by {np.median(off):.4f}"
+        words = f"{np.median(count):.0f} static states ({count.max()} at most), theta error {np.median(off):.4f}"
         said.append((name, f"{words} ({off.max():.3f} at most, .05 or more in {(off >= 0.05).sum()} of {len(off)})"))
     return said
 

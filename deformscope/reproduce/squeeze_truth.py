@@ -260,7 +260,7 @@ def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
 def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
     """What many squeezes come to."""
     squeezed = [one for one in every if "stopped" not in one]
-    rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped before their time")]
+    rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped early")]
     for ending, frames in (
         ("", "all frames"),
         ("_lost", f"{LOST_SHARE:.0%} of the frames and a run of {LOST_RUN} lost"),

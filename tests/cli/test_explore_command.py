@@ -242,7 +242,7 @@ class Terminal(io.StringIO):
     [
         pytest.param("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG", marks=pytest.mark.slow),
         pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE STOPPED", marks=pytest.mark.slow),
-        pytest.param("push@1", "force above the soft stop", 0.05, "it has backed away", marks=pytest.mark.slow),
+        pytest.param("push@1", "force above the soft stop", 0.05, "the tip has backed away", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_stops_it_and_the_recording_is_whole(
@@ -360,7 +360,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
     said = terminal.getvalue()
-    assert "Ctrl-C again to leave at once" in said
+    assert "Ctrl-C again to leave immediately" in said
     assert "the arm stands" in said
     assert "Traceback" not in said
     assert re.search(r"\r\x1b\[Ktouch 1: press \d\.\d N \d+\.\d mm", said)

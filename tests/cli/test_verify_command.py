@@ -156,7 +156,7 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
         recorder.write(InputFile("a", b"1"))
         refused = {
             text: "a file that is none",
-            noise: "of which something can be read",
+            noise: "with readable parts",
             whole: "a finished one",
             tmp_path / "now.part.rrd": "one that a run is writing",
             tmp_path / "none.rrd": "nothing there",

@@ -555,7 +555,9 @@ def test_a_camera_that_is_not_calibrated_is_refused_and_the_bench_is() -> None:
 
 @pytest.mark.parametrize("name", ["tracking", "depth-change", "posterior"])
 def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
-    with pytest.raises(InputError, match=f"a squeeze for --stage {name}: .*; got a rig that is recorded or shown .*squeeze RIG"):
+    with pytest.raises(
+        InputError, match=f"a squeeze for --stage {name}: .*; got a rig that is recorded or shown .*squeeze RIG"
+    ):
         for_rig(LiveOptions((name,)), load_rig("lab:bench"))
 
 

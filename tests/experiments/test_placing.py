@@ -304,7 +304,7 @@ def test_an_arm_that_drifts_slowly_ends_the_squeeze_before_the_hand_has_gone_far
     found = trial.go()
     assert found.stop is not None
     assert found.stop.kind == "arm that carries the hand"
-    assert "from where it placed the hand" in found.stop.reason
+    assert "from the hand's first pose" in found.stop.reason
     off_mm = float(found.stop.reason.split(" mm")[0])
     assert 5.0 <= off_mm <= 7.0
     assert "open" not in trial.phases

@@ -135,5 +135,7 @@ def test_arrays_that_do_not_fit_together_are_refused(tmp_path: Path, model: Cont
         {"step_s": 0},
         {"steps": 1},
     ):
-        assert "a complete classifier file" in refusal(path, good | {"told": np.array(json.dumps(told | change))}), change
+        assert "a complete classifier file" in refusal(path, good | {"told": np.array(json.dumps(told | change))}), (
+            change
+        )
     assert "a complete classifier file" in refusal(path, good | {"told": np.array("{")})

@@ -127,7 +127,7 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
 def test_what_beta_says_follows_its_values(betas: tuple[float, ...], verdict: str, words: str) -> None:
     said = format_betas([dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas])
     assert said.startswith(words)
-    assert ("stiffness decides" in said) == (betas == (0.93, 0.95))
+    assert ("stiffness determines the map" in said) == (betas == (0.93, 0.95))
 
 
 def test_every_reason_of_a_plan_has_words() -> None:

@@ -85,8 +85,8 @@ def test_a_long_sequence_is_thinned_and_the_estimate_is_that_of_all_frames(
     words = caplog.text
     fine = ds.calibrate_beta(images, fine=True, **options)  # type: ignore[arg-type]
 
-    assert f"{KEPT} of {COUNT} frames are followed" in words
-    assert "--fine follows all of them" in words
+    assert f"{KEPT} of {COUNT} frames are tracked" in words
+    assert "--fine tracks all" in words
     assert (quick.estimate.settings["frames"], quick.estimate.settings["frames_of"]) == (KEPT, COUNT)
     assert fine.estimate.settings["frames"] == COUNT
     assert "frames_of" not in fine.estimate.settings
@@ -106,7 +106,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     caplog.set_level(logging.INFO)
     few = ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12)
     assert few.estimate.settings["frames"] == KEPT
-    assert "frames are followed" not in caplog.text
+    assert "frames are tracked" not in caplog.text
     monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)
     assert own.estimate.settings["frames"] == (COUNT + 1) // 2
@@ -120,7 +120,7 @@ def test_what_was_thinned_replays_to_the_same_numbers(
     flags = ["--grid", "8x6", "--candidates", "12", "--viewer", "none"]
     assert main(["calibrate", "beta", str(folder), *flags, "--record", str(record)]) == 0
     said = capsys.readouterr()
-    assert f"{KEPT} of {COUNT} frames are followed" in said.out + said.err
+    assert f"{KEPT} of {COUNT} frames are tracked" in said.out + said.err
     assert main(["replay", str(record), "--viewer", "none"]) == 0
 
 

@@ -414,7 +414,7 @@ class InclusionsResult:
                 f"{'stiff' if self.stiff[number] else 'soft'}, its middle at ({x:.1f}, {y:.1f}) cm"
                 f" (90 % within {100.0 * self.within_m[number]:.1f} cm)",
                 f"radius about {100.0 * self.radius_m[number]:.1f} cm",
-                "its depth cannot be told" if depth is None else depth.format(100.0 * self.deep_m),
+                "its depth cannot be determined" if depth is None else depth.format(100.0 * self.deep_m),
                 f"probability {self.probability[number]:.2f}",
             ]
             rows.append((f"inclusion {number + 1}", ", ".join(parts)))

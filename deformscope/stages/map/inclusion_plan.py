@@ -146,9 +146,9 @@ def _detection_limit(posterior: InclusionPosterior, made_m: FloatArray) -> Detec
 
 def _why(posterior: InclusionPosterior, felt: bool, gain: float, cost_s: float) -> str:
     """Why here, in words."""
-    smallest = f"a lump of {100 * posterior.prior.smallest_m:g} cm radius or more"
+    smallest = f"an inclusion of {100 * posterior.prior.smallest_m:g} cm radius or more"
     unseen = f"{smallest} is missed with a probability of {posterior.missed_smallest:.0%}"
     if felt:
         there = f"probability that there is one more: {posterior.state.exists:.0%}"
-        return f"shows best where a lump lies (by {gain:.2g} nat), takes {cost_s:.0f} s; {there}"
-    return f"shows a lump with a probability of {gain:.1%}, takes {cost_s:.0f} s; {unseen}"
+        return f"locates an inclusion best (by {gain:.2g} nat), takes {cost_s:.0f} s; {there}"
+    return f"shows an inclusion with a probability of {gain:.1%}, takes {cost_s:.0f} s; {unseen}"

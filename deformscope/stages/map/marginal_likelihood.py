@@ -135,7 +135,7 @@ class _Search:
         length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
         if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
             raise InputError(
-                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to learn the rest",
+                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to fit the rest",
                 f"{given.sigma_w:.3g} m",
                 "give sigma_e and the noise too, or a smaller box",
             )

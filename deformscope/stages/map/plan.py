@@ -386,7 +386,7 @@ def _stop(
 def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, cost_s: float) -> str:
     """Why here, in words."""
     if options.planner in ("random-above", "thesis"):
-        return f"drawn at random from the places whose variance is above the threshold; here it is {gain:.3g}"
+        return f"drawn at random from the places with a variance above the threshold; here it is {gain:.3g}"
     if options.planner == "max-variance":
         return f"the place where the map is least certain: variance of log stiffness {gain:.3g}"
     if unit == "mean variance":

@@ -126,7 +126,7 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
     """
     dims = tuple(int(n) for n in shape)
     if size < 2:
-        raise InputError("a cluster size of at least 2 particles a side", str(size))
+        raise InputError("a cluster size of at least 2 particles per side", str(size))
     window = tuple(min(size, n) for n in dims)
     corner = np.zeros(dims, dtype=bool)
     if len(cell) == corner.size:

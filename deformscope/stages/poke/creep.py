@@ -138,9 +138,9 @@ class CreepFit:
         if self.verdict == "elastic":
             return f"elastic within {self.held_s:.3g} s{loss}"
         if self.verdict == "slipping":
-            return f"slipping: {self.why}; what it says of creep is doubtful"
+            return f"slipping: {self.why}; the values of creep are unreliable"
         if self.kept is not None and self.kept_interval is not None and self.verdict == "plastic":
-            loss = ", {:.0%} ({:.0%} to {:.0%}) of the dent stays".format(self.kept, *self.kept_interval) + loss
+            loss = ", {:.0%} ({:.0%} to {:.0%}) of the dent is permanent".format(self.kept, *self.kept_interval) + loss
         least, most = self.share_interval
         if self.reasons or self.relaxed_n_per_mm is None or self.relaxed_interval is None:
             doubts = "".join(f"; {one.code}: {one.text}" for one in self.reasons)
@@ -276,12 +276,12 @@ def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[Cree
         where = f"once the force across was {slip.friction:.2g} of the force"
         return "slipping", f"the tip slid {1e3 * slip.slid_m:.1f} mm {where}"
     if plastic is not None and plastic > SURE:
-        return "plastic", "the tip let go deeper than relaxation explains"
+        return "plastic", "the tip retracted further than relaxation explains"
     if viscous > SURE:
         return "viscous", f"more than {ELASTIC_MOST:.0%} of the modulus relaxes"
     if viscous < 1.0 - SURE:
         return "elastic", f"less than {ELASTIC_MOST:.0%} of the modulus relaxes"
-    return "unidentified", f"whether {ELASTIC_MOST:.0%} of the modulus relaxes is too near to call"
+    return "unidentified", f"whether {ELASTIC_MOST:.0%} of the modulus relaxes is not identified"
 
 
 def _kept(

@@ -113,7 +113,7 @@ class FittedModel:
         if (strain := depth / tip.width) > BEYOND * self.fitted_strain:
             found.append(f"depth over tip width {strain:.2g}, fitted to {self.fitted_strain:.2g}")
         if (share := depth / self.material_depth) > DEEP:
-            found.append(f"{share:.0%} of the thickness deep, where materials stiffen as the model does not")
+            found.append(f"{share:.0%} of the thickness deep, where materials stiffen more than the model")
         return tuple(found)
 
     def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> MetStiffness | None:
@@ -213,7 +213,7 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
     known = model.stiffness_at(poke, scene.spacing)
     k = None if known is None else known.value
     if poke.force is not None and k is None:
-        raise InputError("a depth", "a force, but the model knows no stiffness", "fit it with force_n in a pair file")
+        raise InputError("a depth", "a force, but the model has no stiffness", "fit it with force_n in a pair file")
     found = press(scene, model.law, poke, stiffness=k, deepest=room, precision=precision, device=device)
     if found.depth >= room:
         raise InputError(
@@ -287,7 +287,7 @@ def from_pair(
     push = move[touched].mean(axis=0) if len(touched) else np.zeros(seen.rest.shape[1])
     depth = float(np.linalg.norm(push))
     if depth <= 0.0:
-        raise InputError("held particles that were pushed", "none that moved", "name what pushed in `held`")
+        raise InputError("held particles that were pushed", "none that moved", "name the pushing part in `held`")
     toward = push / depth
     axis = int(np.abs(toward).argmax())
     if abs(toward[axis]) > ALONG_AXIS:

@@ -107,7 +107,7 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
     focal = matrix[[0, 1], [0, 1]]
     unknown, share = float((half[:2] / focal).max()), focal / size_px[0]
     if unknown > WIDEST or (share < LENSES[0]).any() or (share > LENSES[1]).any():
-        came = f"views that leave the focal length unknown ({focal[0]:.0f} px, within {half[0]:.0f} px)"
+        came = f"views that determine the focal length ({focal[0]:.0f} px, within {half[0]:.0f} px)"
         raise InputError("views of the board that is tilted by 20 degrees and more", came, "tilt it each way")
     bent = np.asarray(distortion, np.float64).reshape(-1)[:5]
     return LensEstimate(focal, matrix[:2, 2], bent, half, float(left_over))

@@ -69,7 +69,7 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     if far.any():
         worst = int(np.argmax(np.linalg.norm(left_over * weight, axis=1)))
         came = f"view {worst + 1} off by {1e3 * np.linalg.norm(left_over[worst, :3]):.0f} mm"
-        raise InputError("views that belong together", came, "the board firmly on the arm's end; leave that view out")
+        raise InputError("views that belong together", came, "the board fixed to the arm's end; leave that view out")
     covariance = _jackknife(A, B, X, Y, weight)
     dof = len(A) - 2.0
     return HandEye(
@@ -200,7 +200,7 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: Err
     """
     touched, seen = np.asarray(touched_m, np.float64), np.asarray(seen_m, np.float64)
     if len(touched) < 4:
-        raise InputError("4 places or more", str(len(touched)), "six, spread over what the camera sees")
+        raise InputError("4 places or more", str(len(touched)), "six, spread over the camera's image")
     wide_m = np.linalg.svd(touched - touched.mean(axis=0), compute_uv=False) / np.sqrt(len(touched))
     if wide_m[1] < 0.02:
         raise InputError("places that are not in one line", f"{1e3 * wide_m[1]:.0f} mm beside one", "touch beside it")
@@ -214,5 +214,5 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: Err
     far_m = np.linalg.norm(off_m(found.value), axis=1)
     if found.scatter > 10.0 * prior.sd:
         came = f"place {int(np.argmax(far_m)) + 1} off by {1e3 * far_m.max():.0f} mm"
-        raise InputError("places that belong together", came, "touch what was marked, in the same order")
+        raise InputError("places that belong together", came, "touch the marked places, in the same order")
     return CameraFromTouches(transform_of(found, start), far_m, found.sd)

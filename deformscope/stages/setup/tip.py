@@ -60,7 +60,7 @@ def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
         raise InputError("finite poses", "NaN or infinity")
     turns = poses[:, :3, :3]
     if (reached := spread(turns)) < LEAST_SPREAD:
-        came = f"a spread of {np.degrees(reached):.0f} degrees about the axis of which they say least"
+        came = f"a spread of {np.degrees(reached):.0f} degrees about the least determined axis"
         hint = "tilt the stick by 20 degrees to the left, to the right, towards you and away"
         raise InputError(f"poses turned by {np.degrees(LEAST_SPREAD):.0f} degrees about two axes", came, hint)
     design = np.concatenate([turns, np.broadcast_to(-np.eye(3), turns.shape)], axis=2).reshape(-1, 6)
@@ -70,7 +70,7 @@ def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
     found = judged(solution, inverse, left_over, prior)
     if found.scatter > SLID_M:
         came = f"one that scatters by {1e3 * found.scatter:.1f} mm"
-        raise InputError("a ball that stays in its place", came, "a cone or a ring that holds it, and slower")
+        raise InputError("a ball that stays in its place", came, "a cone or a ring that holds it, and slower motion")
     tip_m = solution[:3]
     direction, doubt_rad = _direction(tip_m)
     covariance = np.zeros((6, 6))

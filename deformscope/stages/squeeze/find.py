@@ -114,7 +114,7 @@ class ContainerShift:
         if self.kind in ("gone", "hidden"):
             return f"{self.kind}: {self.reason}"
         by = f"{1e3 * self.moved_m:.1f} mm (limit {1e3 * self.threshold_m:.1f}), {np.degrees(self.turned_rad):.1f} deg"
-        return f"{self.kind}{': ' + self.reason if self.reason else ''}; {by} from where it was"
+        return f"{self.kind}{': ' + self.reason if self.reason else ''}; {by} from its first pose"
 
 
 def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit | None = None) -> ContainerFit:
@@ -138,7 +138,9 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
             raise InputError("one container on the table", came, "clear the table, or check [surface] and T_arm_camera")
         piece = pieces[0]
     if len(piece) < LEAST_POINTS:
-        raise ContainerHidden(f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera that sees it")
+        raise ContainerHidden(
+            f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera with the container in view"
+        )
     top_m = _top(piece[:, 2])
     if expected is not None:
         top_m = float(min(top_m, expected.size_m[2])) if top_m > LOWER * expected.size_m[2] else top_m
@@ -147,7 +149,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     sides = sides[:: 1 + len(sides) // MOST_POINTS]
     if len(sides) < LEAST_POINTS // 3:
         hidden = ContainerHidden(
-            "a container whose sides are seen", f"{len(sides)} points of them", "a camera less steep"
+            "a container with visible sides", f"{len(sides)} points of them", "a camera less steep"
         )
         hidden.top_m = top_m if len(tops) >= LEAST_POINTS else np.inf
         raise hidden
@@ -163,7 +165,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
 def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerShift:
     """What became of a container. after: as it is found now, or why it was not"""
     if isinstance(after, ContainerHidden) and after.top_m < LOWER * before.size_m[2]:  # it lies, its sides not seen
-        reason = f"what is there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
+        reason = f"the object there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
         return ContainerShift("gone", reason=reason)
     if isinstance(after, InputError):
         return ContainerShift("hidden" if isinstance(after, ContainerHidden) else "gone", reason=str(after))

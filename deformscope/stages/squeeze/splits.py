@@ -105,7 +105,7 @@ def splitting_notes(table: LabelledTable) -> list[str]:
         notes.append(f"one trial alone of {_listed(single)}: never tested in stratified splits")
     if few := [one for one, size in sizes.items() if 2 <= size < 5]:
         notes.append(
-            f"fewer than 5 trials of {_listed(few)}: what is said of {'it' if len(few) == 1 else 'them'} is weak"
+            f"fewer than 5 trials of {_listed(few)}: results on {'it' if len(few) == 1 else 'them'} are uncertain"
         )
     if alone := single_group_classes(table):
         notes.append(f"{_listed(alone)}: from one group alone, never tested in splits by group")

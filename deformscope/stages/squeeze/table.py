@@ -154,7 +154,7 @@ def refuse_duplicates(table: LabelledTable) -> None:
     shown = "; ".join(" = ".join(map(table.name, rows)) for rows in found[:LISTED])
     more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
     raise InputError(
-        "trials that differ: a copy on the other side of a split would be recognised, not classified",
+        "trials that differ: a classifier would recognise a copy across a split",
         f"{shown}{more} with the same features",
         "leave the copies out, or --duplicates drop",
     )
