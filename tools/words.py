@@ -43,6 +43,8 @@ PRIVATE = {
     r"[Ww]hat (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
 }
 """Patterns of whole words, and what to write instead."""
+COMMANDS = ("deformscope ", "python ", "make ")
+"""Beginnings of lines to type."""
 CODE = re.compile(r"[;{]\n|\(\?|\\[wdsb]")
 """Found in strings that are programs or regular expressions."""
 
@@ -117,9 +119,10 @@ def texts(path: Path) -> Iterator[Text]:
 def sentences(text: str) -> list[str]:
     """The sentences of a text: they end at a full stop, at an empty line, and at the bars of a message."""
     item = r"(?=\w+(?:, \w+)*(?: \([^()]*\))?: )"
-    full_stop = r"(?<=[.!?])[\")*_]*\s+(?=[\"'(*_`\[A-Z0-9])"
+    full_stop = r"(?<=[.!?])[\")*_]*\s+(?=[\"'(*_`\[A-Z0-9]|--|\w+:)"
     found = re.split(rf"{full_stop}|\n\s*\n|\s\|\s|\n\s*(?=[-*] )|;\s+{item}|\n\s*{item}", text)
-    return [flat for part in found if part and (flat := " ".join(part.split()))]
+    flat = (" ".join(part.split()) for part in found if part)
+    return [part for part in flat if part and not part.startswith(COMMANDS)]
 
 
 def words(sentence: str) -> int:

@@ -139,7 +139,7 @@ BEGIN = (
     "address and press Explore.\n\n  deformscope explore lab:two-60-150 --paused --viewer page\n\ndeformscope "
     "--help   all commands"
 )
-"""What it says without arguments."""
+"""Message of a call without arguments."""
 TRACEBACK = "DEFORMSCOPE_TRACEBACK"
 EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
 EXIT_SIGNALLED = 128
@@ -412,7 +412,7 @@ def _usage_error(boxed: str, prog: str) -> InputError:
 
 
 def _check_files(options: CommandOptions) -> None:
-    """No output may be out of reach, be another's output too, or stand where an input is."""
+    """No output may be out of reach, be another's output too, or replace an input."""
     written = options.writes()
     if not written:
         return

@@ -117,7 +117,7 @@ def number(value: float | None) -> str:
 
 
 def details(row: TimingRow) -> str:
-    """What a reader must know of a row besides its figures."""
+    """Remarks on a row besides its figures."""
     parts = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
     threads = row.facts.get("threads")
     if isinstance(threads, float) and abs(threads - 1) > 0.1:

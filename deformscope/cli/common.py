@@ -63,7 +63,7 @@ def quiet_warp() -> None:
 
 
 def begin_worker() -> None:
-    """What a worker does before its first task: it has one thread, and says nothing."""
+    """First call in a worker: one thread, and no output."""
     import cv2
 
     quiet_warp()
@@ -134,7 +134,7 @@ def keep_page() -> None:
 def write_json(value: object, target: str | None) -> None:
     """Write `value` to a file, or to stdout where `target` is `-`; None writes nothing.
 
-    Frozen dataclasses, arrays, paths, tuples and mappings may stand anywhere inside; what is not finite becomes null.
+    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; what is not finite becomes null.
     """
     if target is None:
         return
@@ -188,7 +188,7 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 
 
 def write_file(path: Path | None, content: bytes) -> None:
-    """Write a file in one go; None = it is not wanted."""
+    """Write a file in one go; None writes nothing."""
     if path is not None:
         with replacing(path) as file:
             file.write(content)

@@ -66,7 +66,7 @@ def run(config: DevicesConfig) -> None:
 
 
 def _found() -> list[Any]:
-    """All that any search finds; a search that fails says so and does not hide the others."""
+    """All devices that any search finds; a failed search is reported and does not hide the others."""
     searches: list[Callable[[], list[Any]]] = [
         find_doubles,
         find_serial,

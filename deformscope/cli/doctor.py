@@ -38,7 +38,7 @@ CheckStatus = Literal["ok", "look", "FAIL"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: in words"""
+    """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: the finding as text"""
 
     what: str
     verdict: CheckStatus
@@ -46,7 +46,7 @@ class Finding:
 
 
 class Unfit(InputError):
-    """The rig would not work as it is."""
+    """The rig would not work with these faults."""
 
 
 def run(config: DoctorConfig) -> None:
@@ -120,7 +120,7 @@ def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
 
 
 def _sections(rig: Rig) -> list[Finding]:
-    """What a robot that moves by itself will want, and this file does not say."""
+    """Keys that a robot needs for motion, and the file lacks."""
     kinds = {entry.driver.kind for entry in rig.devices}
     arm, depth, real, camera = "arm" in kinds, "depth" in kinds, not rig.surface.scene, rig.camera
     wanted = (

@@ -41,7 +41,7 @@ from deformscope.stages.msm.solver import pick_device
 
 
 def both(config: BothConfig) -> None:
-    """`calibrate both`: each pair by itself, or all together."""
+    """`calibrate both`: each pair alone, or all together."""
     quiet_warp()
     device = pick_device(config.fit.device)
     model = Model(basis=config.mode, cluster_size=config.cluster_size or None, volume="project", device=device)

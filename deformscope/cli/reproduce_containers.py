@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 KEPT_TOGETHER = 40
 """Trials that are written together: each writing takes seconds."""
 THREE = {"liquid": ("water", "yogurt"), "granular": ("flour", "rice")}
-"""The thesis's three classes, beside `empty`."""
+"""The thesis's three classes; `empty` is separate."""
 COMPARISON_TEXT = (
     "The thesis squeezed real cartons. These are simulated ones; their constants come from handbooks and "
     "were fixed before any classifier ran on them. Nearest neighbours on components as in the thesis, with "

@@ -1,4 +1,4 @@
-"""`deformscope reproduce squeezes`: squeezes of the laboratory beside what was simulated, as a new data set.
+"""`deformscope reproduce squeezes`: squeezes of the laboratory compared with the simulated truth, as a new data set.
 
 deformscope reproduce squeezes --out runs/squeezes
 deformscope classify runs/squeezes/squeezes --model runs/containers/five/contents.npz

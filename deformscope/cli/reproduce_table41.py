@@ -202,7 +202,7 @@ def _format_row(row: dict[str, Any]) -> str:
         parts.append(f"wrong labels {row['wrong']:.3f}, {row['wrong_claimed']:.3f} expected")
     if row["unseen"] is not None:
         missed = "" if row["unseen_missed"] is None else f", {row['unseen_missed']:.2f} where one was missed"
-        parts.append(f"stopped by itself {row['stopped']:.2f}, inclusions unseen {row['unseen']:.2f}{missed}")
+        parts.append(f"own end {row['stopped']:.2f}, inclusions unseen {row['unseen']:.2f}{missed}")
     if row["touches_covered"] is not None:
         parts.append(f"touches within {row['touches_covered']:.2f}")
     parts.append(f"discs of up to {1e3 * row['unmet_m']:.0f} mm radius unmet")

@@ -33,7 +33,7 @@ UNCHECKED = "not checked, because there is no ledger: a flipped bit would not be
 
 
 class Damaged(InputError):
-    """The recording is not what it was, or was never finished."""
+    """The recording has changed, or was never finished."""
 
 
 def run(config: VerifyConfig) -> int:
@@ -110,7 +110,7 @@ def _list_stages(path: Path) -> list[RecordedStage]:
 
 
 def _list_private(path: Path) -> dict[str, str]:
-    """Print what it says of people and machines, by its place."""
+    """Print information on people and machines, by its place."""
     from deformscope.recording.streams import RecordingTables
 
     replay = Replay(path, trust=True)
@@ -121,7 +121,7 @@ def _list_private(path: Path) -> dict[str, str]:
 
 
 def _check(path: Path) -> LedgerCheck | None:
-    """The recording beside its ledger; None = there is no ledger."""
+    """The recording checked by its ledger; None without a ledger."""
     try:
         return check_recording(path)
     except FileNotFoundError:

@@ -43,19 +43,19 @@ class ExploreFlags(Flags):
     foam around them. Inclusions end when a missed one of --smallest-inclusion or more is less likely than 5 %."""
     planner: Planner = "regions"
     """How the next place is chosen. regions: largest gain of the map of regions per second (default); three rules use
-    the field's variance. thesis: all of chapter 4, its field of beta from --first on (default: a preset place), touches
-    while any variance exceeds --threshold, and regions along isopleths."""
+    the field's variance. thesis: all of chapter 4. It begins at --first (default: a preset place), touches while any
+    variance of its field of beta exceeds --threshold, and finds regions along isopleths."""
     threshold: float = 0.06
     """Variance, as a share of the variance before any touch, below which a place needs no touch (Th of the thesis)."""
     hold_s: Annotated[float, arg(name="hold", metavar="S")] = 0.0
     """Duration for which each touch holds its force [s]. The result then has creep: instantaneous and relaxed
     stiffness, relaxation time, and the energy that a touch loses. 8 s identify times of 0.2 to 5 s."""
     feel: Feel = "apparent"
-    """The mapped quantity: stiffness during the approach; with --hold also the relaxed stiffness, or the share of
+    """The mapped quantity: stiffness during the approach. With --hold also the relaxed stiffness, or the share of
     energy that a touch loses, with stiffness as a second map."""
     pace: Pace = "careful"
     """Speed of travel between touches. quick: after a first contact at the observed height, the tip crosses 2 cm above
-    the highest obstacle, and slows down for the last 5 to 15 mm. It travels at the rig file's travel_speed_m_s, in the
+    the highest obstacle. It slows down for the last 5 to 15 mm. It travels at the rig file's travel_speed_m_s, in the
     laboratory at 15 cm/s. careful: 5 cm above, slowly for the last 3 cm, in the laboratory at 5 cm/s."""
     relief: Relief = "seen"
     """Model of an uneven surface. seen: touches are corrected for the observed thickness and curvature of the foam (its
@@ -78,9 +78,9 @@ class ExploreFlags(Flags):
     (n of table 4.1), whatever they measure. The thesis does not print it; with the default, 60 x 40 cm of one foam take
     its 3 touches."""
     detail: Detail = "full"
-    """Content of the recording besides devices, estimates and maps. full: the pixels used and the rules that removed
-    others, the surface under each touch, the error over beta, training data with weights, force and pose at the force's
-    rate, frames and maps in space. lean: none of these."""
+    """Content of the recording besides devices, estimates and maps. full: pixels with the rules that removed others,
+    the surface under each touch, the error over beta, and training data with weights. It has force and pose at the
+    force's rate, and frames and maps in space. lean: none of these."""
 
     def __post_init__(self) -> None:
         inclusions = self.goal == "inclusions"
@@ -114,7 +114,7 @@ class ExploreFlags(Flags):
 @dataclass(frozen=True, slots=True)
 class ExploreConfig(ExploreFlags, RecordedOptions):
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat; then find
-    regions. RIG is a rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks
+    regions. RIG is a rig file with an arm, a force sensor and a depth camera. The arm moves, after a table of checks
     and a question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles. A recording
     of arm, force sensor and depth camera (.rrd), such as `import` makes from a bag, gives a map of its touches."""
 

@@ -130,8 +130,8 @@ class VerifyConfig(CommandOptions):
     recording: flags.RecordingFlag
     """The recording."""
     stages: bool = False
-    """List every stage of computation, by chapter of the thesis: its place in the recording, number of rows, cost,
-    whether it ran live, and missing stages."""
+    """List every stage of computation, by chapter of the thesis: its place in the recording, rows, cost and live
+    results. Missing stages are listed too."""
     privacy: bool = False
     """List information on people and machines, such as commands, paths, words and serial numbers, which `export
     --anonymous` leaves out."""

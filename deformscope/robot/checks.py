@@ -52,7 +52,7 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A condition for moving. name: what was looked at; wanted, came: what was expected and what was found, in words"""
+    """A condition for moving. name: what was looked at; wanted, came: expectation and finding as text"""
 
     name: str
     passed: bool

@@ -70,7 +70,7 @@ class Jog:
             self._until_ns = now_ns + round(self.step_m / SPEED_M_S * 1e9)
 
     def command(self, now_ns: int) -> TipVelocity | None:
-        """The velocity for the control period that begins at now_ns; None = stand still."""
+        """The velocity for the control period that begins at now_ns; None = rest."""
         if now_ns >= self._until_ns or self._key not in MOVES:
             return None
         axis, way = MOVES[self._key]

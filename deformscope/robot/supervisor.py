@@ -62,7 +62,7 @@ FORCE_FAULTS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the robot must keep to. The times are set so that a fault is noticed within 50 ms (force), 100 ms (arm) and
+    """What the robot must keep to. The times are set so that a fault is detected within 50 ms (force), 100 ms (arm) and
     two frame periods (camera), a control period of 10 ms included.
 
     soft_force_n, hard_force_n: magnitude backed away at, stopped at
@@ -72,14 +72,14 @@ class Limits:
     table_m, itself_m: elbow and wrist come no nearer to the table's top, and no parts of the arm to one another that
     could meet (`clearance.ArmClearance`)
     arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
-    collision_nm: a joint's torque may differ so much from its mean of the last seconds, beside what the force on the
-    tip explains: a collision (`collision.CollisionWatch`); 0 = torques are not looked at
+    collision_nm: largest difference of a joint's torque from its mean of the last seconds, besides the effect of the
+    force on the tip; more is a collision (`collision.CollisionWatch`), 0 = torques are ignored
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
     axes_rest: the force sensor's axes are a hand's fingers, which say 0 while nothing touches them: that is not frozen
-    arm_frozen_m, arm_frozen_s: way that it was sent on, and time at least that it was sent, without any change of the
-    joints, pauses between left out (an arm begins to move, and reports it, some periods after the command)
+    arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
+    excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
     camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
     so many times after its first is a frozen camera (noise makes two real ones differ)
@@ -151,7 +151,7 @@ APPROACH_DEG_S = 0.5
 LATE_NS = 20_000_000
 """A judgement so long after the last one, two control periods, came late (`LatchingSupervisor`)."""
 TIP_DECAY = 0.995
-"""Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
+"""Share of a force on the tip that explains joint torques still at a reading 1 ms later: torques are read in turn, up
 to 0.2 s after (`reading.TURN_NS`)."""
 
 
@@ -349,8 +349,9 @@ class Supervisor(LatchingSupervisor[Fault]):
         return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
     def _motion(self, sample: ArmSample) -> list[Alarm[Fault]]:
-        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints on their way to a limit,
-        all from the difference of poses over SPEED_OVER_NS: what an arm reports as its velocities is not trusted."""
+        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints that approach a limit.
+        All come from the difference of poses over SPEED_OVER_NS, because an arm's reported velocities are not
+        reliable."""
         limits, found = self.limits, []
         self._track.append(sample)
         while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:

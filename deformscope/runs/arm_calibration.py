@@ -48,7 +48,7 @@ def opening_of(config: ArmConfig) -> Opening:
 def calibrate_arm(
     config: ArmConfig, opening: Opening, recording: AbstractContextManager[Recorder]
 ) -> RigCalibrationResult:
-    """Touch a rigid block some times, and write the compliance into the rig file unless that is not wanted."""
+    """Touch a rigid block several times, and write the compliance into the rig file unless --no-write is given."""
     setup, options = opening.setup, opening.options
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(setup.size_m)
     if not ((xy_m > 0.0) & (xy_m < setup.size_m)).all():

@@ -72,8 +72,8 @@ FLOW_S_PER_PX = 5e-7
 FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
 """Frames of a long sequence are followed for so long, but no fewer than these; in jumps up to 7 times that."""
 LAYERS_S, MOST_PARTICLES = 6e-6, 11_000
-"""A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
-particles by default."""
+"""Time of a fit of layers for each cluster size and particle to the power 4 / 3 [s], and its default number of
+particles."""
 FLAT_SURFACE = "note: a flat surface alone hardly determines beta; --thickness-m fits the material below it"
 
 
@@ -103,7 +103,7 @@ class CalibrationResult(SourceResult):
 
     @property
     def verdict(self) -> Verdict:
-        """What the data allow to say of the parameter."""
+        """The verdict on the parameter."""
         return self.estimate.verdict
 
     @property
@@ -159,7 +159,7 @@ class CalibrationResult(SourceResult):
 
 
 def rerun_command() -> str:
-    """How this user starts rerun's viewer: by name where it is on the PATH, else beside this Python."""
+    """This user's command of rerun's viewer: its name if it is on the PATH, else its path in this Python's folder."""
     beside = Path(sys.executable).with_name("rerun")
     if shutil.which("rerun") is not None or not beside.exists():
         return "rerun"
@@ -226,8 +226,8 @@ def _minutes(seconds: float) -> str:
 
 
 def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
-    """A long sequence is followed in as many frames as take about a minute, unless all are asked for; what takes long
-    says so before it begins."""
+    """A long sequence is thinned to the frames that take about a minute, unless all are requested; a slow fit is
+    announced before it begins."""
     each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
     if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
         return particles
@@ -333,7 +333,7 @@ def run_images(
 
 
 def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] | None = None) -> Iterator[ColorFrame]:
-    """All of a sequence, said to `progress` as they are done. last: where it is given, it is kept as the last image"""
+    """All of a sequence, said to `progress` as they are done. last: if given, it is the last image"""
     for done, frame in enumerate(source):
         if last is not None:
             last[:] = [frame.image]

@@ -31,8 +31,8 @@ MOST_SHOWN = 24
 def calibration_page(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> str:
-    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, beside
-    those of the estimates"""
+    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, in
+    addition to those of the estimates"""
     return html_report(_title(results), calibration_sections(results, seed=seed, settings=settings, pokes=pokes))
 
 
@@ -184,5 +184,5 @@ def _title(results: Sequence[Result]) -> str:
 
 
 def _name(result: Result) -> str:
-    """Of a file without its folder, which stands among the sources."""
+    """A file's name without its folder, which is among the sources."""
     return PurePath(result.names[0]).name if len(result.names) == 1 else f"{len(result.names)} pairs together"

@@ -268,9 +268,9 @@ def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPushes:
-    """force_n, axis: (n, 3) felt [N], and of the tip on the world, tip frame; free: None = not measured
-    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) what was felt then [N]
-    load_n: a known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]"""
+    """force_n, axis: (n, 3) measured [N], and direction of the tip on the world, tip frame; free: None = not measured
+    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) forces then [N]
+    load_n: a known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]"""
 
     force_n: FloatArray
     axis: FloatArray
@@ -296,7 +296,7 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
 
 
 def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationResult:
-    """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift beside them."""
+    """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift as well."""
     pushes = made if isinstance(made, MeasuredPushes) else pushes_of(rig, made)
     found = mount(pushes.force_n, pushes.axis / np.linalg.norm(pushes.axis, axis=1, keepdims=True))
     rest = None if pushes.free is None else free_air(pushes.free.time_s, pushes.free.force_n)
@@ -368,7 +368,7 @@ def force_arrays(found: Arrays, load_n: float | None = None) -> MeasuredPushes:
 
 
 def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibrationResult:
-    """By how much a device is late, beside a force sensor; their names in the rig."""
+    """Delay of a device relative to a force sensor; their names in the rig."""
     found = time_offset(taps.x_time_s, taps.x, taps.y_time_s, taps.y)
     half_s = 0.5 * (found.high_s - found.low_s)
     late_ms, low_ms, high_ms = 1e3 * found.offset_s, 1e3 * found.low_s, 1e3 * found.high_s

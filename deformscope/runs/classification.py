@@ -156,7 +156,7 @@ def format_accuracy(score: ClassificationScore) -> str:
 
 
 def format_told(found: Evaluation, score: ClassificationScore) -> str:
-    """As `format_accuracy`; where no groups are told the interval for another container comes first."""
+    """As `format_accuracy`; without groups the interval for another container comes first."""
     if found.protocol == "group":
         return format_accuracy(score)
     low, high = found.elsewhere(score)
@@ -243,8 +243,8 @@ def classify_table(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> ClassificationResult:
-    """`classify` on a table; linear algebra in one thread each, since splits run beside each other. beyond: as
-    `evaluate` takes it"""
+    """`classify` on a table; linear algebra in one thread each, because splits run in parallel. beyond: as `evaluate`
+    takes it"""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
@@ -276,7 +276,7 @@ def table_from(
 
 
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
-    """How the flags want it evaluated."""
+    """The flags as options of an evaluation."""
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0

@@ -197,7 +197,7 @@ def _weights(model: ContentModel) -> Table:
 
 
 def _confused(found: Evaluation) -> Table:
-    """The pairs of contents that are taken for each other most often."""
+    """The pairs of contents that are confused most often."""
     best, labels = found.best, found.table.classes
     shares = np.nan_to_num(best.shares - np.diag(np.diagonal(best.shares)))
     order = np.argsort(-shares, axis=None)[:MOST_CONFUSED]

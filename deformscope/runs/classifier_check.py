@@ -79,7 +79,7 @@ class ClassifierCheckResult(LibraryResult):
         return tuple(Figure(png, captions[name]) for name, png in self.pictures().items())
 
     def entries(self) -> list[dict[str, Any]]:
-        """As the entries of an evaluation: one for all modalities, one for each by itself."""
+        """The entries of an evaluation: one for all modalities together, one for each alone."""
         return [self._entry(one) for one in (self.check.score, *self.check.alone.values())]
 
     def as_json(self) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.touch_beta import BOUNDS
 
 RIVAL = 0.1
-"""Probability from which another verdict is named beside the one that is given."""
+"""Probability from which another verdict is named in addition to the given one."""
 NOT_KNOWN = "not known"
 
 
@@ -78,7 +78,7 @@ class TouchOutcome:
 class ExplorationResult(LibraryResult):
     """What `explore` found: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
 
-    feel: what was mapped; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
+    feel: the mapped quantity; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
     estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
     missed: None before any plan; probability: of each number of regions; max_force_n: in the laboratory
     measured_max_force_n: by the sensor
@@ -124,7 +124,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def regions_by(self) -> str | None:
-        """By what the regions are told apart."""
+        """The quantity that distinguishes the regions."""
         return None if self.estimate is None else self.estimate.mapped
 
     touches: tuple[TouchOutcome, ...] = field(metadata=reported())
@@ -138,7 +138,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def region_count_at_least(self) -> bool:
-        """Whether there may be more: as many are the most that are told apart."""
+        """Whether there may be more: the number is the largest that is distinguished."""
         return self.estimate is not None and self.estimate.at_least
 
     @property

@@ -1,4 +1,4 @@
-"""An exploration from its options to what it found: devices opened, surface touched, arm stopped, results recorded."""
+"""An exploration from its options to its result: devices opened, surface touched, arm stopped, results recorded."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 INCLUSION_FORCE_N = 5.0
-"""Inclusions are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
+"""Force in the laboratory in a search for inclusions, unless given: with a larger force a touch reaches deeper."""
 
 
 @dataclass
@@ -141,7 +141,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
 
 
 def _check_first(config: ExploreConfig, setup: Setup) -> None:
-    """Raises InputError for a first touch beside the surface, and for a dry run that somebody would make by hand."""
+    """Raises InputError for a first touch outside the surface, and for a dry run of an arm that a person places."""
     if config.first_m is not None:
         (x, y), (width, height) = config.first_m, setup.size_m
         if not (0.0 < x < width and 0.0 < y < height):
@@ -253,7 +253,7 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
 def _with_messages(
     experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
-    """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most, 0 =
+    """The same experiment; its results are printed, and shown on the page, during the run. budget: touches at most, 0 =
     they were made before, wherever a plan would have them"""
     from deformscope.stages.map.exploration import TouchEstimate
 

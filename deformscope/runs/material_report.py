@@ -87,7 +87,7 @@ def _axes_rows(found: AxisEstimate) -> Rows:
 
 
 def _lowered(reasons: Sequence[Doubt]) -> str:
-    """Why nothing is known; empty where nothing says so."""
+    """Why nothing is identified; empty without a reason."""
     return next((one.text for one in reasons if one.allows == "unidentified"), "")
 
 

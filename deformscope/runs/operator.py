@@ -28,7 +28,7 @@ Keys = Callable[[], str]
 class RunOperator:
     """Who is asked before a robot moves.
 
-    asked: set once somebody wants the run to end; agreed: somebody has agreed at the page, None without one
+    asked: set when a person requests the end of the run; agreed: somebody has agreed at the page, None without one
     """
 
     asked: Interruption
@@ -56,7 +56,7 @@ class RunOperator:
 
 
 class PersonAtTerminal:
-    """Places an arm that does not move by itself: a line for each request (`robot.by_hand.Person`)."""
+    """Places an arm without motors: a line for each request (`robot.by_hand.Person`)."""
 
     def ask(self, request: PlaceRequest) -> None:
         say(request.words)

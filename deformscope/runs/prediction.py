@@ -31,7 +31,7 @@ ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
 
 @dataclass(frozen=True, slots=True)
 class PredictionResult(LibraryResult):
-    """What a poke will do. points: (n, 3) of the surface whose deformed positions are wanted too [m]"""
+    """What a poke will do. points: (n, 3) of the surface whose deformed positions are predicted too [m]"""
 
     prediction: Prediction
     points: FloatArray | None = None
@@ -183,8 +183,8 @@ def poke_of(text: PokeText, model: FittedModel) -> Poke:
 
 
 def arrays_of(every: Sequence[Prediction]) -> Mapping[str, np.ndarray]:
-    """Of every poke the (K, d) particles at rest and deformed, in the unit of the model, and the indices (s,), (m,) of
-    the surface and of what the tip touches: as the command's file has them."""
+    """The (K, d) particles of every poke at rest and deformed, in the unit of the model, and indices. (s,) are those of
+    the surface, (m,) those that the tip touches, as in the command's file."""
     arrays: dict[str, np.ndarray] = {}
     for index, one in enumerate(every):
         arrays[f"rest_{index}"], arrays[f"deformed_{index}"] = one.rest, one.position

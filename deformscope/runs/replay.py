@@ -1,4 +1,4 @@
-"""A recording computed again: the same stages on its inputs, compared with its numbers; of a rig, its bytes decoded
+"""A recording computed again: the same stages on its inputs, compared with its numbers. The bytes of a rig are decoded
 again and compared with its frames."""
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ CUT_SHORT = "the recording holds no result (its run was interrupted): nothing to
 
 
 def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayResult:
-    """As the options say. Raises `Different` for numbers that are not as recorded, unless the result says so."""
+    """As the options say. Raises `Different` for numbers that differ from the recorded ones, unless the result allows
+    it."""
     quiet_warp()
     recording = Replay(config.recording)
     settings = recording.settings

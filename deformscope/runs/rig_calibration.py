@@ -100,7 +100,7 @@ class SetupTask(Generic[M]):
 
 
 def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigCalibrationResult:
-    """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
+    """Measure, or read an earlier measurement; solve; write into the rig file unless --no-write is given."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
         if config.measured.suffix == ".rrd" and task.recorded is not None:
@@ -123,7 +123,7 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigC
 
 
 def write_values(path: Path, values: Values) -> None:
-    """Into the rig file, which is then as good as it was, or stays as it was."""
+    """Write into the rig file; a failure leaves it unchanged."""
     from deformscope.rig.rig_file import parse_rig
 
     text = edited(path.read_text(encoding="utf-8"), values)
@@ -142,7 +142,7 @@ def written_lines(found: RigCalibrationResult) -> str:
 
 
 def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
-    """The devices, closed, and who stands there: a person at a terminal, or the laboratory's."""
+    """The devices, closed, and the operator: a person at a terminal, or the laboratory's."""
     if not rig.surface.scene:
         devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
         arm, wrench, camera = (devices[kind].name if kind in devices else "" for kind in ROLES)

@@ -1,5 +1,5 @@
-"""What every run shares: devices opened, recorded and closed; the question before a robot moves, Ctrl-C, that the robot
-stands in the end, and how a run that was stopped leaves."""
+"""Parts that all runs share: devices opened, recorded and closed, the question before a robot moves, and Ctrl-C. The
+robot is at rest in the end; a stopped run reports its reason."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class OpenRun:
         config: ExploreConfig | SqueezeConfig,
         make: Callable[[PageSession, ShownDevices], PageT],
     ) -> PageT | None:
-        """From here on, say alarms at the terminal, and show on the recorder's page how devices are; what moves the
-        robot from there, which `make` makes, None without a page."""
+        """From here on print alarms at the terminal, and show the state of devices on the recorder's page. Returns the
+        object of `make` that moves the robot from there, None without a page."""
         session = None if recorder.page is None else recorder.page.session
         shown = None if session is None else ShownDevices(session, self.source.streams)
         self.recorded = WatchedDevices(recorder, shown, self.line)
@@ -123,7 +123,7 @@ class Watch:
     one; arm_stopped: whether the arm could be stopped, in the end"""
 
     def __init__(self, asked: Interruption, *shows: Callable[[str], None]) -> None:
-        """asked: set when somebody wants it to end; shows: where one line goes that the next replaces"""
+        """asked: set when a person requests the end; shows: where one line goes that the next replaces"""
         self.robot: WatchedRobot | None = None
         self.arm_stopped = True
         self._asked, self._shows = asked, shows
@@ -172,8 +172,8 @@ def permitted(
     places_m: FloatArray | None = None,
     page: RobotPage | None = None,
 ) -> RigExperiment[None]:
-    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves; before that
-    for a finger on the tip, where nothing but the force there guards it.
+    """Within an experiment: check everything, print the table of checks, and ask before a real arm moves. Before that
+    ask for a finger on the tip, if the force there is the only guard.
 
     calibrated: what has to be, by name, and whether it is; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
@@ -254,7 +254,7 @@ def leave(
 ) -> NoReturn:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
 
-    state: how far it came and whether the robot stands; ended: somebody asked for it
+    state: progress of the run, and whether the robot is at rest; ended: somebody asked for it
     """
     import signal
 

@@ -30,7 +30,7 @@ class SqueezeResult(LibraryResult):
     start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
     placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
     on its way back
-    hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are as they were
+    hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are restored
     truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
     """
 
@@ -97,7 +97,7 @@ class SqueezeResult(LibraryResult):
     @property
     @derived(optional=True)
     def container_seen(self) -> list[dict[str, Any]] | None:
-        """As the depth images had it, before, when the hand was placed, and after the squeeze."""
+        """Size and pose by the depth images, before, when the hand was placed, and after the squeeze."""
         return [to_json(one) for one in self.sightings] or None
 
     withdrawal: SqueezeStop | None = field(metadata=reported(optional=True))
@@ -201,7 +201,7 @@ class SqueezeResult(LibraryResult):
 
     @property
     def hand_text(self) -> str:
-        """Whether the hand stands, and may be used again as it was."""
+        """Whether the hand is at rest, and ready for use."""
         if not self.hand_stands:
             return "COULD NOT BE STOPPED: it may still press; switch it off"
         if not self.limits_restored:

@@ -1,4 +1,4 @@
-"""A squeeze from its options to what it found: devices opened, container squeezed, hand stopped, trial kept."""
+"""A squeeze from its options to its result: devices opened, container squeezed, hand stopped, trial stored."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def _run(
     asked: Interruption,
     seed: int,
 ) -> dict[str, Any]:
-    """Open the devices, squeeze, close them; what is known beside `found`."""
+    """Open the devices, squeeze, close them; other results besides `found`."""
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder
@@ -287,7 +287,7 @@ def _model(path: Path | None) -> ContentModel | None:
 
 
 def step_posterior(model: ContentModel) -> Predict | None:
-    """What the model makes of the features as the squeeze goes on; None where it has no tactile modality."""
+    """The model's posterior during the squeeze; None without a tactile modality."""
     if "tactile" not in model.modalities:
         return None
 
@@ -301,7 +301,7 @@ def step_posterior(model: ContentModel) -> Predict | None:
 def final_posterior(
     model: ContentModel,
 ) -> Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]:
-    """What the model makes of all features that it knows: (modalities, labels, probabilities)."""
+    """The model's posterior from all its features: (modalities, labels, probabilities)."""
 
     def predict(features: dict[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:
         known = {name: features[name][None] for name in model.modalities if name in features}
