@@ -3,8 +3,8 @@
     deformscope --help
     deformscope flow before.png after.png --out flow.npz
 
-To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)` that
-imports what is heavy inside and returns an exit status where it is not always 0, and a line in `COMMANDS`.
+To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)`, and a line
+in `COMMANDS`. `run` imports heavy modules inside, and returns an exit status if it is not always 0.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def _ended_by_signals() -> Iterator[list[int]]:
 
 
 def quiet_libraries() -> None:
-    """Libraries that complain on stderr by themselves would bury the one line that says what to do."""
+    """Silence libraries that complain on stderr on their own, and would hide the error's one line."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
@@ -360,8 +360,8 @@ def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
 
 @contextlib.contextmanager
 def _plain_terminal() -> Iterator[None]:
-    """Make tyro draw its errors in one way whatever the terminal: it has no public way to get at their parts, puts them
-    into boxes of many lines, and would break a line within what the user typed."""
+    """Make tyro draw its errors in one way on any terminal. It has no public access to their parts, puts them into
+    boxes of many lines, and would break a line within the user's words."""
     columns = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = "4000"
     try:

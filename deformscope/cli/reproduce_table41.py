@@ -1,4 +1,5 @@
-"""`deformscope reproduce table41`: maps of simulated tables over seeds, after how many touches, planner beside planner.
+"""`deformscope reproduce table41`: maps of simulated tables over seeds, after some numbers of touches, for each
+planner.
 
 deformscope reproduce table41 --seeds 5
 deformscope reproduce table41 --scenes two-60-150,disc --planners regions,max-variance --touches 12
@@ -69,7 +70,7 @@ def run(config: Table41Config) -> None:
 
 
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
-    """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
+    """The run of each job; stored in the folder when done, and read from there with --resume."""
     path = config.out / RUNS_FILE
     if not config.resume:
         write_file(path, b"")
@@ -122,7 +123,7 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
 
 
 def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
-    """The first planner and pace beside each of the others, scene by scene and over all that have borders."""
+    """The first planner and pace compared with each of the others, scene by scene and over all scenes with borders."""
     bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
     groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
     rows = []

@@ -48,7 +48,7 @@ CELL_M = 0.01
 DEPTH_ALONG = 160
 """Pixels that are taken of a depth image's longer side: lone points are found among 12 000 in 0.1 s."""
 ABOVE_M, BELOW_M = 0.02, 0.03
-"""How far above and below the surface's top at rest points are taken for the surface."""
+"""Height range around the surface's top at rest whose points count as surface."""
 TOUCHING_N = 0.5
 """Force from which on an approach is in contact; it is over at half of it."""
 BEFORE_S, LONGEST_S = 0.5, 8.0
@@ -65,7 +65,7 @@ FOLLOW = 0.01
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Which stages run, on which devices, and how; all that decides their results beside the frames.
+    """Stages to run, their devices and options; all that determines their results besides the frames.
 
     color, depth, tactile, wrench, arm: devices by name; lossless: colour images are recorded as PNG
     particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
@@ -123,11 +123,11 @@ REFERENCE: dict[str, Literal["first", "previous"]] = {
     "flow": "previous",
     **dict.fromkeys(("particles", "beta", "theta", "field"), "first"),
 }
-"""Which image stages take beside the newest."""
+"""The second image of image stages, besides the newest."""
 
 
 def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """The options with what a rig file says of devices and their places; the colour camera may be named already.
+    """The options completed from a rig file's devices and poses; the colour camera may be given already.
 
     streams: of the devices, where they are not the file's
     Raises InputError where the rig lacks a device or a calibration that a stage needs.
@@ -320,7 +320,7 @@ def _beta(stage: Stage, packed: Any) -> MomentFit:
 def fit_moment(
     rest: ImageArray, now: ImageArray, particles: ParticleOptions, fit: FitOptions, longest_px: int
 ) -> MomentFit:
-    """Follow the particles of an image at rest directly to another one, and fit that pose by itself.
+    """Track the particles of an image at rest directly to another one, and fit that pose alone.
 
     A pose that cannot be fitted (too few particles seen, none of those to be held) gives particles and the reason.
     """

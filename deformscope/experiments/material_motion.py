@@ -1,5 +1,5 @@
-"""Anisotropy, fields of stiffness, yielding and recovery of what a camera followed, or of files: one fit, and every
-frame beside it."""
+"""Anisotropy, fields of stiffness, yielding and recovery from tracked images, or from files: one fit, and its
+comparison with every frame."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class MaterialFit:
 def material_video(
     particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFit], mask: BoolArray | None = None
 ) -> Experiment[MaterialFit]:
-    """Follow particles through the frames that are sent, fit, and show every frame beside the fit.
+    """Track particles through the frames that are sent, fit, and show every frame with the fit.
 
     mask: (H, W) True where the thing is in the first frame
     """

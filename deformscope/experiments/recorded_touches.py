@@ -1,8 +1,8 @@
 """Touches of a recording: as an exploration named their frames, or found in what any robot's arm, force sensor and
 depth camera gave.
 
-What `touching_robot` names of a look and of touches while it makes them is named here of frames that are there already;
-what is computed of them is the same.
+It names the frames of a recording as `touching_robot` names those of a look and of touches during a run; the same
+results are computed from them.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ FOLLOW_S = 5.0
 TRAVEL_M = 0.03
 """An arm that is so far from where its tip met something has left it."""
 ASIDE_M, LEAST_WAY_M = 3e-3, 1e-3
-"""The way to a touch is straight from where the tip is no further than this beside it. One that dents less has its
-direction from the way before contact too."""
+"""Largest distance of the tip from the straight path to a touch. One that dents less has its direction from the way
+before contact too."""
 LOADED, STILL = (0.02, 5e-5), (0.05, 2e-4)
-"""How far before its greatest depth a touch has come to it, and how far after it the tip still stands: as a share of
-the dent, and at least [m]."""
+"""Bounds of the greatest depth in time: how close to it the dent must be before and after it, as a share of the dent,
+and at least [m]."""
 UPRIGHT, REACHED = 0.5, 0.95
 """Least upward part of a touch's normal: within are 60 degrees; share of the set force that counts as it."""
 
 
 class _Approaches(ApproachChooser):
-    """Of the two seconds before contact the first is free air; a hold may last for long, but not while the arm travels:
-    then the force without contact is another one."""
+    """The first of the two seconds before contact is free air. A hold may last long, but not during travel: then the
+    force without contact differs."""
 
     before_s, longest_s = 2.0, 120.0
     _met_m: FloatArray | None = None

@@ -1,6 +1,6 @@
 """What a rig's set-up is measured from: places where the arm was held, pushes, taps and views of a board.
 
-A person does what each request says, then frames are taken for a moment, and the next is asked for. No robot commands
+A person follows each request, then frames are taken for a moment, and the next request follows. No robot commands
 anything here: the arm is moved by its joystick, by `deformscope arm jog`, or in the laboratory.
 """
 
@@ -112,7 +112,7 @@ def _frames(seconds: float, wanted: dict[str, type[Frame]]) -> RigExperiment[dic
 
 
 def _sort(given: Sequence[Item] | Answer | None, wanted: dict[str, type[Frame]], taken: dict[str, list[Frame]]) -> None:
-    """Put what came of the wanted devices to what was taken of each."""
+    """Append the received items of the requested devices."""
     if given is None or isinstance(given, Answer):
         return
     for item in given:
@@ -170,9 +170,10 @@ class ForceReadings:
 class PushedTip:
     """T_base_ee: (4, 4) of the arm's end; free: in free air
 
-    force_n, axis: (n, 3) of each push: what was felt beyond free air [N], what the finger did to the tip, surface frame
-    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) what was felt there [N]
-    load_n: the known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]
+    force_n, axis: (n, 3) of each push: measured force relative to free air [N], force of the finger on the tip, surface
+    frame
+    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) forces there [N]
+    load_n: the known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]
     """
 
     T_base_ee: FloatArray
@@ -194,8 +195,8 @@ def push_tip(
     note: Callable[[str], None],
     load_n: float | None = None,
 ) -> RigExperiment[PushedTip]:
-    """What the sensor gives in free air, while a finger pushes the tip along the table's axes, under a known load [N],
-    and in free air with the stick tilted so often."""
+    """The sensor's forces in free air, while a finger pushes the tip along the table's axes, under a known load [N],
+    and in free air with the stick tilted several times."""
     yield from operator(SetupRequest("rest", 0, "keep the tip free of contact, the stick upright"))
     rest = yield from _frames(REST_S, {wrench: WrenchFrame})
     free = _forces(rest[wrench])
@@ -275,8 +276,8 @@ def tap_tip(operator: Assistant, wrench: str, other: str, kind: type[Frame]) -> 
 
 
 def taps_of(forces: Sequence[Frame], others: Sequence[Frame]) -> Taps:
-    """Of frames of a force sensor and another device, one or more of each; as they arrived: an offset that was measured
-    before is in the stamps already."""
+    """Frames of a force sensor and another device, one or more of each, by arrival: their stamps contain an offset that
+    was measured before."""
     start_ns = forces[0].stamp.arrived_ns
     x = np.array([np.linalg.norm(one.force_n[0]) for one in forces if isinstance(one, WrenchFrame)])
     times = [np.array([one.stamp.arrived_ns - start_ns for one in some]) / 1e9 for some in (forces, others)]
@@ -312,8 +313,8 @@ class BoardViews:
 def view_board(
     operator: Assistant, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
 ) -> RigExperiment[BoardViews]:
-    """So many views of a board that the arm carries, and more until the arm was turned about two axes; views without
-    the board do not count."""
+    """The requested number of views of a board that the arm carries, and more until the arm has turned about two axes;
+    views without the board do not count."""
     poses: list[FloatArray] = []
     seen: list[SeenBoard] = []
     size_px = (0, 0)
