@@ -22,8 +22,8 @@ FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 """Of the lens, k1 and k2 alone are sought: a dozen views of a board do not give the others."""
 WIDEST = 0.1
-"""Half the interval of a focal length, as a share of it, at most: a board that is seen always from the front does not
-tell distance and focal length apart."""
+"""Largest half interval of a focal length, as a share of it: views of a board from the front alone do not separate
+distance and focal length."""
 LENSES = (0.25, 8.0)
 """Focal lengths that lenses have, as a share of the image's width: a fit without information runs away from them."""
 

@@ -1,7 +1,7 @@
 """How a force sensor sits on the stick, from pushes along known axes; what it reads in free air; what hangs on it.
 
-Axes are those of the tip's frame: z along the stick, outwards. A push is what the tip does to the world: pressing the
-tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
+Axes are those of the tip's frame: z along the stick, outwards. A push is the force of the tip on the world: pressing
+the tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class HangingWeight:
     """What hangs on the sensor, from readings in free air in several poses.
 
     weight_n, weight_half_n: its weight and half its interval [N]; bias_n: (3,) reading without it
-    down: (3,) where it pulls, base frame: a base that stands upright has (0, 0, -1); off_n: (n,) left over
+    down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over
     """
 
     weight_n: float

@@ -1,7 +1,7 @@
 """Where a camera stands that sees a board which the arm carries, and where the board is on the arm; or from touches.
 
-Each view gives A Y = X B: A the arm's end in its base frame and B the board in the camera's are known, X the camera in
-the base frame and Y the board on the arm's end are sought.
+Each view gives A Y = X B. A, the arm's end in its base frame, and B, the board in the camera's, are known; X, the
+camera in the base frame, and Y, the board on the arm's end, are sought.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class HandEye:
 def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     """Where the camera stands and where the board is on the arm, from n views: (n, 4, 4) each.
 
-    What is not known of them comes of leaving one view out after the other (jackknife): errors of arm and camera need
-    not be known, nor how they share. Raises InputError for too few views, or turns about one axis alone.
+    Their uncertainty comes from leaving out one view after the other (jackknife): errors of arm and camera need not be
+    known, nor their ratio. Raises InputError for too few views, or turns about one axis alone.
     """
     A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
     if len(A) < FEWEST_VIEWS:
@@ -158,8 +158,8 @@ def _jackknife(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, weigh
 def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
     """A pose (4, 4) of the arm's end that adds most to the turns of the poses (n, 4, 4) so far, and how to come there.
 
-    From the mean of the poses, turned about one of the end's own axes: the axis and the way that make the turns' least
-    eigenvalues largest.
+    From the mean of the poses, turned about one of the end's own axes: the axis and the direction that maximize the
+    turns' least eigenvalues.
     """
     poses = np.asarray(T_base_ee, np.float64)
     turned = Rotation.from_matrix(poses[:, :3, :3])

@@ -1,7 +1,7 @@
 """By how much one sensor's clock is behind another's, from taps that both see.
 
-y(t) = a x(t - d) + b + noise, with d the offset: every offset of a fine grid is given the likelihood of what it leaves
-over, its a, b and noise integrated out; the interval is that of the posterior.
+y(t) = a x(t - d) + b + noise, with d the offset. Every offset of a fine grid has the likelihood of its residual, with
+a, b and noise integrated out; the interval is that of the posterior.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ def _explained(
 
 
 def _peak(signal: FloatArray) -> float:
-    """The largest deviation of a signal (n,) from its median, in robust standard deviations of it: as most of the time,
-    so that a few taps do not count."""
+    """The largest deviation of a signal (n,) from its median, in robust standard deviations of it, which a few taps do
+    not change."""
     off = np.abs(np.asarray(signal, np.float64) - np.median(signal))
     rest = 1.4826 * float(np.median(off))
     return float(off.max()) / max(rest, 1e-12 * float(off.max()) + 1e-300)

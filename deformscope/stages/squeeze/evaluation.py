@@ -43,7 +43,7 @@ CURVE_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 GAUSSIAN_PROCESS_TRIALS = 1500
 """The Gaussian process inverts a matrix of that size for each class: not for more trials."""
 KINDS_PAIRED = 4
-"""So many kinds of containers are paired by themselves for transfers."""
+"""Largest number of kinds of containers that are paired for transfers by default."""
 SURE = 0.9
 """A squeeze could stop when one content is so probable."""
 
@@ -139,8 +139,8 @@ class Evaluation:
         return self.without_copies or self.best
 
     def elsewhere(self, score: ClassificationScore) -> Interval:
-        """Of the accuracy in another container or session: where no groups are told trials may be known by theirs, and
-        all that is seen of a content beyond chance may be its containers."""
+        """Of the accuracy in another container or session: without groups, trials may be recognised by theirs, and
+        accuracy beyond chance may be due to the containers."""
         low, high = score.accuracy.interval
         return (low if self.protocol == "group" else min(low, wilson(score.chance, score.worth, score.level)[0])), high
 
@@ -173,10 +173,10 @@ def evaluate(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> Evaluation:
-    """Evaluate every modality by itself, all of them fused early and late.
+    """Evaluate every modality alone, all of them fused early and late.
 
-    beyond: the same trials and others, of other kinds of containers, that serve transfers alone; None = `table`
-    Raises InputError for trials that stand there twice and for a table that cannot be split as asked.
+    beyond: the same trials and others, of other kinds of containers, for transfers alone; None = `table` Raises
+    InputError for duplicate trials and for a table without the requested splits.
     """
     options = options or EvaluationOptions()
     progress = progress or (lambda what, done, total: None)
@@ -433,8 +433,8 @@ def _curve(
 def _time_steps(
     table: LabelledTable, options: EvaluationOptions, runner: _Runner, protocol: Protocol, splits: Sequence[Split]
 ) -> dict[str, tuple[TimePoint, ...]]:
-    """The posterior over the squeeze: at each step a classifier of that step, on the same splits; where several
-    modalities have steps, also all of them fused late."""
+    """The posterior over the squeeze: at each step a classifier of that step, on the same splits; with several
+    modalities that have steps, also their late fusion."""
     splits = splits[: options.curve_splits]
     held = {name: held_values(series) for name, series in table.series.items()}
     longest = max((values.shape[1] for values in held.values()), default=0)

@@ -98,7 +98,7 @@ def single_group_classes(table: LabelledTable) -> tuple[str, ...]:
 
 
 def splitting_notes(table: LabelledTable) -> list[str]:
-    """What a reader of an evaluation must know about classes that are too small."""
+    """Remarks for an evaluation with classes that are too small."""
     sizes = {one: int((table.label == one).sum()) for one in table.classes}
     notes = []
     if single := [one for one, size in sizes.items() if size < 2]:
