@@ -45,7 +45,7 @@ PRIVATE = {
 """Patterns of whole words, and what to write instead."""
 COMMANDS = ("deformscope ", "python ", "make ")
 """Beginnings of lines to type."""
-CODE = re.compile(r"[;{]\n|\(\?|\\[wdsb]")
+CODE = re.compile(r"[;{]\n|\(\?|\\[wdsb]|;\s*\+\+|\.data\[|<\w+ \w+=")
 """Found in strings that are programs or regular expressions."""
 
 
@@ -120,7 +120,7 @@ def sentences(text: str) -> list[str]:
     """The sentences of a text: they end at a full stop, at an empty line, and at the bars of a message."""
     item = r"(?=\w+(?:, \w+)*(?: \([^()]*\))?: )"
     full_stop = r"(?<=[.!?])[\")*_]*\s+(?=[\"'(*_`\[A-Z0-9]|--|\w+:)"
-    found = re.split(rf"{full_stop}|\n\s*\n|\s\|\s|\n\s*(?=[-*] )|;\s+{item}|\n\s*{item}", text)
+    found = re.split(rf"{full_stop}|\n\s*\n|\s\|\s|\n\s*(?=[-*] )|;\s+{item}|\n\s*{item}|\n(?=[^\n]*\S  +\S)", text)
     flat = (" ".join(part.split()) for part in found if part)
     return [part for part in flat if part and not part.startswith(COMMANDS)]
 

@@ -25,7 +25,7 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 DEFLATED_AT_MOST = 1100
 """No compressed byte becomes more than 1032."""
 LATTICE_CELLS = 10_000_000
-"""A lattice with holes may have so many cells: arrays of that size are made of it."""
+"""Largest number of cells of a lattice with holes: arrays of that size are made."""
 
 
 def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.NDArray[Any]]:
@@ -120,7 +120,7 @@ def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np
 
 
 def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -> T:
-    """What `parse` makes of a file's arrays; what it refuses names the file."""
+    """The result of `parse` on a file's arrays; a refusal names the file."""
     found = read_arrays(raw, f"a {kind} file (.npz of arrays)", where)
     try:
         return parse(found)

@@ -29,7 +29,7 @@ ARRAYS = ("rest", "toward", "fixed", "places", "stiffness", "left_out")
 
 
 def save_model(model: FittedModel, path: Path) -> None:
-    """Write a model; a file that stands there is replaced in one go."""
+    """Write a model; an existing file is replaced in one step."""
     described: dict[str, Any] = {
         "body": model.body,
         "law": dataclasses.asdict(model.law),

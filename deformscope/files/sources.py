@@ -34,8 +34,8 @@ RECORDING_SUFFIX = ".rrd"
 class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
-    name: what it is, for a progress line; count: how many frames it will give, None where only reading shows (the
-    count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
+    name: the source's name, for a progress line; count: how many frames it will give, None where only reading shows
+    (the count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
     """
 
     def __init__(
@@ -113,7 +113,7 @@ def open_source(
     """A source of frames from what the user named.
 
     paths: one video, folder, recording or `sample:NAME`, or two or more image files in their order
-    stride: keep every n-th frame; a frame's index counts the kept ones
+    stride: use every n-th frame; a frame's index counts the used ones
     fps: frames a second of the source before `stride`; default: the video's own, else 30; a recording has its stamps
     mask: an image that is no frame, should it lie among them
     camera: whose images, where a recording holds those of several

@@ -24,9 +24,9 @@ ROUNDED_S = 0.0015
 class VideoCheck:
     """Fed with each frame that is read, and each that is not; `problems` once the end has come.
 
-    claimed: how many frames the container is said to hold, 0 = not known; rate_hz: as it says
-    Only a container with a table of its frames (MP4, MOV, AVI) is taken at its word; elsewhere the count is made of a
-    duration, which may be that of the sound. There, times must be even for a gap to be one.
+    claimed: how many frames the container is said to hold, 0 = not known; rate_hz: as stated Only a container with a
+    table of its frames (MP4, MOV, AVI) is relied on; elsewhere the count comes from a duration, which may be that of
+    the sound. There, times must be even for a gap to be one.
     """
 
     def __init__(self, path: Path, claimed: float, rate_hz: float) -> None:

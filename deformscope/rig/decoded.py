@@ -49,7 +49,7 @@ class DeviceComparison:
 class Redecoder(ABC):
     """Makes frames of one device's bytes, as its driver did.
 
-    left_out: what of a frame its bytes do not decide; compares: the fields that they decide, beside the stamp
+    left_out: what of a frame its bytes do not decide; compares: the fields that they determine, besides the stamp
     listening: what comes now is for the decoder; late_answers: what comes too late for its driver is no frame
     """
 
@@ -242,7 +242,7 @@ class _Check:
                 yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
 
     def _settle(self) -> None:
-        """Compare what came at one moment. Frames of a device whose stamps were put back stand before their bytes."""
+        """Compare what came at one moment. Frames of a device with corrected stamps come before their bytes."""
         recorded, decoded, self._decoded = [], self._decoded, []
         while self._recorded and self._recorded[0].stamp.arrived_ns <= self._now_ns:
             recorded.append(self._recorded.popleft())

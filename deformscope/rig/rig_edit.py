@@ -1,7 +1,7 @@
 """Values written into a rig file, whose comments and order stay.
 
-The text is changed line by line, then read again: what it says afterwards must be what it said before with the new
-values in it, else nothing is written, and the lines are to be put in by hand.
+The text is changed line by line, then read again: its values must be those of before with the new ones in them.
+Otherwise nothing is written, and the user has to insert the lines.
 """
 
 from __future__ import annotations
