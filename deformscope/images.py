@@ -68,7 +68,7 @@ def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
 
 
 def encode_jpeg(image: ImageArray) -> bytes:
-    """(H, W) grey or (H, W, 3) RGB uint8 as JPEG of quality 90: small, fast, and not quite what it was."""
+    """(H, W) grey or (H, W, 3) RGB uint8 as JPEG of quality 90: small, fast, with losses."""
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     return cv2.imencode(".jpg", np.ascontiguousarray(swapped), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 

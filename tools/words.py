@@ -43,6 +43,8 @@ PRIVATE = {
     r"[Ww]hat (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
 }
 """Patterns of whole words, and what to write instead."""
+EXCEPT = r"^told  ?JSON|\[calibrated\.time\] device and beside"
+"""Names of keys and columns in tables."""
 COMMANDS = ("deformscope ", "python ", "make ")
 """Beginnings of lines to type."""
 CODE = re.compile(r"[;{]\n|\(\?|\\[wdsb]|;\s*\+\+|\.data\[|<\w+ \w+=")
@@ -134,7 +136,7 @@ def words(sentence: str) -> int:
 
 def private(sentence: str) -> list[str]:
     """The private words of a sentence, each with what to write instead."""
-    prose = re.sub(r"`[^`]*`|\]\([^)]*\)|--\w\S*", "", sentence)
+    prose = re.sub(rf"{EXCEPT}|^\w+(?:, \w+)*: |`[^`]*`|\]\([^)]*\)|--\w\S*", "", sentence)
     found = ((hit[0], instead) for word, instead in PRIVATE.items() for hit in re.finditer(_whole(word), prose))
     return [f"{hit!r}: write {instead}" for hit, instead in found]
 

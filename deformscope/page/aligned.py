@@ -30,7 +30,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
     """Serve what the devices of two recordings measured, to play; its address is printed. Also when the first contact
     of each was, since its start [s].
 
-    Raises InputError where a recording has no contact that a force sensor or a tactile array felt.
+    Raises InputError for a recording without a contact in a force sensor or a tactile array.
     """
     names = _names(first.path, second.path)
     series, contacts_s = aligned_series(first, second, names)
@@ -49,7 +49,7 @@ def aligned_series(
     first: Replay, second: Replay, names: tuple[str, str] = ("first", "second")
 ) -> tuple[list[AlignedSeries], tuple[float, float]]:
     """What the devices of two recordings measured since the first contact of each, and when that was, since its start
-    [s]. Raises InputError where a recording has no contact that a force sensor or a tactile array felt."""
+    [s]. Raises InputError for a recording without a contact in a force sensor or a tactile array."""
     from deformscope.experiments.first_contact import KINDS, first_contact_ns
 
     series: list[AlignedSeries] = []
@@ -87,7 +87,7 @@ def _series(rows: list[Row], recording: Replay, contact_ns: int, which: int, nam
 def _measured(
     items: list[Any], free: slice, before: int, texels_m: list[tuple[float, float]]
 ) -> tuple[str, FloatArray]:
-    """A number of each frame, and what it is. free: frames in which nothing touched yet; before: the last before the
+    """A number of each frame, and its name. free: frames in which nothing touched yet; before: the last before the
     contact"""
     match items[0]:
         case WrenchFrame():

@@ -1,7 +1,7 @@
 """A fit that is set on a page, in its own process: what is changed is simulated at once, and the newest change wins.
 
-What is shown while a camera is followed is nobody's file: a picture that is held, also by a whole fit, is written
-together with the one at rest, and the command line names both.
+Images of a followed camera are in no file. A picture that is held, also by a whole fit, is written together with the
+one at rest, and the command line names both.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class PageFit:
 
     @property
     def result_config(self) -> BetaConfig | ThetaConfig:
-        """The options that were set last, of files. Raises InputError where pictures of a camera could not be kept."""
+        """The options that were set last, of files. Raises InputError if pictures of a camera could not be stored."""
         return self.config if self._camera is None else self._camera.named(self.config)
 
     @property
@@ -324,7 +324,7 @@ class PageFit:
             self._show(busy=f"{what}: {done} of {total}" if total else what)
 
     def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
-        """What was seen, in the model; both are kept while nothing changes that they depend on."""
+        """The observed positions, in the model; both are reused until their settings change."""
         key = config.images, config.search.noise_px
         if self._seen is None or self._seen[0] != key:
             seen, used = self._subject.observe(config)

@@ -20,7 +20,7 @@ from deformscope.page.server.page_server import PageServer
 
 
 class FitPanel:
-    """`PageRun` of a page, beside that of what goes on. Nothing begins before a page asks for it.
+    """`PageRun` of a page, besides that of the main session. Nothing begins before a page asks for it.
 
     rig: as a command line names it; folder: where held pictures go; name: theirs begin so
     images: options that a fit begins with; their camera is the one that it begins with, None = the first

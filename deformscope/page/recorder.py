@@ -56,7 +56,7 @@ class _FileTake:
     ) -> None:
         """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
 
-        streams: of the devices as they were opened; one that is being connected anew may not know its kind
+        streams: of the devices as they were opened; one that reconnects may not know its kind
         """
         if isinstance(items, Sequence):
             if not self.begun and items:
@@ -118,7 +118,7 @@ class EpisodeNotes:
 
 
 class BackgroundWork:
-    """What takes its time, each in a thread of its own. failed: is told what went wrong; ended: is called after each"""
+    """What takes its time, each in a thread of its own. failed: receives the error; ended: is called after each"""
 
     def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
         self.busy: set[str] = set()
@@ -273,7 +273,7 @@ class PageRecorder:
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
-        """It is ended with what it has, and what is watched goes on without one."""
+        """Its file ends with the data so far, and the live view continues without one."""
         self._take, self._failure = None, error
         self._notes.lose_file()
         self.session.remark(f"the recording has ended: {error}", bad=True)

@@ -1,7 +1,7 @@
 """A squeeze that is begun, watched and stopped from a page.
 
-Nothing of it moves by itself: the experiment asks it before the hand moves, and its watch asks in each control period
-whether somebody is still there who confirmed the motion under way.
+It starts no motion: the experiment queries it before the hand moves. Its watch checks in each control period whether
+the page that confirmed the motion is still present.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """An exploration that is steered from a page: paused and gone on with, and touched where somebody points.
 
-Nothing of it moves by itself: the loop of `deformscope.experiments.explore` asks it before each touch, and its robot
-asks in each control period whether somebody is still there who confirmed the touch under way.
+It starts no motion: the loop of `deformscope.experiments.explore` queries it before each touch. Its robot checks in
+each control period whether the page that confirmed the touch is still present.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from deformscope.stages.map.exploration import (
 )
 
 SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table")
-"""What stands on the surface in the view, below `SCENE`: picked, it says a place of it."""
+"""Entities on the surface in the view, below `SCENE`: a pick on them gives a place of it."""
 SCENE = "/display/scene/"
 CURVE_POINTS = 60
 
@@ -238,7 +238,7 @@ class PageSteering(RobotPage):
 
 
 def is_surface(entity: str) -> bool:
-    """Whether an entity of the view stands on the surface."""
+    """Whether an entity of the view is on the surface."""
     return entity.startswith(SCENE) and entity.removeprefix(SCENE).split("/")[0] in SURFACE_ENTITIES
 
 
@@ -253,7 +253,7 @@ def curve_of(forecast: TouchForecast) -> ForceCurve:
 
 
 def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
-    """The same with what was felt: the dent without what the arm itself yields, from contact to the largest force."""
+    """The same with the measured curve: the dent without the arm's deflection, from contact to the largest force."""
     if not touch.usable:
         return msgspec.structs.replace(curve, words="measured: no stiffness resulted")
     end = int(np.argmax(touch.approach_n)) + 1

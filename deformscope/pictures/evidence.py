@@ -35,7 +35,8 @@ VERDICT_COLORS = {"identified": "#177a2b", "weak": "#a86400"}
 OTHER_VERDICT = "#b01818"
 
 APART = 0.02
-"""Share of the range by which a posterior's peak may be off the estimate without being marked by itself."""
+"""Largest distance of a posterior's peak from the estimate, as a share of the range, for which it has no mark of its
+own."""
 NARROW = 0.05
 """An interval below this share of the range is drawn once more, enlarged."""
 
@@ -115,7 +116,7 @@ def errors_png(result: Result, index: int) -> bytes:
 
 
 def results_png(results: Sequence[Result]) -> bytes:
-    """Everything in one picture: a row for each comparison, the evidence beside, the verdict in words above."""
+    """Everything in one picture: a row for each comparison, the evidence next to it, the verdict as text above."""
     rows = _rows(results)
     height = sum(_height(results[place].comparisons[index]) for place, index in rows)
     figure = canvas(17.0, max(height, 4.4) + 1.0, layout="constrained")

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
-"""Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
+"""Colours of the recorded result and of other settings' results; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
 """From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT, LOSS = "viridis", "plasma", "magma", "cividis", "viridis", "YlGnBu"
@@ -102,8 +102,8 @@ def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
 
 
 def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | None = None) -> bytes:
-    """The whole result in one picture: both fields with their deviations, the regions, and the truth where known; where
-    inclusions are sought, they and what may be missed in the place of beta."""
+    """The whole result in one picture: both fields with their deviations, the regions, and the truth if known. In a
+    search for inclusions, these and the detection limit replace beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     second: tuple[Callable[[Axes, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
     if found is not None:
@@ -409,8 +409,8 @@ MAP_DRAWINGS: dict[str, Callable[[Axes, MapEstimate], None]] = {
     "regions": draw_regions,
     "truth": draw_truth,
 }
-"""Of the maps: fields [N/mm], [-], one standard deviation of each [%], [-]; the regions that were found, the paler the
-less sure; the true ones, where these are known, and over them the outline of those that were found."""
+"""Panels of the maps: fields [N/mm], [-], one standard deviation of each [%], [-]; the regions, the paler the less
+certain; the true ones, if known, and over them the outline of the estimated ones."""
 
 
 # What the drawings share ---------------------------------------------------------------------------------------------

@@ -128,7 +128,7 @@ def value_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:
-    """The reasons to doubt a value, a row each, those left out that stand in other words already. besides: these"""
+    """The reasons to doubt a value, one per row, without those that other text reports. besides: these"""
     return [(f"reason: {one.code}", one.text) for one in reasons if one.text not in besides]
 
 

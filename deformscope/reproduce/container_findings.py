@@ -1,4 +1,4 @@
-"""What the thesis reports of squeezed containers (5.3 and 5.4), beside what the laboratory's squeezes show.
+"""The thesis's results of squeezed containers (5.3 and 5.4), compared with those of the laboratory's squeezes.
 
 Nothing of the laboratory was chosen with these in mind: where it shows something else, that is what the words say.
 """
@@ -94,7 +94,7 @@ def _better(found: Evaluation, touch: ClassificationScore, vision: Classificatio
 
 
 def _named(found: Evaluation, score: ClassificationScore, label: str) -> str:
-    """What a content is taken for."""
+    """The classification of a content."""
     at = found.table.classes.index(label)
     named = [(float(score.shares[at, one]), answer) for one, answer in enumerate(found.table.classes) if one != at]
     wrong = ", ".join(f"{answer} {share:.0%}" for share, answer in sorted(named, reverse=True) if share >= 0.005)

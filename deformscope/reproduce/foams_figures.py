@@ -64,7 +64,7 @@ def figure_3_14(results: Sequence[FoamResult], trends: Sequence[Trend], held: He
 
 
 def stiffness(results: Sequence[FoamResult], path: Path) -> None:
-    """The model's k against hardness, beside the force itself."""
+    """The model's k and the force against hardness."""
     sizes = sorted({fit.cluster_size for fit in results[0].fits})
     figure, axes = _figure(1, 2, 11.0, 4.6)
     hardness = np.array([result.foam.hardness for result in results])

@@ -1,15 +1,15 @@
-"""How an exploration is recorded and shown: every result without loss, and beside it what a person looks at.
+"""The recording and views of an exploration: every result without loss, and views for people.
 
-Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
-at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
-What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
+Every row has three times. `session` is the time since the recording's start; `frame` is the depth camera's newest
+picture then. `touch` is 0 before the first touch, then the number of its touch from 1, with the travel to it. What a
+touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
     exploration/forecast|decision         likewise: what a person asked for on the page, and decided
     exploration/input/...                 which frames they are computed from, or measurements where there are none
     exploration/phase                     likewise, and the state that a timeline shows
     exploration/failed|stopped            likewise, and why as a line of text
-    display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it
+    display/scene/... the surface in space, the contacts, the next touch; with the arm
     display/dent/...                      close up: observed points and simulated particles around the last touch
     display/maps/...                      pictures of the maps with their axes and colour bars
     display/plan/gain                     why the next touch goes where it goes
@@ -124,8 +124,8 @@ def log_exploration_start(
     *,
     full: bool = False,
 ) -> None:
-    """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
-    start, that nothing is known yet.
+    """Log constants: the phases' colours, the pose of each arm's base in the surface frame; and empty results at the
+    start.
 
     base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same
     """
@@ -157,10 +157,10 @@ def prepare_results(
 ) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
-    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
-    no map beside it says; full: the maps also on the surface
-    failed: takes what could not be shown: every result is recorded all the same, and that with them
-    A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
+    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, without
+    a map of the same time; full: the maps also on the surface
+    failed: receives errors of views: every result is recorded nevertheless, and the error with them A plan that has
+    maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)

@@ -1,5 +1,5 @@
-"""How a squeeze is recorded and shown: its devices as those of any rig, and every result without loss beside what a
-person looks at.
+"""The recording and views of a squeeze: its devices as those of any rig, and every result without loss, with views for
+people.
 
     squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
     squeeze/fingertips|container|change|content    likewise, at the time of the frame that it is of
@@ -9,7 +9,7 @@ person looks at.
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
     display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
     display/squeeze/change                  the depth change around the fingertip, data minus model (fig. 2.6)
-    display/squeeze/measured|named          what was measured, and what the content is taken for, in words
+    display/squeeze/measured|named measurements, and the classification of the content, as text
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 
 
 def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
-    """What shows each result; events stand in the table of `log_measured`."""
+    """The view of each result; events are in the table of `log_measured`."""
     return {
         SqueezePhase: (PHASE, log_squeeze_phase),
         SqueezeStop: (STOPPED, log_squeeze_stop),

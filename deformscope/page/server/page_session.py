@@ -36,7 +36,7 @@ NEXT: dict[Phase, frozenset[Phase]] = {
 }
 """What may follow each phase."""
 REMARKS = 50
-"""The newest remarks are kept."""
+"""Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
 """What waits for a confirm waits no longer, once the page has drawn it."""
 UNSEEN_S = 30.0
@@ -146,8 +146,8 @@ class PageSession:
 
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
-        the reason where it is cancelled, or not confirmed in CONFIRM_S from when the page has drawn it, and from now on
-        where it does not say. What waited before is let be."""
+        the reason if it is cancelled, or not confirmed within CONFIRM_S after the page has drawn it, and from now on if
+        the page does not report that. What waited before is let be."""
         self._drop("another move was requested")
         with self._lock:
             self._moves += 1
@@ -179,8 +179,8 @@ class PageSession:
         return True
 
     def absent(self) -> str:
-        """Why nobody steers at this moment: empty while the page that does is there, can be seen, and says so often
-        enough. From any thread, and at once: asked in each control period."""
+        """Why no page steers at this moment: empty while the controlling page is connected and visible, and reports
+        often enough. From any thread, and at once: asked in each control period."""
         state = self._state
         if not state.controls:
             return "no page has the controls"
