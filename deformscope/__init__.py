@@ -6,8 +6,8 @@
     table = ds.explore("lab:two-60-150", seed=3)
     print(tension, table, sep="\\n")
 
-Every function raises `deformscope.InputError` for what cannot be used; every result prints as a table, has `to_dict()`
-(the JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is asked for.
+Every function raises `deformscope.InputError` for unusable input. Every result prints as a table, has `to_dict()` (the
+JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is asked for.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ def until_interrupted() -> Iterator[Interruption]:
             raise KeyboardInterrupt
         asked.signal_number = number
         asked.set()
-        say("ending; Ctrl-C again to leave at once")
+        say("ending; Ctrl-C again to leave immediately")
 
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:

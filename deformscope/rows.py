@@ -1,10 +1,10 @@
 """The one codec between frozen dataclasses and the columns of a recording: what is read is equal to what was written.
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
-`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat, an
-array's shape beside it as `FIELD_shape` where it is not (n,). What is None is left out; a dataclass that may be None
-has at least one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`;
-`IMAGES` says where it stands.
+`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat. An
+array's shape is `FIELD_shape` unless it is (n,). What is None is left out; a dataclass that may be None has at least
+one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its
+place.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ ENTITIES: dict[type, str] = {
     InputFile: "input",
     StageCost: "cost",
 }
-"""Where each kind stands in a recording."""
+"""The place of each kind in a recording."""
 
 SERIES: dict[type, str] = {ForcePose: "exploration/force_pose"}
 """Results that are rows at times of their own: `host_ns` (n,), and `values` (n, k) as scalars that a viewer plots."""

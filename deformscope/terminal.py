@@ -34,7 +34,7 @@ def say(remark: str) -> None:
 
 
 def is_watched() -> bool:
-    """Whether somebody reads stderr as it comes: at a terminal, or in a notebook."""
+    """Whether a person reads stderr during the run: at a terminal, or in a notebook."""
     return sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel")
 
 

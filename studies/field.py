@@ -238,7 +238,7 @@ QUANTITIES: dict[str, Callable[[Sequence[FieldOutcome]], str]] = {
     "intervals hold ratio, places": lambda some: (
         f"{np.mean([one.covered for one in some]):.2f}, {np.mean([one.held for one in some]):.2f}"
     ),
-    "says that places differ": lambda some: of_cases(Rate.of(one.claims for one in some)),
+    "reports that places differ": lambda some: of_cases(Rate.of(one.claims for one in some)),
     "smooth-error named": lambda some: str(sum("smooth-error" in one.reasons for one in some)),
     "ratio of directions over the true one": lambda some: _span([one.directions for one in some]),
     "1 - beta over the true ratio": lambda some: f"{np.median([one.beta_ratio for one in some]):.2f}",

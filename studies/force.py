@@ -263,7 +263,7 @@ class ForceCoverageConfig(StudyOptions):
 
     def check(self) -> None:
         if self.conditions != ("as told",) and not self.full:
-            raise InputError("--full with --conditions", "none: the fast way knows no condition but `as told`")
+            raise InputError("--full with --conditions", "none: the fast mode has only the condition `as told`")
         if not self.scatter or any(not 0.0 <= one < 1.0 for one in self.scatter):
             raise InputError("shares from 0 to below 1 after --scatter", " ".join(f"{one:g}" for one in self.scatter))
 

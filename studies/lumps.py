@@ -275,7 +275,7 @@ QUANTITIES: tuple[Quantity[AfterTouches], ...] = (
     Quantity(
         "missed_said",
         lambda after: float(np.mean([one.at(after[0]).missed for one in after[1]])),
-        {"said to be missed": number(3)},
+        {"stated miss probability": number(3)},
     ),
     Quantity(
         "missed",
@@ -301,7 +301,7 @@ FOAM_QUANTITIES: tuple[Quantity[Sequence[LumpOutcome]], ...] = (
     Quantity(
         "limit",
         lambda some: limit(float(np.sqrt(np.prod(foam_of(some[0]) or 0.0)))),
-        {"could be found at all": number(2)},
+        {"detectable in principle": number(2)},
     ),
     Quantity("alarms", lambda some: alarm_rate(some, some[0].case.touches), {"false alarms": of_cases}),
 )
@@ -336,7 +336,7 @@ def _format_counts(counted: dict[str, float]) -> dict[str, str]:
         "touches until found, median": f"{counted['touches_to_find']:.3g}, at most {counted['most_to_find']:.3g}",
         "touches made": f"{counted['touches_with']:.3g} with a lump, {counted['touches_without']:.3g} without (means)",
         "middle off, median": f"{1e3 * counted['off_m']:.1f} mm",
-        "middle within what was said (90 %)": f"{counted['within']:.2f}",
+        "middle within the stated distance (90 %)": f"{counted['within']:.2f}",
         "radius within its interval (90 %)": f"{counted['radius_held']:.2f}",
         "radius off, rms": f"{1e3 * counted['radius_off_m']:.1f} mm",
         "depth told": f"in {counted['depth_told']:.2f}, right in {counted['depth_right']:.2f} of these",

@@ -213,7 +213,7 @@ def report(
     rows += [(f"looks afterwards: {change}", count) for change, count in changes.most_common()]
     rows.append(("grasps drawn", drawn))
     rows += [(f"refused: {why}", count) for why, count in refused.most_common()]
-    tables = [Table(rows, caption=f"{options.arm}: containers that nobody touches")]
+    tables = [Table(rows, caption=f"{options.arm}: containers that no person touches")]
     struck = [one for one in disturbed if one.struck]
     lines = []
     for phase in DISTURBED:
@@ -225,7 +225,7 @@ def report(
         lines.append(("all", "", *np.sum([line[2:] for line in lines], axis=0).tolist()))
         names = ("container", "while", "trials", "noticed by image", "by the fingers", "not noticed")
         told = _share(sum(bool(one.noticed) for one in struck), len(struck))
-        caption = f"{options.arm}: containers that somebody moves or topples; noticed {told}"
+        caption = f"{options.arm}: containers that a person moves or topples; noticed {told}"
         tables.append(Table(lines, names, caption))
     return StudyReport(
         [*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")],

@@ -271,7 +271,7 @@ def removal_png(seed: int) -> bytes:
     scene = RemovalScene(seed)
     picture = scene.picture("realsense", pressing=True)
     T = scene.T_surface_camera("surface")
-    panels: list[tuple[str, npt.NDArray[np.uint8]]] = [("what the camera sees", picture.exact.color)]
+    panels: list[tuple[str, npt.NDArray[np.uint8]]] = [("content of the image", picture.exact.color)]
     for removal in REMOVALS:
         geometry = scene.geometry(T, DOUBT_M["surface"], known_as(removal))
         found = removed(picture, geometry, scene.box("all above", picture.center_m))
@@ -291,7 +291,7 @@ def removal_png(seed: int) -> bytes:
             axes.imshow(image)
             axes.set_title(title)
             axes.set_axis_off()
-        words = ("kept", "taken for the robot", "foam that is lost", "robot that is left")
+        words = ("kept", "classified as robot", "lost foam", "remaining robot")
         handles = [
             mpl.patches.Patch(color=tuple((np.array(tint) / 255.0).tolist()), label=word)
             for word, tint in zip(words, (KEPT, TAKEN, LOST, LEFT), strict=True)
@@ -382,7 +382,7 @@ def report(options: RemovalCoverageConfig, seconds: float, tried: Sequence[list[
     return StudyReport(
         tables,
         {"layouts": options.layouts, "doubt_m": DOUBT_M, "rows": lines},
-        (Figure(png, "Taken for the robot, by how it is taken out"),),
+        (Figure(png, "Classified as robot, by method of removal"),),
         {options.picture: png},
     )
 
@@ -396,7 +396,7 @@ def _removal_table(where: Where, lines: Sequence[Row]) -> Table:
             some = [chosen[sensor, about, removal] for removal in REMOVALS]
             points = some[0]["robot_points"] // some[0]["pictures"]
             written.append((sensor, words, points, *map(_shares, some), f"{some[-1]['foam_outliers']:.2%}"))
-    return Table(written, ("camera", "its place is off by", "robot points", *REMOVALS, "then outliers"), TITLES[where])
+    return Table(written, ("camera", "error of its pose", "robot points", *REMOVALS, "then outliers"), TITLES[where])
 
 
 def _shares(row: Row) -> str:

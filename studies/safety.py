@@ -102,7 +102,7 @@ def fault_table(runs: Sequence[AnyRun]) -> Table:
         "until then, max",
         f"ended [ms], max ({1e3 * ENDED_WITHIN_S:g})",
     )
-    names += ("stands after [ms]: median, max", "tip [mm]: median, max", "joint [deg], max", "left, least")
+    names += ("at rest after [ms]: median, max", "tip [mm]: median, max", "joint [deg], max", "left, least")
     return Table([*lines, _fault_line("all", runs)], names, "Injected faults")
 
 
@@ -191,7 +191,7 @@ def layout_table(runs: Sequence[LayoutRun]) -> Table:
     rows += [(f"touches: {ending}", count) for ending, count in endings.most_common()]
     rows += [(f"stopped on its way: {fault}", count) for fault, count in faults.most_common()]
     rows.append(
-        ("least way of a joint to its range's end", f"{min((run.margin_deg for run in begun), default=0):.1f} deg")
+        ("least distance of a joint to its limit", f"{min((run.margin_deg for run in begun), default=0):.1f} deg")
     )
     return Table(rows, caption="Random layouts of arm and table")
 

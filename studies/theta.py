@@ -101,7 +101,7 @@ def report(
     tables, found = summary(options, "theta", seconds, disturbed)
     lines = disturbed_rows(settings)
     if lines:
-        title = f"{options.level:.0%} intervals that hold the theta found at another setting"
+        title = f"{options.level:.0%} intervals that contain the theta of another setting"
         tables.append(table(lines, QUANTITIES, title, COLUMNS))
     return StudyReport(tables, found | {"settings": lines})
 

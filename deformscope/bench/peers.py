@@ -17,7 +17,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class PeerFailed(Exception):
-    """The engine's process ended by itself. The message is the last line that it said."""
+    """The engine's process failed. The message is the last line that it said."""
 
 
 def require_peers() -> None:
@@ -36,7 +36,7 @@ def search_path() -> str:
 class Peer:
     """One engine with a cube of side^3 particles, on one thread. `with Peer("pypbd", 11) as peer: peer.steps(100)`.
 
-    facts: what it says of the body that it built
+    facts: its description of the body that it built
     """
 
     def __init__(self, engine: str, side: int) -> None:
@@ -80,5 +80,5 @@ class Peer:
         if not line:
             self._stderr.seek(0)
             said = self._stderr.read().strip().splitlines()
-            raise PeerFailed(said[-1] if said else "it ended without a word")
+            raise PeerFailed(said[-1] if said else "it ended without an error message")
         return line

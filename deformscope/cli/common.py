@@ -59,11 +59,11 @@ def quiet_warp() -> None:
     quiet.quiet_warp()
     compiled = any(Path(str(wp.config.kernel_cache_dir)).glob("wp_deformscope_*"))
     if not compiled and is_watched() and multiprocessing.parent_process() is None:
-        say("compiling kernels once, about 30 s: they are kept for later starts")
+        say("compiling kernels once, about 30 s: later starts use the stored ones")
 
 
 def begin_worker() -> None:
-    """What a worker does before its first task: it has one thread, and says nothing."""
+    """First call in a worker: one thread, and no output."""
     import cv2
 
     quiet_warp()
@@ -122,7 +122,7 @@ def keep_page() -> None:
 
     if at_terminal() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
-            say(f"the page stays until Ctrl-C: {', '.join(page.address for page in pages)}")
+            say(f"the page stays open until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():
                 time.sleep(PAGE_LOOK_S)
     end_pages()
@@ -134,7 +134,7 @@ def keep_page() -> None:
 def write_json(value: object, target: str | None) -> None:
     """Write `value` to a file, or to stdout where `target` is `-`; None writes nothing.
 
-    Frozen dataclasses, arrays, paths, tuples and mappings may stand anywhere inside; what is not finite becomes null.
+    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; what is not finite becomes null.
     """
     if target is None:
         return
@@ -188,7 +188,7 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 
 
 def write_file(path: Path | None, content: bytes) -> None:
-    """Write a file in one go; None = it is not wanted."""
+    """Write a file in one go; None writes nothing."""
     if path is not None:
         with replacing(path) as file:
             file.write(content)
@@ -200,14 +200,14 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         raise InputError(f"a file after {flag}", "a folder", where=path)
     if path.exists() and not path.is_file():  # a device or a pipe: opening it could wait for a reader
         if not os.access(path, os.W_OK):
-            raise InputError(f"a file after {flag} that can be written", "one that cannot", where=path)
+            raise InputError(f"a writable file after {flag}", "one that cannot", where=path)
         return
     if path.exists() and not replace:
         raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
     path = Path(os.path.realpath(path))
     if not path.parent.is_dir():
         came = "something else" if path.parent.exists() else "none"
-        raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)
+        raise InputError(f"a folder for the file of {flag}", came, f"mkdir -p {path.parent}", path)
     probe = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         if path.exists():
@@ -215,4 +215,4 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         probe.open("xb").close()
         probe.unlink()
     except OSError as error:
-        raise InputError(f"a file after {flag} that can be written", str(error.strerror), where=path) from error
+        raise InputError(f"a writable file after {flag}", str(error.strerror), where=path) from error

@@ -27,7 +27,7 @@ def listing(config: DatasetConfig) -> None:
 
 
 def relabel(config: RelabelConfig) -> None:
-    """Correct what the index says of trials."""
+    """Correct the index's labels of trials."""
     _dataset(config.folder).change(config.trial, **config.changes())
     _show(config.folder, config.json)
 

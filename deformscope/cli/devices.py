@@ -24,11 +24,13 @@ from deformscope_drivers.webcam import discover as find_webcams
 PROBE_S = 1.0
 LISTEN_S = 0.5
 
-NOTHING = """No device was found on this machine. What to check:
-  cable and power; then: lsusb, ls -l /dev/serial/by-id /dev/video* , ip -details link show type can
-  the SDH's hand and tactile controller sit behind plain serial adapters, which are listed once they are plugged in
-  in a container or virtual machine, the device must be passed through
-Without hardware: deformscope double optoforce (in another terminal), or deformscope record lab:bench"""
+NOTHING = (
+    "No device was found on this machine. What to check:\n  cable and power; then: lsusb, ls -l "
+    "/dev/serial/by-id /dev/video* , ip -details link show type can\n  the SDH's hand and tactile controller sit "
+    "behind plain serial adapters, which are listed when connected\n  in a container or virtual machine, pass "
+    "the device through\nWithout hardware: deformscope double optoforce (in another terminal), or deformscope "
+    "record lab:bench"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,7 @@ def run(config: DevicesConfig) -> None:
 
 
 def _found() -> list[Any]:
-    """All that any search finds; a search that fails says so and does not hide the others."""
+    """All devices that any search finds; a failed search is reported and does not hide the others."""
     searches: list[Callable[[], list[Any]]] = [
         find_doubles,
         find_serial,

@@ -30,7 +30,7 @@ def _shown(run: RigRun, config: RigRunOptions) -> int:
     write_json(run.result.as_json(), config.output.json)
     recorded, losses = run.result.found["recording"] is not None, run.result.found["losses"]
     if losses and recorded:
-        say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+        say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     if run.early_by:
         say(f"deformscope: ended {run.why}")
         return 128 + run.early_by

@@ -83,7 +83,7 @@ def touch_rigid(
             raise InputError(
                 f"something rigid, which a tip dents by {1e3 * DOME_AT_MOST:g} mm at 1 N at most",
                 f"a dent of {1e3 * found.dome:.2f} mm at 1 N that stiffens as it grows, as foam's",
-                "a block of steel or stone, firmly on the surface",
+                "a block of steel or stone, fixed to the surface",
             )
         found_one(ComplianceTouch(found, law.peak_force_n, height_m, met_m))
 

@@ -1,7 +1,7 @@
 """Thesis chapter 4: look, decide where to touch, touch, estimate, map, again; until the map says what it can.
 
 `explore` is an experiment (`deformscope.session`): it commands a robot, has `ExplorationStages` computed, and yields
-their results; whether robot and stages are simulated, recorded, or run by themselves makes no difference to it.
+their results. It is the same for simulated, recorded and real robots and stages.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """A command: stand still and let the devices be recorded, stopped or not."""
+    """A command: rest and let the devices be recorded, stopped or not."""
 
     seconds: float
 
@@ -58,12 +58,12 @@ class ExplorationStopped(InputError):
     """The robot must not go on, or what it was to do came to nothing. stop: why, and when on the robot's clock"""
 
     def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
-        super().__init__("an exploration that comes to its end", f"{stop.kind}: {stop.reason}", stop.advice)
+        super().__init__("an exploration that ends normally", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
 
 class TouchHeld(Exception):
-    """A touch was broken off before it measured anything; the robot stands, and may be sent elsewhere."""
+    """A touch was stopped before it measured anything; the robot is at rest, and accepts another target."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +160,7 @@ class Exploration:
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
     started: touches that were started; asked: numbers of those that a person asked for, from 1
-    stop, stop_ns: why and when the robot stopped before its plan said so
+    stop, stop_ns: reason and time of a stop before the plan's end
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
 
@@ -219,11 +219,10 @@ def explore(
     permitted: RigExperiment[None] | None = None,
     steering: Steering | None = None,
 ) -> RigExperiment[None]:
-    """Look, then touch until the plan says enough; `found` holds what was found.
+    """Look, then touch until the plan is complete; `found` collects the results.
 
-    clock: the robot's [ns]; stage: has a stage computed; permitted: what comes before the robot may move; steering:
-    may change what comes next
-    It returns also where the robot must not go on, or it makes no sense: `found.stop` says why.
+    clock: the robot's [ns]; stage: has a stage computed; permitted: steps before the robot may move; steering: may
+    change the next touch It also returns when the robot must stop or the input is invalid: `found.stop` has the reason.
     """
     try:
         if permitted is not None:
@@ -267,7 +266,7 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
 def _next_touch(
     clock: Callable[[], int], stage: Stage, found: Exploration, steering: Steering
 ) -> Generator[Step, Any, Touch | None]:
-    """As planned, unless somebody wants another; None where there is none to be made."""
+    """The planned touch, unless a person requests another; None without a next touch."""
     count = len(found.touches)
     plan = yield from _computed(clock, stage("plan"), found)
     while True:
@@ -338,7 +337,7 @@ def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> Ex
     stop = ExplorationStop(
         kind=ESTIMATES_FAILED,
         reason=reason,
-        advice="what failed, in the recording",
+        advice="the failure, in the recording",
         action="stop",
         touch=len(found.touches),
     )

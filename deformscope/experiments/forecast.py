@@ -1,4 +1,4 @@
-"""What a touch that a person asks for is expected to feel, before it is made."""
+"""The forecast of a touch that a person requests, before it is made."""
 
 from __future__ import annotations
 

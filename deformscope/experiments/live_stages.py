@@ -1,13 +1,13 @@
-"""Stages that run while devices do: items of a rig in, results out, computed beside the loop that takes the items.
+"""Stages that run during a rig's recording: items of a rig in, results out, computed outside the loop that takes the
+items.
 
     with StageProcesses(options.names, quiet_warp) as executors:
         counts = session.run(rig, live_stages(stages_of(options, streams), executors, ended), recorder)
 
-The newest frame wins: while a stage computes, frames pass it by, and are counted. A stage that gives nothing notes why
-after a second, or with its first frame; one that does not keep up notes how far behind its frame it is. An image is
-computed on as it is recorded (decoded from JPEG), and a result names the frames that it rests on: `replay_stages`
-computes every result of a recording again and compares it to the last bit. A stage that fails gives a `StageFailure`,
-and goes on with what comes.
+The newest frame wins: while a stage computes, frames pass it by, and are counted. A stage without a result notes the
+reason after a second, or with its first frame; a slow one notes its delay behind its frame. A stage uses an image as
+recorded (decoded from JPEG), and a result names its frames. `replay_stages` computes every result of a recording again
+and compares it to the last bit. A stage that fails gives a `StageFailure`, and goes on with what comes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 SOON_S = 0.02
-"""How long what devices give is gathered while stages wait for it: a frame is not kept waiting longer."""
+"""Time for which device items are collected while stages wait for them: the largest delay of a frame."""
 AT_ONCE_S = 1.0
 """What has given nothing for so long says why."""
 AGAIN_S = 10.0
@@ -92,7 +92,7 @@ class StageCounts:
         failed = f", {self.failures} of them FAILED" if self.failures else ""
         late = "behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {max:.0f} ms at most"
         lag = "" if self.lag_ms is None else f", {late.format(**self.lag_ms)}"
-        why = f" ({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
+        why = f"({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
         rate = f", {self.rate_hz:.3g}/s" if self.results else ""
         found = f"{self.results} results of {self.frames} frames{rate}{failed}, {self.skipped} skipped{why}{lag}"
         found += "".join(f"; {count} without a value: {reason}" for reason, count in self.reasons.items())
@@ -209,7 +209,7 @@ class _Running:
         return counts
 
     def notes(self) -> list[SessionNote]:
-        """What is to be said of it now."""
+        """Its present notes."""
         since_ns = self._frames[-1].stamp.host_ns if self._frames else self._began_ns
         if not self._counts.results and self._clock() - since_ns >= AT_ONCE_S * 1e9:
             self._say(self._lack)

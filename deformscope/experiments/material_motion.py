@@ -1,5 +1,5 @@
-"""Anisotropy, fields of stiffness, yielding and recovery of what a camera followed, or of files: one fit, and every
-frame beside it."""
+"""Anisotropy, fields of stiffness, yielding and recovery from tracked images, or from files: one fit, and its
+comparison with every frame."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class MaterialFit:
 def material_video(
     particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFit], mask: BoolArray | None = None
 ) -> Experiment[MaterialFit]:
-    """Follow particles through the frames that are sent, fit, and show every frame beside the fit.
+    """Track particles through the frames that are sent, fit, and show every frame with the fit.
 
     mask: (H, W) True where the thing is in the first frame
     """
@@ -133,11 +133,11 @@ def camera_motion(
     if not released:
         came = f"--held {','.join(particles.held)}"
         hint = "--contact X,Y,WIDTH,HEIGHT where the tool presses, or --released PART"
-        raise InputError("a held part that is let go in the end", came, hint)
+        raise InputError("a held part that is released at the end", came, hint)
     stays = [part for part in particles.held if part not in released]
     if not stays:
-        hint = "hold what stands still too, such as --held bottom,contact"
-        raise InputError("a held part that stays", f"--held {','.join(particles.held)} alone", hint)
+        hint = "hold the fixed part too, such as --held bottom,contact"
+        raise InputError("a held part that is not released", f"--held {','.join(particles.held)} alone", hint)
     grid, history = tracked.grid, tracked.history
     still, pressed = (select_held(grid, parts, particles.contact_rect) for parts in (stays, released))
     still = np.setdiff1d(still, pressed)
@@ -159,7 +159,7 @@ def camera_motion(
     held &= seen
     position[cycle.unloaded :, pressed] = np.nan  # what a tool covered is not followed well once it lifts
     if not held[:, still].any(axis=1).all():
-        raise InputError(f"held particles of {','.join(stays)} that can be followed", "all of them lost at a frame")
+        raise InputError(f"held particles of {','.join(stays)} that can be tracked", "all of them lost at a frame")
     scale = None if particles.px_per_cm is None else 0.01 / particles.px_per_cm
     duration = _durations(np.asarray(tracked.times))
     origin: NoiseSource = "flow" if particles.noise_px is None else "given"
@@ -176,7 +176,7 @@ def some_frames(motion: Motion, rows: IntArray, end_s: FloatArray) -> Motion:
 def _durations(time_s: FloatArray) -> FloatArray:
     gap = np.diff(time_s)
     if not (gap > 0.0).all():
-        raise InputError("frames whose time rises", f"a step of {gap.min():g} s", "--fps, or a recording with stamps")
+        raise InputError("frames with rising times", f"a step of {gap.min():g} s", "--fps, or a recording with stamps")
     return np.append(gap, gap[-1])
 
 
@@ -238,7 +238,7 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])
     if not gone.size:
         came = "the same particles held in every frame"
-        raise InputError("a motion that is let go", came, "`held` as bool (T, K), and frames after the tool is off")
+        raise InputError("a motion with a release", came, "`held` as bool (T, K), and frames after the tool is off")
     time_s = np.concatenate([[0.0], motion.duration[0] + np.cumsum(np.append(0.0, motion.duration[:-1]))])
     whole = dataclasses.replace(
         motion,

@@ -1,8 +1,8 @@
 """Touches of a recording: as an exploration named their frames, or found in what any robot's arm, force sensor and
 depth camera gave.
 
-What `touching_robot` names of a look and of touches while it makes them is named here of frames that are there already;
-what is computed of them is the same.
+It names the frames of a recording as `touching_robot` names those of a look and of touches during a run; the same
+results are computed from them.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ FOLLOW_S = 5.0
 TRAVEL_M = 0.03
 """An arm that is so far from where its tip met something has left it."""
 ASIDE_M, LEAST_WAY_M = 3e-3, 1e-3
-"""The way to a touch is straight from where the tip is no further than this beside it. One that dents less has its
-direction from the way before contact too."""
+"""Largest distance of the tip from the straight path to a touch. One that dents less has its direction from the way
+before contact too."""
 LOADED, STILL = (0.02, 5e-5), (0.05, 2e-4)
-"""How far before its greatest depth a touch has come to it, and how far after it the tip still stands: as a share of
-the dent, and at least [m]."""
+"""Bounds of the greatest depth in time: how close to it the dent must be before and after it, as a share of the dent,
+and at least [m]."""
 UPRIGHT, REACHED = 0.5, 0.95
 """Least upward part of a touch's normal: within are 60 degrees; share of the set force that counts as it."""
 
 
 class _Approaches(ApproachChooser):
-    """Of the two seconds before contact the first is free air; a hold may last for long, but not while the arm travels:
-    then the force without contact is another one."""
+    """The first of the two seconds before contact is free air. A hold may last long, but not during travel: then the
+    force without contact differs."""
 
     before_s, longest_s = 2.0, 120.0
     _met_m: FloatArray | None = None
@@ -107,7 +107,7 @@ def find_touches(
         raise InputError("touches of the surface in the recording", came, "its [tool] and [surface]")
     looks = [ns for ns in images_ns if arms_ns[0] <= ns < touches[0].arm_ns[0]][:LOOKS]
     if not looks:
-        raise InputError("depth images of the surface before the first touch", "none", "begin to record earlier")
+        raise InputError("depth images of the surface before the first touch", "none", "start the recording earlier")
     arm_ns = max(ns for ns in arms_ns if ns <= looks[-1])
     lens = setup.camera.focal_px or (), setup.camera.center_px or ()
     look = LookFrames(camera, np.array(looks, np.int64), arm, arm_ns, model, *lens)
@@ -144,13 +144,13 @@ def _touch(
     center_m = placement.T_surface_center(np.array(T_base_ee))[:, :3, 3]
     peak = met + int(np.argmax(np.linalg.norm(force_n[met:], axis=1)))
     if np.linalg.norm(force_n[-1]) > 0.5 * np.linalg.norm(force_n[peak]):
-        raise InputError("a force that is gone after it", "one that stays, as where a sensor is set to zero")
+        raise InputError("a force that is zero after contact", "a remaining force, as after setting a sensor to zero")
     way_m = center_m[peak] - center_m[met]
     if np.linalg.norm(way_m) < LEAST_WAY_M:
         way_m = center_m[peak] - center_m[0]
     length_m = float(np.linalg.norm(way_m))
     if length_m < LOADED[1]:
-        raise InputError("an arm that moves into what it presses", f"{1e3 * length_m:.2g} mm of way")
+        raise InputError("an arm that moves into the surface", f"{1e3 * length_m:.2g} mm of way")
     normal = -way_m / length_m
     aside_m = np.linalg.norm(np.cross(center_m[:met] - center_m[met], normal), axis=1)
     start = int(np.flatnonzero(np.append(True, aside_m > ASIDE_M))[-1])
@@ -159,7 +159,9 @@ def _touch(
     normal = along * np.sign(along @ normal)
     share = float(force_n[peak] @ normal / np.linalg.norm(force_n[peak]))
     if not share >= ALONG_WAY:
-        raise InputError("an arm that presses along its way", f"{share:.0%} of the force along it")
+        raise InputError(
+            "an arm that presses along its direction of motion", f"{share:.0%} of the force in that direction"
+        )
     xy_m = (center_m[met] - placement.center_offset_m * normal)[:2]
     if normal[2] < UPRIGHT or not ((xy_m > 0.0) & (xy_m < setup.size_m)).all():
         came = f"({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm along ({', '.join(f'{one:.1f}' for one in -normal)})"

@@ -85,7 +85,7 @@ def _with_frames(path: Path, results: Sequence[StageResult]) -> Iterator[tuple[S
 
 
 def _missing(key: Key, path: Path) -> InputError:
-    return InputError("every frame that a result rests on", f"no frame {key[1]} of {key[0]}", where=path)
+    return InputError("every frame that a result needs", f"no frame {key[1]} of {key[0]}", where=path)
 
 
 def _keys(one: StageResult) -> list[Key]:

@@ -1,5 +1,5 @@
-"""The surface as the camera saw it before any touch, and what follows of it for touches: where to aim, how high the way
-there is, what the shape of the foam does to stiffness."""
+"""The surface as the camera measured it before any touch, and its consequences for touches: targets, height of the path
+there, and effect of the foam's shape on stiffness."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from deformscope.stages.see.pixel_labels import SeenPixels
 CORRIDOR_M, SURE_SD = 0.02, 3.0
 """What the tip crosses is looked at this far to either side of its path, at its height plus so many deviations."""
 LEAST_THICKNESS = 0.1
-"""Of the stated thickness: no foam is taken for thinner."""
+"""Least share of the stated thickness."""
 CURVED_OVER_M = 0.01
-"""Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
+"""Half width over which curvature is taken: a tip of 1 cm resolves no finer shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""What devices gave during a squeeze, kept for its features; the same while it runs and when it is replayed."""
+"""Device items of a squeeze, stored for its features; the same during a run and in a replay."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deformscope.stages.squeeze.tactile import End, tactile_feature
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, FingertipPressure
 
 BEFORE_S = 1.0
-"""Depth images are kept from so long before the first contact."""
+"""Depth images are stored from this long before the first contact."""
 AIR, OPEN = "air", "open"
 """The phases in which the open fingertips are in the air, at rest, and in which they open again."""
 POSTERIOR_S = 0.1
@@ -73,7 +73,7 @@ class SqueezeFrames:
     rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
     arm: the last state before it of the arm that carries the hand; arm_now: its newest
     T_hand_container: (4, 4) where an arm has placed the hand [m]; None: as the setup has it
-    all_images: depth images are kept from `air_ns` on, however long before the first contact that is
+    all_images: depth images are stored from `air_ns` on, however long before the first contact that is
     """
 
     tactile_source: TactileSource
@@ -154,9 +154,9 @@ class Tracking:
 class SqueezeObserver:
     """Takes what devices give, in order of time, keeps it for the features, and has results to show of each frame.
 
-    predict: what a model makes of the features so far, None = no model; tracking: may be set. The results are functions
-    of the frames, of when the fingers were open in the air (`phase`), and of which images were tracked by when, which
-    is recorded, so that a recording gives them again.
+    predict: a model's posterior from the features so far, None = no model; tracking: may be set. The results are
+    functions of the frames, of the time when the fingers opened in the air (`phase`), and of the images tracked by each
+    time. All are recorded, so that a recording gives the same results.
     """
 
     def __init__(self, frames: SqueezeFrames, end: End, predict: Predict | None) -> None:
@@ -210,8 +210,8 @@ class SqueezeObserver:
 
 
 class ObservedRecorder:
-    """A recorder that passes all that devices gave on to an observer, in the order in which it is recorded, and then
-    records what there is to show of it."""
+    """A recorder that passes all device items to an observer, in recorded order, and then records the observer's
+    views."""
 
     def __init__(self, recorder: SessionRecorder, observer: SqueezeObserver) -> None:
         self._recorder, self._observer = recorder, observer

@@ -1,6 +1,6 @@
-"""The container in one depth image after the other: its pose, and how the depth around the fingertip differs from that
-of the rigid model (Thesis ch. 2). It is the same function of the same images while the hand squeezes, afterwards, and
-when a recording is replayed."""
+"""The container in successive depth images: its pose, and the difference of the depth around the fingertip from that of
+the rigid model (Thesis ch. 2). It is the same function of the same images while the hand squeezes, afterwards, and when
+a recording is replayed."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
             raise InputError(f"one noise_m, or {count}", str(noise.size))
         noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
         if not (np.isfinite(noise).all() and (noise >= 0.0).all()):
-            raise InputError("noise_m of 0 or more", "a negative or no number", NOT_KNOWN)
+            raise InputError("noise_m of 0 or more", "a negative number, or none", NOT_KNOWN)
     held_noise = number(found, "held_noise_m")
     if noise is not None and held_noise:
         noise[held] = held_noise

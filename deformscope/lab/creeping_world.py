@@ -50,7 +50,7 @@ class Relaxation:
         if not (alike and min((*self.shares, *self.times_s, 1.0)) > 0.0 and sum(self.shares) < 1.0):
             raise InputError("shares above 0, together below 1, each with a time above 0 s", f"{self}")
         if not 0.0 <= self.keeps < 1.0:
-            raise InputError("a share of a dent that stays, from 0 to below 1", f"{self.keeps}")
+            raise InputError("a permanent share of a dent, from 0 to below 1", f"{self.keeps}")
 
     @property
     def share(self) -> float:

@@ -86,7 +86,7 @@ def _wire_process(driver: str, config: object) -> Iterator[str]:
         try:
             port: str = pipe.recv()
         except EOFError as error:
-            raise InputError(f"a double of {driver} in a process of its own", "one that ended at once") from error
+            raise InputError(f"a double of {driver} in a process of its own", "one that ended immediately") from error
         yield port
 
 

@@ -140,7 +140,7 @@ class ElasticBox:
         """(elements,) one number for each element."""
         given = np.asarray(value(self.centres) if callable(value) else value, dtype=np.float64)
         if given.ndim and given.shape != (len(self.centres),):
-            raise InputError(f"one number, or {len(self.centres)}, one an element", str(given.shape))
+            raise InputError(f"one number, or {len(self.centres)}, one per element", str(given.shape))
         return np.broadcast_to(given, (len(self.centres),))
 
 
@@ -150,7 +150,7 @@ class HeldBox:
     def __init__(self, box: ElasticBox, held: BoolArray) -> None:
         held = np.asarray(held, dtype=bool)
         if held.shape != box.nodes.shape:
-            raise InputError(f"held of shape {box.nodes.shape}, one entry a node and component", str(held.shape))
+            raise InputError(f"held of shape {box.nodes.shape}, one entry per node and component", str(held.shape))
         if np.linalg.matrix_rank(_rigid_motions(box.nodes)[held]) < 6:
             raise InputError("a box held against every rigid motion", "one that is free to move", "hold more nodes")
         self.box, self.held = box, held

@@ -218,7 +218,7 @@ class SimulatedHand:
             body.put(T_base_ee)
             return True
         if not isinstance(body, JacoDouble):
-            raise TypeError(f"no arm that is moved by hand: {type(body).__name__}")
+            raise TypeError(f"no arm that a person moves: {type(body).__name__}")
         found = body.chain.inverse(np.asarray(T_base_ee, np.float64), body.joints_deg, starts=starts, iterations=40)
         if found.converged:
             body.put(found.joints_deg)

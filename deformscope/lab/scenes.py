@@ -293,7 +293,7 @@ BUILT_IN = {
     "homogeneous-110": "one foam of 110 N",
     "two-60-150": "two foams, 60 and 150 N, that meet along a tilted line",
     "two-110-150": "two foams, 110 and 150 N, that meet along a tilted line",
-    "two-150-rigid": "a foam of 150 N beside something rigid",
+    "two-150-rigid": "a foam of 150 N next to a rigid part",
     "three-60-110-rigid": "foams of 60 and 110 N and something rigid, as stripes or as a T",
     "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N, either being the softer",
     "gradient": "foam whose modulus rises evenly from corner to corner, without regions",
@@ -308,7 +308,7 @@ BUILT_IN = {
     "wedge": "one foam of 110 N, 5 cm thick at one corner and 2 at the other",
     "step": "one foam of 110 N, 2 cm thick on one side of a tilted line and 5 on the other, a ramp of 6 cm between",
     "egg-crate": "one foam of 110 N, 5 cm thick, with crests and hollows 1 cm apart in height and 6 cm in waves",
-    "thin-thick": "a foam of 60 N, 2 cm thick, beside one of 75 N, 5 cm thick, which feel alike",
+    "thin-thick": "a foam of 60 N, 2 cm thick, next to one of 75 N, 5 cm thick, with the same apparent stiffness",
     "lump": "two foams, 60 and 150 N, that meet along a tilted line, and something rigid 12 cm wide somewhere in them",
 }
 """Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""

@@ -36,7 +36,7 @@ RING: Rgb = (20, 20, 20)
 
 
 def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canvas) -> None:
-    """Simulated particles in red beside the observed ones, what separates them, and where the model is wrong."""
+    """Simulated particles in red with the observed ones, their differences, and the model's error."""
     length = errors(comparison)
     free = np.ones(len(length), dtype=np.bool_)
     free[comparison.held] = False
@@ -233,7 +233,7 @@ def _heights(canvas: Canvas) -> str:
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
     """The error curve as a chart and as numbers, the verdict as text, and every field of it.
 
-    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's stands at the pair's frame.
+    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's is at the pair's frame.
     """
     whole = bool(canvas.image)
     curve = estimate.curve

@@ -1,7 +1,7 @@
 """A fit that is set on a page, in its own process: what is changed is simulated at once, and the newest change wins.
 
-What is shown while a camera is followed is nobody's file: a picture that is held, also by a whole fit, is written
-together with the one at rest, and the command line names both.
+Images of a followed camera are in no file. A picture that is held, also by a whole fit, is written together with the
+one at rest, and the command line names both.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class PageFit:
 
     @property
     def result_config(self) -> BetaConfig | ThetaConfig:
-        """The options that were set last, of files. Raises InputError where pictures of a camera could not be kept."""
+        """The options that were set last, of files. Raises InputError if pictures of a camera could not be stored."""
         return self.config if self._camera is None else self._camera.named(self.config)
 
     @property
@@ -198,7 +198,7 @@ class PageFit:
         try:
             camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {format_error(problem)}")
+            self._show(problem=f"the pictures cannot be stored: {format_error(problem)}")
             return
         self._show(following=False)
         self._set(self._shown)
@@ -231,7 +231,7 @@ class PageFit:
             self._show(**shown, problem=format_error(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
-        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        restless = "" if error.converged else "the simulation does not converge with these settings"
         changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
             **changes,
@@ -324,7 +324,7 @@ class PageFit:
             self._show(busy=f"{what}: {done} of {total}" if total else what)
 
     def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
-        """What was seen, in the model; both are kept while nothing changes that they depend on."""
+        """The observed positions, in the model; both are reused until their settings change."""
         key = config.images, config.search.noise_px
         if self._seen is None or self._seen[0] != key:
             seen, used = self._subject.observe(config)

@@ -25,12 +25,12 @@ from deformscope.terminal import say
 NICE = 5
 """What reads devices and moves a robot goes first; what computes the flow comes after it."""
 MOST_CHANGES = 1000
-"""Of so many, the newest, it is kept how long they took to be seen."""
+"""Number of newest pictures whose delay until display is stored."""
 
 
 class FitProcess:
-    """`PageRun` of a fit. Its process asks for a camera's newest picture when it is ready for one; what reads devices
-    hands it over without waiting, and hands over none while nobody looks at the fit.
+    """`PageRun` of a fit. Its process requests a camera's newest picture when it is ready for one. The device loop
+    passes it on without waiting, and passes none while no page shows the fit.
 
     config: with which it begins; state: as it was shown last, at first as given; commands: that are possible then
     changed: is called with it after every change, in the thread that listens to the process

@@ -1,7 +1,7 @@
 """A squeeze that is begun, watched and stopped from a page.
 
-Nothing of it moves by itself: the experiment asks it before the hand moves, and its watch asks in each control period
-whether somebody is still there who confirmed the motion under way.
+It starts no motion: the experiment queries it before the hand moves. Its watch checks in each control period whether
+the page that confirmed the motion is still present.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class PageSqueezing(RobotPage):
 
     def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
         if not isinstance(command, StartSqueezing):
-            return "refused", "not while something is squeezed"
+            return "refused", "not during a squeeze"
         self.session.ask(self._what, self._agree, self.session.remark)
-        return "begun", "waits for a confirm"
+        return "begun", "waits for a confirmation"
 
 
 def show_squeezed(session: PageSession, table: Iterable[Sequence[object]]) -> None:

@@ -246,7 +246,7 @@ def _numbers(axis: Axes, score: ClassificationScore) -> None:
 
 
 def accuracies_png(scores: Sequence[ClassificationScore]) -> bytes:
-    """Accuracy of every method and modality with its interval, beside the no-information rate."""
+    """Accuracy of every method and modality with its interval, and the no-information rate."""
     modalities = list(dict.fromkeys(one.modality for one in scores))
     methods = list(dict.fromkeys(one.method for one in scores))
     figure = canvas(8.6, 1.2 + 0.16 * len(scores) + 0.28 * len(methods), layout="constrained")
@@ -294,7 +294,7 @@ def fusion_png(found: Evaluation) -> bytes:
 
 
 def transfer_png(found: Evaluation) -> bytes:
-    """Accuracy on another kind of container than the one that trained, beside that within one kind."""
+    """Accuracy on another kind of container than that of the training, compared with that within one kind."""
     transfers = [one for one in found.scores if one.pair is not None and one.method in ("pooled", "late-fusion", "knn")]
     pairs = list(dict.fromkeys(one.pair for one in transfers if one.pair is not None))
     keys = list(dict.fromkeys((one.modality, one.method) for one in transfers))
@@ -352,7 +352,7 @@ def reliability_png(scores: Sequence[ClassificationScore]) -> bytes:
 
 
 def steps_png(found: Evaluation) -> bytes:
-    """What is known while a squeeze goes on; beside it, what comes of stopping as soon as it is sure enough."""
+    """Posterior during a squeeze, and the result of stopping once it is confident enough."""
     figure = canvas(9.4, 4.0, layout="constrained")
     now, early = figure.subplots(1, 2, sharex=True, sharey=True)
     for index, (name, points) in enumerate(found.steps.items()):
@@ -364,9 +364,9 @@ def steps_png(found: Evaluation) -> bytes:
         early.plot(time, [one.stopped for one in points], color=color)
         early.plot(time, [one.right for one in points], ":", color=color)
     now.axhline(found.scores[0].chance, color="tab:gray", linestyle="--", label="no-information rate")
-    early.plot([], [], color="0.3", label="sure enough to stop by then")
-    early.plot([], [], ":", color="0.3", label="named rightly, of those")
-    for axis, title in ((now, "named rightly at that moment"), (early, "stopped as soon as it is sure")):
+    early.plot([], [], color="0.3", label="confident enough to stop by then")
+    early.plot([], [], ":", color="0.3", label="right answers, of those")
+    for axis, title in ((now, "right answers at that moment"), (early, "stopped once it is confident")):
         axis.set(xlabel="time since the first contact [s]")
         axis.set_title(title, fontsize=10)
         axis.grid(alpha=0.25)

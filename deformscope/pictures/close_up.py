@@ -42,7 +42,7 @@ class CloseUp:
         return np.asarray(0.5 * (self.low + self.high))
 
     def holds(self, position: FloatArray) -> IntArray:
-        """Which of (K, 3) positions lie beside or inside it, seen from above."""
+        """Which of (K, 3) positions lie next to or inside it, seen from above."""
         grace = 1e-6 * (self.high - self.low)[:2]
         inside = (position[:, :2] >= self.low[:2] - grace) & (position[:, :2] <= self.high[:2] + grace)
         return np.flatnonzero(inside.all(axis=1))

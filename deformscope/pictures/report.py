@@ -78,7 +78,7 @@ class Code:
 
 
 Part = str | ReportVerdict | Table | Figure | Code | tuple[Figure, ...]
-"""A part of a section; figures in a tuple stand side by side where there is room."""
+"""A part of a section; figures in a tuple are side by side if there is room."""
 
 
 @dataclass(frozen=True, slots=True)

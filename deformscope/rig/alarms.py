@@ -1,11 +1,11 @@
 """Sensors that are stuck, or at the end of their range, as their readings show.
 
 stuck: an axis of a force sensor, or texels that are pressed, give exactly the same count for longer than the rig allows
-(`stuck_after_s`), and for longer than their own noise does: the share of readings so far that were equal to the one
+(`stuck_after_s`), and for longer than their own noise does. The share of readings so far that were equal to the one
 before makes such a stretch less likely than CHANCE. Whole readings, and pictures, that stay the same are found by the
 drivers (`Health.stuck`), and passed on.
-saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of a picture at its
-brightest or at black, a depth camera that sees nothing. The range of an arm is its supervisor's business.
+saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of an image at its
+brightest or at black, a depth camera without any depth. The range of an arm is its supervisor's business.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from deformscope.frames import (
 CHANCE = 1e-9
 """How unlikely a stretch of equal readings is to be by the sensor's noise before it counts as stuck."""
 CLEAR_S = 1.0
-"""An alarm ends once readings have come for so long without its cause: one that comes and goes is one, and it does not
+"""An alarm ends after this time of readings without its cause. One that comes and goes is one alarm, and it does not
 end as its sensor falls silent."""
 WRENCH_END, TEXEL_END = 32767, 4095
 """The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
@@ -120,7 +120,7 @@ class SensorAlarms:
         for item in items:
             if isinstance(item, HealthReport):
                 for name, health in item.devices:
-                    causes = {"reading": "stuck: the same reading again and again"} if health.stuck else {}
+                    causes = {"reading": "stuck: the sensor repeats the same reading"} if health.stuck else {}
                     notes += _changes(name, self._watched[name], HealthReport, causes, item.host_ns)
             elif not isinstance(item, RawBytes | LinkChange | SessionNote):
                 groups.setdefault((type(item), item.device), []).append(item)
@@ -200,7 +200,7 @@ def _color(frames: Sequence[ColorFrame], stream: Stream, watched: _Watched) -> d
 
 def _depth(frames: Sequence[DepthFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
     if (frames[-1].depth[::PICTURE_STEP, ::PICTURE_STEP] == 0).all():
-        return {"nothing": "saturated: nothing is seen within its range"}
+        return {"nothing": "saturated: no pixel within its range"}
     return {}
 
 

@@ -25,8 +25,8 @@ HEALTH_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RigMember:
-    """A device to be opened. device: closed yet; simulated: a double stands in for it; late_ns: its stamps are put back
-    by so much, as calibrated"""
+    """A device to be opened. device: closed yet; simulated: a double replaces it; late_ns: its stamps are put back by
+    so much, as calibrated"""
 
     name: str
     driver: Driver
@@ -137,8 +137,8 @@ class RigSource:
         return {opened.member.name: opened.failure for opened in self._opened if opened.failure}
 
     def take(self, wait_s: float) -> list[Item]:
-        """Wait, then all that came since the last call, in order of time; now and then with everyone's health, and with
-        notes of what readings show to be stuck or saturated, which their health then says as well."""
+        """Wait, then all items since the last call, in order of time. Sometimes they include everyone's health, and
+        notes of readings that are stuck or saturated, which their health then reports as well."""
         if wait_s > 0.0 and self._wait_until is not None:
             self._wait_until(self._clock() + round(wait_s * 1e9))
         elif wait_s > 0.0:
@@ -162,7 +162,7 @@ class RigSource:
         return HealthReport(self._clock(), looks)
 
     def close(self) -> None:
-        """Close all devices, however many of them fail at it; what they gave last can still be taken."""
+        """Close all devices, even if some of them fail; their last items can still be taken."""
         for opened in self._opened:
             try:
                 opened.member.device.close()
@@ -194,7 +194,7 @@ def _stuck_after_s(device: Device[Any]) -> float | None:
 
 
 def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:
-    """All that waits; why the device ended is kept once nothing does."""
+    """All waiting items; the reason for the device's end follows once there are none."""
     try:
         return queue.take()
     except Exception as error:

@@ -1,7 +1,7 @@
 """How far an arm is from the table and from itself: links and stick as capsules around the lines between joints.
 
-What the vendor's Cartesian mode saw to is seen to here, roughly: shapes of arms differ by a centimetre or two from
-capsules of one radius, which is why a margin is kept.
+This module replaces a function of the vendor's Cartesian mode, with lower accuracy: shapes of arms differ by a
+centimetre or two from capsules of one radius, which the margin covers.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Low and high corner [m]."""
 APART_M = 0.15
 """Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Longer than a
-wrist's links, shorter than a forearm: smaller, neighbours would always count as touching; larger, a wrist folded onto
-its forearm would not be seen."""
+wrist's links, shorter than a forearm. With a smaller value, neighbours would always count as touching; with a larger
+one, a wrist folded onto its forearm would be missed."""
 FROM_ELBOW = 2
-"""Links from the base that the table may be near to: pedestal and shoulder stand on it."""
+"""Links from the base that may be near the table: pedestal and shoulder are mounted on it."""
 
 
 class ArmClearance:

@@ -42,8 +42,8 @@ MOVES: dict[str, tuple[int, float]] = {
 }
 """Key to axis (x, y, z, then turns about them, surface frame) and way."""
 HELP = (
-    "a d  along x    w s  along y    f r  down, up    u o, k i, j l  turn about x, y, z\n"
-    "1 2 3  steps of 1, 5, 10 mm    hold a key to go on, let go to stop    space  stop    q  leave"
+    "a d  along x    w s  along y    f r  down, up    u o, k i, j l  turn about x, y, z\n1 2 3  steps of 1, "
+    "5, 10 mm    hold a key to continue, release to stop    space  stop    q  leave"
 )
 
 
@@ -70,7 +70,7 @@ class Jog:
             self._until_ns = now_ns + round(self.step_m / SPEED_M_S * 1e9)
 
     def command(self, now_ns: int) -> TipVelocity | None:
-        """The velocity for the control period that begins at now_ns; None = stand still."""
+        """The velocity for the control period that begins at now_ns; None = rest."""
         if now_ns >= self._until_ns or self._key not in MOVES:
             return None
         axis, way = MOVES[self._key]

@@ -62,7 +62,7 @@ class LatchingSupervisor(Generic[FaultT]):
         self._judged_ns, self._excused = now_ns, False
 
     def acknowledge(self, now_ns: int) -> None:
-        """A person has seen to the reason: judge anew from now on."""
+        """A person has removed the reason: judge again from now on."""
         self._verdict = self._go_on
         self.start(now_ns)
 

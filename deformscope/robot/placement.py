@@ -32,10 +32,10 @@ from deformscope_drivers.arm.kinematics import (
 )
 
 TURNED_RAD = 0.7
-"""An arm whose end is turned further than this from where it should be goes there joint by joint, in another of its
-configurations if that is better."""
+"""An arm whose end deviates further than this from its planned rotation moves there joint by joint, in another
+configuration if that is better."""
 PLAN_MARGIN_DEG = 8.0
-"""Planned poses have every joint so far inside its range: there it may still turn at a third of its greatest rate
+"""Distance of every joint of a planned pose from its limits: there it may still turn at a third of its greatest rate
 towards the limit (`motion.SLOW_DEG`)."""
 TOLERANCES: dict[str, Any] = {
     "position_tolerance_m": 1e-4,
@@ -115,7 +115,7 @@ class Placement:
         """(..., 4, 4) the arm's end in the base frame when the tip's centre (..., 3) [m] is here and the stick along
         -normal (..., 3).
 
-        center_m, normal: in the surface frame. The turn about the normal is the one nearest to the surface's x axis, so
+        center_m, normal: in the surface frame. The turn about the normal is the nearest to the surface's x axis, so
         that it is the same for all touches on a flat surface.
         """
         out = np.asarray(normal, dtype=float)
@@ -261,8 +261,8 @@ def _reach(least: Sequence[float | None]) -> Reach:
 def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
-    A six-joint arm has up to eight for one pose; of those found, the ones are given whose way stays furthest from
-    singularities, every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
+    A six-joint arm has up to eight for one pose. Returned are those whose path stays furthest from singularities, with
+    every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
     """
     random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
 

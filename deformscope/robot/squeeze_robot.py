@@ -1,7 +1,7 @@
 """A hand and its tactile arrays with one control period, watched by a supervisor: pre-shape, close, hold, open.
 
-The same code runs on real devices, which have their own threads, and in a simulated laboratory: what differs is how
-time passes until the next control period (`wait_until`).
+The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
+next control period differs (`wait_until`).
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ SQUEEZE_PERIOD_NS = 20_000_000
 KEEP_S = 0.1
 """The hand's driver sets a velocity back to 0 unless it is set again within this: five control periods."""
 RAMP_DEG_S2 = 400.0
-"""Of the closing axes: the most that Schunk's library takes. From 6 deg/s they then stand within 15 ms of a stop; at
-the hand's default of 100 deg/s2 it would be 60 ms."""
+"""Of the closing axes: the most that Schunk's library takes. From 6 deg/s they then rest within 15 ms of a stop; at the
+hand's default of 100 deg/s2 it would be 60 ms."""
 PRESHAPE_DEG_S = 40.0
 """Of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
 MISSED_DEG = 2.0
@@ -52,8 +52,8 @@ PRESHAPE_MARGIN_S = 4.0
 OLD_FIRMWARE_S = 15.0
 """The whole range of an axis at 12 deg/s."""
 STOP_TRIES, STOP_EVERY_S = 15, 0.1
-"""Attempts to stop the hand or to set its limits back, and from one to the next while its link is down: the driver
-looks for a lost one after 0.05 s, and then ever more rarely."""
+"""Attempts to stop the hand or to restore its limits, and the pause between them while its link is down: the driver
+looks for a lost one after 0.05 s, then less often."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class SqueezeRobot:
         self.supervisor.start(self._clock())
 
     def cycle(self, closing_deg_s: float | None = None) -> None:
-        """Close at a speed (None = as it is), let a control period pass, look, and have it judged.
+        """Close at a speed (None = unchanged), let a control period pass, read the devices, and have them judged.
 
         Raises SqueezeStopped where the hand must not go on: it was stopped then.
         """
@@ -147,7 +147,7 @@ class SqueezeRobot:
             self._on_cycle()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person wants it to stop: within this control period, or in the next one."""
+        """A person requests a stop: within this control period, or in the next one."""
         self.supervisor.stop(SqueezeFault.ASKED, reason, self._clock())
 
     def fail(self, fault: SqueezeFault, reason: str) -> None:

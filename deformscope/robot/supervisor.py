@@ -62,7 +62,7 @@ FORCE_FAULTS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the robot must keep to. The times are set so that a fault is noticed within 50 ms (force), 100 ms (arm) and
+    """What the robot must keep to. The times are set so that a fault is detected within 50 ms (force), 100 ms (arm) and
     two frame periods (camera), a control period of 10 ms included.
 
     soft_force_n, hard_force_n: magnitude backed away at, stopped at
@@ -72,14 +72,14 @@ class Limits:
     table_m, itself_m: elbow and wrist come no nearer to the table's top, and no parts of the arm to one another that
     could meet (`clearance.ArmClearance`)
     arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
-    collision_nm: a joint's torque may differ so much from its mean of the last seconds, beside what the force on the
-    tip explains: a collision (`collision.CollisionWatch`); 0 = torques are not looked at
+    collision_nm: largest difference of a joint's torque from its mean of the last seconds, besides the effect of the
+    force on the tip; more is a collision (`collision.CollisionWatch`), 0 = torques are ignored
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
     axes_rest: the force sensor's axes are a hand's fingers, which say 0 while nothing touches them: that is not frozen
-    arm_frozen_m, arm_frozen_s: way that it was sent on, and time at least that it was sent, without any change of the
-    joints, pauses between left out (an arm begins to move, and reports it, some periods after the command)
+    arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
+    excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
     camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
     so many times after its first is a frozen camera (noise makes two real ones differ)
@@ -151,7 +151,7 @@ APPROACH_DEG_S = 0.5
 LATE_NS = 20_000_000
 """A judgement so long after the last one, two control periods, came late (`LatchingSupervisor`)."""
 TIP_DECAY = 0.995
-"""Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
+"""Share of a force on the tip that explains joint torques still at a reading 1 ms later: torques are read in turn, up
 to 0.2 s after (`reading.TURN_NS`)."""
 
 
@@ -328,7 +328,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         if age_s := self._silent_s(self._arm_ns, limits.arm_silent_s):
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
         if self._unmoved_m > limits.arm_frozen_m and self._unmoved_ns >= limits.arm_frozen_s * 1e9:
-            why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
+            why = f"its joints report no motion while commands moved {self._unmoved_m * 1e3:.1f} mm"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
 
@@ -337,20 +337,21 @@ class Supervisor(LatchingSupervisor[Fault]):
         if limit_nm > 0 and (sample.currents or self._motors):
             self._motors = True
             if not sample.currents:
-                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, where collisions are seen by them")]
+                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, which collisions are detected by")]
             why = self._currents.look(sample.currents, sample.joints_deg, self._tip_n, sample.time_ns)
             return [(Action.STOP, Fault.COLLISION, why)] if why else []
         if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):
             return []
         self._torques = True
         if not torques_nm or not np.all(np.isfinite(torques_nm)):
-            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm} where collisions are seen by them")]
+            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm}, which collisions are detected by")]
         why = self._collisions.look(torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
         return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
     def _motion(self, sample: ArmSample) -> list[Alarm[Fault]]:
-        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints on their way to a limit,
-        all from the difference of poses over SPEED_OVER_NS: what an arm reports as its velocities is not trusted."""
+        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints that approach a limit.
+        All come from the difference of poses over SPEED_OVER_NS, because an arm's reported velocities are not
+        reliable."""
         limits, found = self.limits, []
         self._track.append(sample)
         while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:
@@ -427,7 +428,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         tilt_deg = _angle_deg(commanded, sample.T_base_ee)
         if tilt_deg <= self.limits.tilt_deg:
             return []
-        why = f"{tilt_deg:.1f} deg beside what was commanded, limit {self.limits.tilt_deg:g} deg"
+        why = f"{tilt_deg:.1f} deg from the command, limit {self.limits.tilt_deg:g} deg"
         return [(Action.STOP, Fault.TILT, why)]
 
     def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[Alarm[Fault]]:

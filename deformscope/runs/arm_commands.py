@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 NOT_YET = ("plan", "workspace", "calibration", "age", "camera", "tip: in free air", "arm: reach", "arm: first way")
-"""Rows of the table of checks that do not matter to an arm that is moved by hand, in small steps, before anything is
-calibrated; those of arm, force sensor and this computer do."""
+"""Rows of the table of checks without importance for an arm that a person moves in small steps before any calibration.
+Rows of arm, force sensor and this computer remain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def home(config: HomeConfig) -> None:
         if not arm.goes_home:
             raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")
         if not config.yes:
-            _ask("The arm will now go home by itself, on its own path: is the way free? Type yes: ", asked)
+            _ask("The arm will now move to its home pose on its own path: is the way free? Type yes:", asked)
         say("the arm goes home: Ctrl-C stops it")
         with ThreadPoolExecutor(1, "home") as beside:
             going = beside.submit(arm.home)
@@ -156,7 +156,7 @@ def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys
 
 @dataclass(frozen=True, slots=True)
 class _Moved:
-    """A robot as a `Watch` wants it."""
+    """A robot with the attributes that a `Watch` needs."""
 
     robot: Robot
 

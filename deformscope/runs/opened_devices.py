@@ -61,9 +61,9 @@ def setup_of(
     """The setup of `lab:NAME`, of a rig file, closed, or of a recording.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
-    keeps nothing from the estimator; camera: what its camera measures by; robot: what it
-    sees of the robot; removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file
-    says, in the laboratory free where `options` are the thesis's
+    keeps nothing from the estimator; camera: what its camera measures by; robot: the robot's model in the images;
+    removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file says, in the
+    laboratory free where `options` are the thesis's
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
@@ -139,7 +139,7 @@ def recorded_rig(path: Path) -> Rig:
     known: list[tuple[str, object]] = [("[surface] T_arm_surface", rig.surface.T_arm_surface)]
     known += [(f"[camera] {name}", getattr(camera, name)) for name in ("T_arm_camera", "focal_px", "center_px")]
     if missing := [name for name, value in known if value is None]:
-        raise InputError(f"{missing[0]} of what was recorded", "none", "in the map of its import", path)
+        raise InputError(f"{missing[0]} among the recorded devices", "none", "in the map of its import", path)
     return rig
 
 
@@ -187,8 +187,8 @@ CONTAINERS = f"{LAB}containers"
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
 class SqueezeOpening:
-    """A setup to squeeze with, closed; settings: for its recording; content, container: what stands there, as asked for
-    or, in the laboratory, as drawn"""
+    """A setup to squeeze with, closed; settings: for its recording; content, container: the requested ones or, in the
+    laboratory, random ones"""
 
     setup: SqueezeSetup
     settings: dict[str, Any]

@@ -28,7 +28,7 @@ Keys = Callable[[], str]
 class RunOperator:
     """Who is asked before a robot moves.
 
-    asked: set once somebody wants the run to end; agreed: somebody has agreed at the page, None without one
+    asked: set when a person requests the end of the run; agreed: somebody has agreed at the page, None without one
     """
 
     asked: Interruption
@@ -50,13 +50,13 @@ class RunOperator:
     def confirm(self, prompt: str, *, or_ended: bool = False) -> RigExperiment[None]:
         """As `line`; raises InputError unless somebody says yes. or_ended: nor where somebody ends the run"""
         if self.agreed is None and not at_terminal():
-            raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
+            raise InputError("a person who confirms", "no terminal for questions", "--yes")
         if (yield from self.line(prompt)) != "yes" and not (or_ended and self.asked.is_set()):
             raise InputError("yes", f"{self.asked.by or 'something else'}: nothing has moved")
 
 
 class PersonAtTerminal:
-    """Places an arm that does not move by itself: a line for each request (`robot.by_hand.Person`)."""
+    """Places an arm without motors: a line for each request (`robot.by_hand.Person`)."""
 
     def ask(self, request: PlaceRequest) -> None:
         say(request.words)
@@ -65,7 +65,7 @@ class PersonAtTerminal:
         if not select.select([sys.stdin], [], [], 0.0)[0]:
             return None
         if not (line := sys.stdin.readline()):
-            raise InputError("somebody at the terminal who places the arm", "the end of its input", "a terminal")
+            raise InputError("a person at the terminal who places the arm", "the end of its input", "a terminal")
         return line.strip()
 
 
@@ -88,7 +88,7 @@ def terminal_keys() -> Iterator[Keys]:
     import tty
 
     if not at_terminal():
-        raise InputError("a terminal, whose keys move the arm", "none", "run it in one")
+        raise InputError("a terminal, whose keys move the arm", "none", "run it in a terminal")
     descriptor = sys.stdin.fileno()
     kept = termios.tcgetattr(descriptor)
 

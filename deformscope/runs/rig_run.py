@@ -228,15 +228,15 @@ class _Ending:
                 say("stages: " + ", ".join(f"{name} {rate:.3g}/s {ms:.0f} ms behind" for name, rate, ms in late))
                 self._counts.clear()
         lasted_s = time.monotonic() - self._began
-        early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
+        early = "" if self._seconds is None else f", earlier than the requested {self._seconds:g} s"
         if self._asked.is_set():
             by = self._asked.by or f"by {signal_word(self._asked.signal_number)}"
             self.reason = f"{by} after {lasted_s:.1f} s{early}"
         elif self._source.ended:
-            self.reason = f"after {lasted_s:.1f} s{early}: every device has come to its end"
-            say("every device has come to its end")
+            self.reason = f"after {lasted_s:.1f} s{early}: every device has ended"
+            say("every device has ended")
         elif self._seconds is not None and lasted_s >= self._seconds:
-            self.reason = f"after {self._seconds:g} s, as asked for"
+            self.reason = f"after {self._seconds:g} s, as requested"
         return bool(self.reason)
 
 

@@ -270,7 +270,7 @@ class Device(ABC, Generic[MeasurementT]):
             raise Stale(f"a reading of the last {max_age_s:g} s", self._silence(), where=self.name)
         if self._stuck():
             same_s = (self._clock() - self._same_since_ns) / 1e9
-            raise Stale("readings that change", f"the same one for {same_s:.3g} s", "look at the sensor", self.name)
+            raise Stale("readings that change", f"the same reading for {same_s:.3g} s", "check the sensor", self.name)
         return last
 
     def poll(self, timeout_s: float = 0.0) -> list[MeasurementT]:
@@ -677,4 +677,4 @@ class StreamDevice(Device[MeasurementT]):
                 if self._closing.is_set():
                     break
         waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
-        raise NoReply(f"{what} within {waited}", "none", "look at power, cable and baud rate", self.name)
+        raise NoReply(f"{what} within {waited}", "none", "check power, cable and baud rate", self.name)

@@ -179,7 +179,7 @@ class SerialTransport(Transport):
         try:
             return action(*arguments)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkLost("a port that works", _format_error(error), "look at the cable", self.name) from error
+            raise LinkLost("a port that works", _format_error(error), "check the cable", self.name) from error
 
 
 class CanTransport(Transport):
@@ -236,7 +236,7 @@ class CanTransport(Transport):
         try:
             return action(*arguments)
         except (can.CanError, OSError, ValueError) as error:
-            advice = "look at cable, termination and bit rate"
+            advice = "check cable, termination and bit rate"
             raise LinkLost("a bus that works", _format_error(error), advice, self.name) from error
 
 
@@ -311,7 +311,7 @@ def _not_opened(error: Exception, port: str) -> DeviceError:
     if number == errno.EACCES:
         return NotConnected("a port that may be opened", "permission denied", "sudo usermod -aG dialout $USER", port)
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "No such file" in text:
-        return NotConnected("a port that is there", "none", "look at the cable; deformscope devices", port)
+        return NotConnected("a port that is there", "none", "check the cable; deformscope devices", port)
     return NotConnected("a port that can be opened", text, "deformscope devices", port)
 
 

@@ -25,7 +25,7 @@ FRAME: Rgb = (150, 155, 165)
 
 
 def log_dent(now: ResultBatch, touch: TouchEstimate) -> None:
-    """Around the contact; half the width is 1, heights drawn out. The values themselves stand in the result."""
+    """Around the contact; half the width is 1, heights drawn out. The values themselves are in the result."""
     observed, simulated = (_near(one - touch.xyz_m) for one in (touch.observed_m, touch.simulated_m))
     if len(observed):
         observed = reduce_to_grid(observed, CELL_M)[0]

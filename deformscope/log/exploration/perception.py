@@ -48,8 +48,8 @@ TOUCH = "touch"
 def log_frames(
     rec: rr.RecordingStream, base_from_surface: FloatArray | None, T_surface_camera: FloatArray | None
 ) -> None:
-    """Log the frames that stand still, and the names of what is logged later. base_from_surface: (4, 4), None = the
-    same; T_surface_camera: (4, 4), None = not known"""
+    """Log the constant frames, and the names of later entities. base_from_surface: (4, 4), None = the same;
+    T_surface_camera: (4, 4), None = not known"""
     none: FloatArray = np.eye(4)
     base = none if base_from_surface is None else np.linalg.inv(base_from_surface)
     known = {"arm_base": base, "camera": T_surface_camera}
@@ -65,7 +65,7 @@ def log_frames(
 
 
 def log_no_touch(now: ResultBatch) -> None:
-    """What a view of the surface under a touch stands in, before any."""
+    """Placeholder of a view of the surface under a touch, before any."""
     now.show(f"{FRAMES}/{TOUCH}", rr.Transform3D(parent_frame="surface", child_frame=TOUCH))
     now.show_png(ERROR, pictures.text_png, "no touch yet")
 
@@ -123,7 +123,7 @@ def log_ground(now: ResultBatch, surface: SurfaceEstimate) -> None:
 
 
 def log_on_surface(now: ResultBatch, name: str, drawn: pictures.DrawnMap) -> None:
-    """A map as its picture has it, on the surface, and its values (rows, columns) beside it."""
+    """A map with its picture, on the surface, and its values (rows, columns)."""
     rows, columns, _ = drawn.colors.shape
     form = rr.components.ImageFormat(
         width=columns, height=rows, color_model="RGB", channel_datatype=rr.ChannelDatatype.U8

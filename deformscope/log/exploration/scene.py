@@ -1,7 +1,7 @@
 """The surface in space, in its own frame, and the arm over it.
 
-The surface frame is the root of all frames, `tf#/`: entities need no transform of their own, and an arm's base stands
-in it by the one transform that the scene gives.
+The surface frame is the root of all frames, `tf#/`. Entities need no transform of their own, and the scene's one
+transform places an arm's base in it.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
     "arm": ("joint_deg", "joint_torque_nm", "force_n"),
     "hand": ("position_deg", "velocity_deg_s", "temperature_c"),
 }
-"""Fields of each kind's frames that are series beside the frames themselves."""
+"""Fields of each kind's frames that are series in addition to the frames."""
 
 
 def log_numbers_stream(rec: rr.RecordingStream, stream: Stream) -> None:

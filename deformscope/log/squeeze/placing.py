@@ -26,7 +26,7 @@ FLOOR: Rgb = (52, 56, 64)
 
 
 def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: FloatArray | None) -> None:
-    """Where the arm stands in the table's frame."""
+    """Pose of the arm in the table's frame."""
     for stream in streams:
         if stream.kind == "arm" and stream.urdf is not None and base_from_table is not None:
             log_base(rec, stream, base_from_table)

@@ -60,7 +60,7 @@ class FitState(msgspec.Struct, frozen=True):
     values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
     busy: what is being computed, in words; found: the last whole fit; picture: the file that shows it, empty = none
     camera: that is followed, empty = none; following: its newest picture is shown, which has no command line yet
-    cameras: that can be, while something else goes on beside the fit
+    cameras: possible ones, besides the running fit
     """
 
     kind: Literal["images", "pair"]

@@ -32,7 +32,7 @@ class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 
 
 class Hello(FromPage, frozen=True, tag="hello"):
-    """The first message. version: of the page's script; page: a name of its own, kept when it connects again"""
+    """The first message. version: of the page's script; page: its unique name, reused after reconnection"""
 
     version: int
     page: Name
@@ -143,7 +143,8 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
 
 
 class OpenFit(FromPage, frozen=True, tag="open-fit"):
-    """Show the model of what a camera sees, beside what goes on. camera: None = the one before, or the first"""
+    """Show the model of a camera's images, in addition to the main session. camera: None = the one before, or the
+    first"""
 
     parameter: Literal["beta", "theta"]
     camera: Name | None = None
@@ -283,7 +284,7 @@ class PendingMove(msgspec.Struct, frozen=True):
 
 
 class NextPlace(msgspec.Struct, frozen=True):
-    """Where the plan wants to touch next [m], and why."""
+    """The planned next touch [m], and its reason."""
 
     x_m: float
     y_m: float
@@ -291,7 +292,7 @@ class NextPlace(msgspec.Struct, frozen=True):
 
 
 class ForceCurve(msgspec.Struct, frozen=True):
-    """What a touch is expected to be felt as, and beside it what was.
+    """The forecast of a touch's force curve, and the measured one.
 
     x_m, y_m: where; known: in words, what the expectation rests on; force_n: forces; depth_mm, depth_low_mm,
     depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: as measured, empty before; words: how
@@ -334,7 +335,7 @@ class Playback(msgspec.Struct, frozen=True):
 
 
 class PageState(ToPage, frozen=True, tag="state"):
-    """All that a page shows beside the viewer.
+    """All that a page shows around the viewer.
 
     now_s: since the server began [s]; title: what is watched; reason: why it stopped
     recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the

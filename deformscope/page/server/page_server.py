@@ -45,7 +45,7 @@ TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".s
 RECORDING = "recording.rrd"
 MOST_PAGES = 8
 VIEWER_KEPT = "private, max-age=3600, immutable"
-"""A page that is loaded again has the viewer, 43 MB, and what the browser made of it."""
+"""A reloaded page has the viewer, 43 MB, and its compiled form in the browser."""
 STATE_EVERY_S = 0.1
 """A page gets the state at most so often."""
 HELLO_S = 10.0

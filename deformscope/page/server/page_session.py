@@ -36,7 +36,7 @@ NEXT: dict[Phase, frozenset[Phase]] = {
 }
 """What may follow each phase."""
 REMARKS = 50
-"""The newest remarks are kept."""
+"""Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
 """What waits for a confirm waits no longer, once the page has drawn it."""
 UNSEEN_S = 30.0
@@ -44,7 +44,7 @@ UNSEEN_S = 30.0
 BEAT_S = 0.3
 """What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
 
-GONE = "nothing waits for this confirm: it has expired, or something else was asked for"
+GONE = "no motion waits for this confirmation: it has expired, or another was requested"
 
 
 class PageRun(Protocol):
@@ -146,9 +146,9 @@ class PageSession:
 
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
-        the reason where it is cancelled, or not confirmed in CONFIRM_S from when the page has drawn it, and from now on
-        where it does not say. What waited before is let be."""
-        self._drop("another move was asked for")
+        the reason if it is cancelled, or not confirmed within CONFIRM_S after the page has drawn it, and from now on if
+        the page does not report that. What waited before is let be."""
+        self._drop("another move was requested")
         with self._lock:
             self._moves += 1
             self._answers = confirmed, let_be
@@ -179,8 +179,8 @@ class PageSession:
         return True
 
     def absent(self) -> str:
-        """Why nobody steers at this moment: empty while the page that does is there, can be seen, and says so often
-        enough. From any thread, and at once: asked in each control period."""
+        """Why no page steers at this moment: empty while the controlling page is connected and visible, and reports
+        often enough. From any thread, and at once: asked in each control period."""
         state = self._state
         if not state.controls:
             return "no page has the controls"
@@ -266,7 +266,7 @@ class PageSession:
                 self.show(pending=None)
         if late:
             self._drop(_expired(), command.number)
-            return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
+            return "refused", f"not confirmed within {CONFIRM_S:g} s: nothing moves"
         if absent:
             return "refused", absent
         confirmed()

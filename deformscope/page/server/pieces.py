@@ -1,8 +1,8 @@
-"""The recording's data on its way to pages: pieces of encoded rerun data, kept for a while, dropped when too old.
+"""The recording's data on its way to pages: pieces of encoded rerun data, stored for a while, dropped when too old.
 
 Whoever makes pieces never waits. A page is sent what is new when it has drawn what it got before, and that is made
-then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen holds nothing back, and no
-memory grows: what it did not take in time is skipped and counted.
+then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen delays nothing, and no
+memory grows: data that it did not take in time are skipped and counted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from dataclasses import dataclass
 RECENT_S, RECENT_BYTES = 30.0, 16 << 20
 """What a page that comes gets of the data that pass."""
 FIRST_BYTES, LASTING_BYTES = 4 << 20, 64 << 20
-"""Of what lasts (views, descriptions, results): the first so many bytes are kept, and the newest so many."""
+"""Limits of lasting data (views, descriptions, results): this number of first bytes is stored, and this number of the
+newest."""
 STALE_S = 1.0
 """A page that is there is not sent what is older than this, once something newer is there."""
 FASTEST_S, SLOWEST_S = 0.1, 1.0
@@ -100,7 +101,7 @@ class Pieces:
 
     @property
     def held_bytes(self) -> int:
-        """What is kept for pages to come."""
+        """Bytes stored for later pages."""
         return sum(self._bytes.values())
 
     # Of one page -----------------------------------------------------------------------------------------------------

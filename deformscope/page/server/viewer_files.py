@@ -50,8 +50,8 @@ def viewer_environment() -> dict[str, str]:
 class ViewerFiles:
     """Both files of the web viewer, 43 MB that no memory holds. Found when the first is asked for.
 
-    They are read from the executable itself. rerun would also serve them, but on a port that another user of this
-    machine may take first, to give files of his own.
+    They are read from the executable itself. rerun would also serve them, but another user of this machine may take
+    that port first and serve other files.
     """
 
     def __init__(self) -> None:

@@ -1,10 +1,11 @@
 """What touches may have missed: the largest circle without a touch, and inclusions that the map does not show.
 
-An inclusion is a disc of some radius, twice as stiff or twice as soft as what is around it, whose centre may be
-anywhere on the surface as long as all of it lies there, each place as likely. The touches are taken to read as the map
+An inclusion is a disc of some radius, twice as stiff or twice as soft as its surroundings. Its centre may be anywhere
+on the surface if all of it lies there, each place with equal probability. The touches are taken to read as the map
 explains
-them: against an inclusion at a place then speaks what they would have felt of it (its share under a contact, as of any
-region), in deviations of theirs. So a touch inside excludes it, and one at its rim leaves it open. What is rigid has no
+them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as of any
+region), in standard deviations of them. So a touch inside excludes it, and one at its rim leaves it open. What is rigid
+has no
 inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 

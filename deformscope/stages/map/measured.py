@@ -17,7 +17,7 @@ from deformscope.stages.see.pixel_labels import SeenPixels
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
     """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
-    noise_m: (n,) deviation of each height [m]; table: beside it, None = not seen, or not looked for
+    noise_m: (n,) deviation of each height [m]; table: around it, None = not visible, or not sought
     pixels: that they are of, None = not asked for, or no images"""
 
     points_m: FloatArray
@@ -34,8 +34,8 @@ class TouchMeasurement:
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
     seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
-    loading, held: how many samples lead up to the set force, and how many were taken until the way back; None where its
-    creep was not asked for: then all samples lead up to the set force
+    loading, held: number of samples up to the set force, and up to the retract; None without a creep measurement: then
+    all samples are up to the set force
     pixels: that after_m is of; force_pose: at the force's rate; None = not asked for, or not measured so
     """
 

@@ -1,8 +1,8 @@
 """Sparse Gaussian process regression with inducing points on a lattice (SGPR; Titsias 2009).
 
-The kernel is a product over x and y, and so is what a lattice of inducing points makes of it: features of a place are
-products of features of x and of y. Points of the lattice that add nothing new (spaced closer than the kernel resolves
-apart, within rounding) are left out by the eigenvalues of each axis's covariances.
+The kernel is a product over x and y, and so are the functions of a lattice of inducing points: features of a place are
+products of features of x and of y. Points of the lattice without new information (spaced closer than the kernel
+resolves, within rounding) are left out by the eigenvalues of each axis's covariances.
 """
 
 from __future__ import annotations

@@ -53,9 +53,9 @@ DENTED = 0.1
 """Share of the deepest by which a place has sunk that counts as dented."""
 
 THESIS_NOTE = (
-    "a trend of this beta with firmness is an effect of the growing contact patch: a ball touches a patch that grows "
-    "with the dent, and one held particle makes the model take its width for deformability; with the whole patch held "
-    "the trend is gone"
+    "a trend of this beta with firmness is an effect of the contact patch, which grows with the dent. One "
+    "held particle makes the model interpret the patch's width as deformability; with the whole patch held "
+    "the trend disappears"
 )
 """Said wherever beta of the thesis's model is shown."""
 

@@ -102,11 +102,12 @@ class Iteration:
         self._watch()
 
     def _watch(self, progress: Progress | None = None, until: float = math.inf) -> None:
-        """Whom the next solve tells how many candidates are done, and when it ends, by `time.monotonic` [s]."""
+        """The observer of the next solve, which receives the number of finished candidates, and the solve's time limit,
+        by `time.monotonic` [s]."""
         self._progress, self._until, self._told = progress, until, -math.inf
 
     def _over(self) -> bool:
-        """Whether the solve's time is over; tells how far it is."""
+        """Whether the solve's time is over; reports its progress."""
         now = time.monotonic()
         if now >= self._told + TELL_EVERY_S:
             self._told = now
@@ -187,7 +188,8 @@ class Iteration:
         self.operator.residual(self.u, out, parameters, self._every_group, what=by)
 
     def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
-        """A kernel of both methods, whose arguments begin with how particles lie and what is kept of candidates."""
+        """A kernel of both methods, whose arguments begin with the layout of particles and the stored values of
+        candidates."""
         inputs = (self.span, self.state, *inputs)
         wp.launch(kernel, dim=over, inputs=inputs, device=self.layout.device, block_dim=self.span.threads)
 
@@ -303,8 +305,8 @@ class Newton(Iteration):
     def follow(
         self, target: FloatArray, seen: BoolArray, start: float, largest: float, **search: float
     ) -> tuple[float, int, bool, bool]:
-        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
-        is; evaluations, whether it settled, and whether its state converged. largest: beta; search: see the kernel's"""
+        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from the state
+        `u`; evaluations, convergence of the search, and of its state. largest: beta; search: see the kernel's"""
         layout, device = self.layout, self.layout.device
         if self._following is None:
             given = self.operator.resident.BetaSearch()
@@ -379,7 +381,7 @@ class Newton(Iteration):
         return done
 
     def _begin(self, tolerance: float, relative: float, *, outer: int) -> None:
-        """Every candidate runs anew: Newton's steps (`outer`), or a linear solve."""
+        """Every candidate starts again: Newton's steps (`outer`), or a linear solve."""
         layout = self.layout
         set_first(self.state.tolerance, tolerance)
         set_first(self.state.relative, relative)

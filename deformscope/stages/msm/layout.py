@@ -20,8 +20,8 @@ ABREAST_FROM = 4
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A field has rows (components) `stride` numbers apart; in a row, group after group of candidates, `group` numbers
-    apart from `front` on; in a group, place after place; at a place, `abreast` candidates.
+    """A field has rows (components) `stride` numbers apart. In a row, groups of candidates are `group` numbers apart
+    from `front` on; in a group, place follows place; at a place there are `abreast` candidates.
 
     width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: in a group
     place: (K,) place of each particle

@@ -30,8 +30,8 @@ class Cells:
 
 @wp.struct
 class Transfer:
-    """Linear interpolation between two lattices, or its transpose: of each plane of the target, axis after axis, the
-    planes of the source, numbered so too, and their weights, from `begin` on."""
+    """Linear interpolation between two lattices, or its transpose. It has, for each plane of the target, axis after
+    axis, the planes of the source with the same numbering, and their weights, from `begin` on."""
 
     begin: Ints
     plane: Ints

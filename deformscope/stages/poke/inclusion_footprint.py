@@ -3,11 +3,11 @@
     shift = inclusion_shift(contrast_share(10.0), footprint(contact_m, radii_m, depths_m, aside_m))    # of log
     stiffness
 
-A ball of radius R presses with Hertz's pressure on a circle of radius a; what the foam below stores of the work is the
-energy density of a half-space under that pressure (Boussinesq's stresses, Johnson 1985, eq. 3.20, summed over the
-circle). An inclusion changes the dent by its share in twice that energy over force times dent (to first order, exactly:
-reciprocity), times what an inclusion answers to a strain that is even over it, of which Eshelby (1957) gives for a ball
-of the same Poisson's ratio 0.2: h = (c - 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
+A ball of radius R presses with Hertz's pressure on a circle of radius a. The foam below stores the energy density of a
+half-space under that pressure (Boussinesq's stresses, Johnson 1985, eq. 3.20, summed over the circle). An inclusion
+changes the dent by its share in twice that energy over force times dent (to first order, exactly: reciprocity), times
+its response to a uniform strain. Eshelby (1957) gives the response of a ball with the same Poisson's ratio 0.2: h = (c
+- 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
 
 So the footprint is as wide as inclusion, depth and contact make it, and no constant of it is fitted but CALIBRATED.
 What it leaves out: the strain is not even over the inclusion, nor is the foam a half-space.

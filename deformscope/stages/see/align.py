@@ -1,8 +1,8 @@
-"""Where the robot is in the camera's picture, beside where arm and calibration say: its own points tell.
+"""Pose of the robot in the camera's image, relative to the pose by arm and calibration, by the robot's own points.
 
-High above the sample there is nothing but the robot: what the camera sees there is laid onto the robot's solids, point
-to plane, with what a calibration may be off by as a prior. What is left of the calibration's error is small, and so
-little of the surface beside the robot has to be left out.
+High above the sample there is nothing but the robot: points there are registered to the robot's solids, point to plane,
+with the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the
+surface around the robot has to be left out.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FEWEST = 200
 REACH_M = (0.03, 0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.01)
 """Points so far from the solids count, step by step."""
 ROBUST_M = 0.003
-"""From here on a point counts less (Huber 1964): cables beside the solids, mixed pixels."""
+"""Residual from which a point counts less (Huber 1964): cables, mixed pixels."""
 PRIOR_M, PRIOR_RAD = 0.015, 0.02
 """Deviations of the robot's place, and of its rotation, before anything is seen."""
 SENSOR_M, INDEPENDENT = 0.002, 100.0
@@ -32,8 +32,8 @@ SENSOR_M, INDEPENDENT = 0.002, 100.0
 ALIKE_M = 0.004
 """Where points are off by more after all, in the mean, they are of something else."""
 ALIGNED_M = 0.003
-"""What is then left of an error of the camera's place, at the tip: 2.4 mm at most of 108 pictures of `studies.removal`,
-0.6 mm as the median (seeds 1000 to 1005: `studies.seeds`)."""
+"""Remaining error of the camera's pose, at the tip: 2.4 mm at most of 108 pictures of `studies.removal`, 0.6 mm as the
+median (seeds 1000 to 1005: `studies.seeds`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class Alignment:
 
 
 def as_seen(robot: PosedRobot, points: FloatArray, above_m: float) -> PosedRobot:
-    """The robot where the picture shows it, if it is to be aligned and its solids tell.
+    """The robot at its pose in the image, if it is to be aligned and its solids determine the pose.
 
     points: (n, 3) of all of the picture [m]; above_m: higher than that there is nothing but the robot, and what is far
     from it

@@ -22,7 +22,7 @@ TOUCHED = ErrorPrior(0.001)
 """Deviation of a corner found by eye and touched by a round tip [m]."""
 SHORTEST_M = 0.05
 UNLIKELY = 1e-3
-"""Chance of corners so far from a rectangle, below which they are not believed to be one's."""
+"""Least probability of the corners' deviation from a rectangle: corners below it are refused."""
 AROUND_M, ABOVE_M = 0.03, 0.3
 """How far the box of the tip goes beyond the rectangle, and above it."""
 
@@ -58,8 +58,8 @@ def place(
 
     centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) which one, as in CORNERS
     up: (3,) roughly away from the surface, base frame: against the stick
-    tip_sd_m: deviation of where the tip is on the arm, by which all corners are off alike [m]
-    Raises InputError for corners that are no rectangle's, or in one line.
+    tip_sd_m: deviation of the tip's position on the arm, which shifts all corners alike [m] Raises InputError for
+    corners that are no rectangle's, or in one line.
     """
     touched, which = np.asarray(centers_m, np.float64), np.asarray(corners, int)
     if not np.isfinite(touched).all():

@@ -26,7 +26,7 @@ LEVEL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class ErrorPrior:
-    """What is believed of the deviation of a measurement before it is seen: scaled inverse chi-square.
+    """Prior of a measurement's variance: scaled inverse chi-square.
 
     sd: its centre, in units of the residuals; weight: so many measurements' worth, 0 = nothing is known
     """
@@ -121,8 +121,8 @@ def superposed(points_m: FloatArray, onto_m: FloatArray) -> FloatArray:
 def fitted(residual: Callable[[FloatArray], FloatArray], start: npt.ArrayLike, prior: ErrorPrior) -> LeastSquares:
     """Least squares of residuals (n,) over values (p,), with n >= p.
 
-    Their deviation is what the prior and what is left over say together, so that few measurements are not believed
-    too much. Raises numpy.linalg.LinAlgError where the residuals do not depend on some value.
+    Their deviation combines the prior and the residuals, so that few measurements are not trusted too much. Raises
+    numpy.linalg.LinAlgError where the residuals do not depend on some value.
     """
     found = optimize.least_squares(residual, np.asarray(start, np.float64), method="lm", x_scale="jac")
     return judged(found.x, np.linalg.inv(found.jac.T @ found.jac), found.fun, prior)

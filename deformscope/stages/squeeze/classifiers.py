@@ -1,5 +1,5 @@
 """Classifiers with probabilities: nearest neighbours and quadratic discriminant analysis (Thesis 2.4.3), and a linear
-one beside them.
+one.
 
 Each is fitted to (n, d) points and (n,) indices of classes, is a frozen set of arrays, and gives (m, C) logarithms of
 posteriors. A class without any training point is never the answer. They are not scikit-learn's, whose covariances are
@@ -32,8 +32,8 @@ SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 
 Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear", "qda-plain"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
-"""knn, qda: on the components that hold 80 % of the variance; the others on all of them. qda-plain, which is none of
-these, is the thesis's: qda without shrinkage, tried where it is asked for, and never pooled with others."""
+"""knn, qda: on the components that hold 80 % of the variance; the others on all of them. qda-plain, outside these, is
+the thesis's: qda without shrinkage, tried on request, and never pooled with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +173,10 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
 
 
 def fit_quadratic(points: FloatArray, target: IntArray, classes: int, *, shrink: bool = True) -> Quadratic:
-    """Each class's covariance is weighed with the pooled one as if d + 2 more points had been seen of that: the mean of
-    an inverse Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,)
-    class of each; shrink: else a covariance is that of its class alone, but for 1e-9 of the pooled variance, without
-    which a class of fewer points than d would have none"""
+    """Each class's covariance is combined with the pooled one as with d + 2 more points of that: the mean of an inverse
+    Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,) class of
+    each; shrink: else a covariance is that of its class alone, plus 1e-9 of the pooled variance, without which a class
+    of fewer points than d would have none"""
     count, mean, about = _moments(points, target, classes)
     size = points.shape[1]
     pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
@@ -209,8 +209,8 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
     out one by one.
 
     Ledoit and Wolf's share, which serves the covariance, is far too small for classification where a few directions
-    have most of the variance. Leaving a point out takes a a^T from the covariance, a being the point about its class,
-    and its inverse follows in closed form (Sherman and Morrison).
+    have most of the variance. Leaving a point out subtracts a a^T from the covariance, where a is the point relative to
+    its class mean. Its inverse follows in closed form (Sherman and Morrison).
     """
     points = points[:, :LINEAR_COMPONENTS]
     count, mean, about = _moments(points, target, classes)

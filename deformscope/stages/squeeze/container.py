@@ -17,7 +17,7 @@ SIDES = 256
 
 @dataclass(frozen=True, slots=True)
 class ContainerModel:
-    """A rigid container. Its frame: origin in the middle of its bounding box, z up as it stands.
+    """A rigid container. Its frame: origin in the middle of its bounding box, z up, in its upright pose.
 
     vertices_m: (n, 3) [m]; triangles: (m, 3) indices, counterclockwise as seen from outside
     """
@@ -70,7 +70,7 @@ class ContainerModel:
 
 @dataclass(frozen=True, slots=True)
 class ModelView:
-    """What each of the pixels asked for sees of a container. depth_m: along the camera's axis [m], nan beside it
+    """What each of the pixels asked for sees of a container. depth_m: along the camera's axis [m], nan outside it
     outward: (..., 3) unit normals of its surface in its own frame; rotation: (3, 3) from there to the camera's frame
     """
 
@@ -133,8 +133,8 @@ class ModelRenderer:
         return ModelView(depth, outward, pose[:3, :3])
 
     def window(self, T_camera_container: FloatArray, shape: tuple[int, int], margin_px: int = 0) -> tuple[int, ...]:
-        """(left, top, right, bottom) of the part of an image (H, W) that the container can be seen in, right and bottom
-        excluded; empty where it is behind the camera or beside the image."""
+        """(left, top, right, bottom) of the part of an image (H, W) that may show the container, right and bottom
+        excluded; empty if it is behind the camera or outside the image."""
         corner = self.model.vertices_m @ T_camera_container[:3, :3].T + T_camera_container[:3, 3]
         if (corner[:, 2] <= 0.0).any():
             return (0, 0, 0, 0)

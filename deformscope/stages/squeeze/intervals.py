@@ -33,9 +33,9 @@ def wilson(share: float, count: float, level: float) -> Interval:
 
 
 def share_among_new(expected: Estimated, count: float, level: float, expected_level: float) -> Interval:
-    """Within what a share is seen among so many new independent trials, with a chance of `level`: the long-run share is
-    a beta distribution whose mean is the expected one and whose deviation is that of its interval of `expected_level`,
-    what is seen of it a beta-binomial one."""
+    """Interval of a share among a number of new independent trials, with probability `level`. The long-run share has a
+    beta distribution with the expected mean, whose deviation is that of its interval of `expected_level`; the observed
+    share is beta-binomial."""
     mean = min(max(expected.value, 1e-6), 1.0 - 1e-6)
     half = 0.5 * (expected.interval[1] - expected.interval[0])
     deviation = max(half / float(scipy.stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
@@ -47,7 +47,7 @@ def share_among_new(expected: Estimated, count: float, level: float, expected_le
 
 
 def corrected_deviation(values: FloatArray, ratio: float) -> float:
-    """Standard deviation of the mean of (J,) values over splits: splits share trials, so that the variance is that of
+    """Standard deviation of the mean of (J,) values over splits. Splits share trials, so that the variance is that of
     one split times 1 / J + test / train (Nadeau and Bengio 2003, 4). ratio: tested trials over training ones"""
     if len(values) < 2:
         return float("nan")
@@ -57,8 +57,8 @@ def corrected_deviation(values: FloatArray, ratio: float) -> float:
 def over_splits(values: FloatArray, ratio: float, level: float, worth: float = np.inf) -> Estimated:
     """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see `share_of`.
 
-    worth: independent trials behind them; the deviation is not below one of these: else values that are the same in
-    every split would be surer by a jump than values that nearly are
+    worth: effective number of independent trials. The standard deviation is not below one of these: else values that
+    are equal in every split would be much more certain than nearly equal ones
     """
     found = values[np.isfinite(values)]
     if not found.size:
@@ -69,24 +69,25 @@ def over_splits(values: FloatArray, ratio: float, level: float, worth: float = n
 
 
 def share_of(values: FloatArray, worth: float, level: float) -> Estimated:
-    """The mean of shares (J,) over splits, as if seen in so many independent trials (`trials_worth`): the more is
-    right, the higher are both ends of the interval."""
+    """The mean of shares (J,) over splits, as of so many independent trials (`trials_worth`): both ends of the interval
+    rise with the number of right answers."""
     mean = float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
     return Estimated(mean, wilson(mean, worth, level))
 
 
 GROUP_CORRELATION = 0.3
-"""Assumed of the right answers of two trials of a group. Where class means differ from group to group by up to three
-deviations of one group's trials, it is found as 0 to 0.33, and 90 % intervals hold the truth in 92 to 100 %."""
+"""Assumed of the right answers of two trials of a group. If class means differ from group to group by up to three
+standard deviations of one group's trials, its estimate is 0 to 0.33, and 90 % intervals hold the truth in 92 to 100
+%."""
 
 
 def trials_worth(size: IntArray, tested: float = 1.0, splits: int = 1, ratio: float = 0.0) -> float:
-    """How many independent trials those of some groups, (g,) sizes, are worth: fewer where trials of a group err
+    """Effective number of independent trials of some groups, (g,) sizes. It is lower where trials of a group err
     together (the design effect of Kish 1965, 5.4), and where splits share them (Nadeau and Bengio 2003, 4).
 
     tested: share of the trials that a split tests; ratio: tested trials over training ones, 0 = one classifier for all
-    By design alone, never from the answers: where errors say how much trials err together, no error says nothing, and
-    is then less sure than one.
+    By design alone, never from the answers: if errors gave the correlation, no error would give none, and then less
+    certainty than one error.
     """
     total = float(size.sum())
     effect = 1.0 + GROUP_CORRELATION * (float((size**2).sum()) / max(total, 1.0) - 1.0)
@@ -125,8 +126,8 @@ LILLIEFORS_DRAWS = 4000
 
 
 def lilliefors(values: FloatArray) -> tuple[float, float]:
-    """Distance of (n,) values from the normal distribution of their mean and deviation, and its p-value: the
-    Kolmogorov-Smirnov test where mean and deviation come from the same sample (Lilliefors 1967).
+    """Distance of (n,) values from the normal distribution of their mean and deviation, and its p-value. It is the
+    Kolmogorov-Smirnov test with mean and deviation of the same sample (Lilliefors 1967).
 
     NaN for fewer than four values or equal ones.
     """

@@ -63,8 +63,8 @@ class ContentModel:
     def predict_proba(self, features: Mapping[str, FloatArray]) -> FloatArray:
         """(n, C) posterior of (n, p) features by modality, C as in `labels`.
 
-        A modality may be left out, or its row be all NaN: then the others decide. Raises InputError for one that the
-        model does not know, other numbers of columns, and a trial of which nothing is known.
+        A modality may be left out, or its row be all NaN: then the others decide. Raises InputError for an unknown
+        modality, other numbers of columns, and a trial without features.
         """
         if unknown := [name for name in features if name not in self.modalities]:
             raise InputError(f"modalities out of {', '.join(self.modalities)}", ", ".join(unknown))

@@ -30,11 +30,11 @@ TIMES_S = (0.2, 0.5, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class TimeCheck:
-    """What a model says so long after first contact, of the modalities of `score`; time_s: NaN = in the end, of all
-    that are fused; error_interval: of the calibration error, by drawing trials anew; by_chance: the error that a
+    """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
+    all that are fused; error_interval: of the calibration error, by bootstrap over trials; by_chance: the error that a
     perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
-    debiased: root mean square error over the bins, without what chance adds to its square (Kumar, Liang and Ma 2019);
-    it is not below the mean error in the long run"""
+    debiased: root mean square error over the bins, without chance's contribution to its square (Kumar, Liang and Ma
+    2019); it is not below the mean error in the long run"""
 
     time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
     score: ClassificationScore = field(metadata=reported(flat=True))
@@ -47,14 +47,14 @@ class TimeCheck:
 
 @dataclass(frozen=True, slots=True)
 class ModelCheck:
-    """labels: C contents that the model knows; score: of all its modalities; alone: of each by itself
+    """labels: the model's C contents; score: of all its modalities; alone: of each modality alone
 
     promised: accuracy with its interval that the model carries, None = none
     expected: within what the accuracy of so many independent trials lies, were the promise right
     inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
     times: while the squeeze goes on and in the end, where table and model have steps
-    trained: of the trials, how many trained the model: these say nothing of new ones
+    trained: number of the trials that trained the model: these do not test it
     """
 
     labels: tuple[str, ...]
@@ -87,7 +87,7 @@ class ModelCheck:
 def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9, seed: int = 0) -> ModelCheck:
     """How a model does on a table of new trials.
 
-    Raises InputError for labels and for columns that the model does not know, and where its modalities are missing.
+    Raises InputError for labels and columns that the model does not have, and for missing modalities.
     """
     if unknown := [one for one in table.classes if one not in model.labels]:
         raise InputError(

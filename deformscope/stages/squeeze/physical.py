@@ -1,6 +1,6 @@
 """What a squeeze says in physical quantities: contact, force, indentation, stiffness of the wall, relaxation.
 
-They stand beside the raw features of the thesis, and mean the same on another hand and another container.
+They complement the raw features of the thesis, and have the same meaning on another hand and another container.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from deformscope.stages.squeeze.trial import PHYSICAL
 
 LEVEL = 0.9
 LEAST_INDENTATION_M = 2e-4
-"""Over less than that a slope of force over indentation says nothing."""
+"""Least indentation for a slope of force over indentation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,8 @@ def physical_features(
 
 def pressure_axis(pressure_pa: FloatArray, texel_m: tuple[float, float]) -> tuple[float, float]:
     """Orientation [rad] in (-pi/2, pi/2] from the columns towards the rows, and elongation (0 round to 1 a line) of the
-    pressures (rows, columns) on one pad, from their second moments (as drawn in Thesis fig. 2.4); NaN without contact.
+    pressures (rows, columns) on one pad. Both come from their second moments (as drawn in Thesis fig. 2.4); NaN without
+    contact.
     """
     weight = np.maximum(np.asarray(pressure_pa, dtype=np.float64), 0.0)
     total = weight.sum()

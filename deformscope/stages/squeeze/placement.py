@@ -50,7 +50,7 @@ class HandPlacement:
 
     by: the arm's model; seed: that grasps were drawn from, -1 = a person chose this one
     along_m, tilt_deg, turn_deg: of the grasp (`robot.squeeze_plan.RandomGrasp`)
-    T_table_hand, T_hand_container: (4, 4) of the hand where it is to stand, and the container in it [m]
+    T_table_hand, T_hand_container: (4, 4) planned pose of the hand, and of the container in it [m]
     tried: (k, 3) along, tilt and turn of each grasp that was drawn; refused: (k,) why not, empty = this one
     T_table_hands: (k, 4, 4) of the hand at each of them
     path_m: (n, 3) of the middle between the pads as planned, table's frame

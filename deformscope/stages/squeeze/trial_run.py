@@ -67,7 +67,7 @@ def sides_of(
     split: Split,
     fused: Sequence[tuple[str, ...]],
 ) -> dict[str, Sides]:
-    """Every modality (trials, columns) by itself, and joined ones: early fusion, standardised columns side by side.
+    """Every modality (trials, columns) alone, and joined ones: early fusion, standardised columns side by side.
     missing: (trials,) by modality"""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
@@ -181,7 +181,7 @@ def late_fusion(
 ) -> FloatArray:
     """(m, C) fused posteriors of the split's test side; weights are learned from training points left out.
 
-    fitted: of each modality its sides, its expert, and what that says of the test side
+    fitted: of each modality its sides, its expert, and its posteriors on the test side
     """
     shape = len(fitted), len(split.train)
     inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)

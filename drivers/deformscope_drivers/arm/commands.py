@@ -120,13 +120,13 @@ def by_joints(
     rates_rad_s = kinematics.damped_joint_rates(jacobian, twist, DAMPED_BELOW)
     lost = float(kinematics.off_course(jacobian, rates_rad_s, twist))
     if lost > OFF_COURSE:
-        return f"the hand would have left its way by {100 * lost:.0f} %: a singularity is near"
+        return f"the hand would have left its path by {100 * lost:.0f} %: a singularity is near"
     rates_deg_s = np.degrees(rates_rad_s)
     way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
     near = (way_deg < JOINT_MARGIN_DEG) & (np.abs(rates_deg_s) > NEGLIGIBLE_DEG_S)
     if near.any():
         joint = int(np.argmax(near))
-        return f"joint {joint + 1} at {joints[joint]:.1f} deg came within {JOINT_MARGIN_DEG:g} deg of its limit"
+        return f"joint {joint + 1} at {joints[joint]:.1f} deg was within {JOINT_MARGIN_DEG:g} deg of its limit"
     fastest = max(1.0, float(np.max(np.abs(rates_deg_s) / joint_limits_deg_s(chain, limits))))
     return JointVelocity(tuple(float(rate) for rate in rates_deg_s / fastest))
 

@@ -77,7 +77,7 @@ class Arm(Device[StateT]):
         atexit.unregister(self.close)  # not before: one that hangs is to be tried again at the end
         error, self._not_stopped = self._not_stopped, None
         if error is not None:
-            raise NotStopped("an arm that was stopped at closing", str(error), self.stop_by_hand, self.name)
+            raise NotStopped("an arm that is stopped when it closes", str(error), self.stop_by_hand, self.name)
 
     # What is known of it ---------------------------------------------------------------------------------------------
 
@@ -150,7 +150,9 @@ class Arm(Device[StateT]):
     def home(self, timeout_s: float = 60.0) -> ArmState:
         """Send the arm to its own home pose and wait until it is there; its state then. Raises NotMovedByCommands where
         `goes_home` is False, MotionStopped where it was stopped on its way; on any exception the arm is stopped."""
-        raise NotMovedByCommands("an arm with a home of its own", "one without", "bring it there by hand", self.name)
+        raise NotMovedByCommands(
+            "an arm with a home pose of its own", "one without", "bring it there by hand", self.name
+        )
 
     @property
     def stopped_because(self) -> str:

@@ -268,7 +268,7 @@ class Chain:
         """(..., n) joint angles [deg], checked."""
         joints = np.asarray(joints_deg, dtype=float)
         if joints.shape[-1:] != (self.joint_count,):
-            raise ValueError(f"{self.name} has {self.joint_count} joints; came an array of shape {joints.shape}")
+            raise ValueError(f"{self.name} has {self.joint_count} joints; got an array of shape {joints.shape}")
         return joints
 
 

@@ -101,7 +101,7 @@ class DepthCamera(HostedCamera):
 
     def _settings(self) -> tuple[OpenniSettings]:
         if self.config.is_recording and not Path(self.config.port).is_file():
-            raise NotConnected("a recording that is there", "none", where=self.config.port)
+            raise NotConnected("an existing recording", "none", where=self.config.port)
         uri = resolve_port(self.config.port, self._usb)
         self._ticks_before = self._ticks_offset = 0
         asked: dict[str, Any] = {

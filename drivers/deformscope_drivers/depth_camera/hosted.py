@@ -150,7 +150,7 @@ class HostedCamera(Device[DepthImage]):
             came = f"the end of the process that reads it (exit status {status})"
             raise NotConnected("a depth camera", came, "another file or library", self.name) from error
         if report is None:
-            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "plug it in anew", self.name)
+            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "reconnect it", self.name)
         return report
 
     def _picture(self, frame: FrameMessage) -> Iterable[DepthImage]:

@@ -61,7 +61,7 @@ def discover_realsense(
     ]
     if len(cameras) >= len(sockets):
         return found
-    why = f"librealsense is not there: {INSTALL}" if listed is None else f"librealsense sees not all of them: {UDEV}"
+    why = f"librealsense is missing: {INSTALL}" if listed is None else f"librealsense does not see all of them: {UDEV}"
     for folder, model in sockets:
         speed = sysfs_text(folder / "speed")
         slow = speed.isdecimal() and int(speed) < USB_3_MBIT_S

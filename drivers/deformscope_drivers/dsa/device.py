@@ -268,8 +268,8 @@ class Dsa(StreamDevice[TactileReading]):
     def _receive(self, timeout_s: float) -> Iterable[TactileReading]:
         readings = list(super()._receive(timeout_s))
         if self._silence_ns is not None and self._clock() - self._measured_ns > self._silence_ns:
-            expected, came = "frames from the controller", f"none that is good for {self.config.silence_s:g} s"
-            raise LinkLost(expected, came, "look at cable and baud rate", self.name)
+            expected, came = "frames from the controller", f"none without errors for {self.config.silence_s:g} s"
+            raise LinkLost(expected, came, "check cable and baud rate", self.name)
         return readings
 
     def _fingerprint(self, reading: TactileReading) -> Hashable:

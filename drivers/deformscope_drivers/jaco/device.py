@@ -196,13 +196,13 @@ class Jaco(Arm[JacoState]):
             streamed, position_until_ns = self._streamed, self._position_until_ns
         if streamed is None:
             if position_until_ns is not None and now_ns > position_until_ns:
-                self._halt("nobody waited any more for the arm to reach its target")
+                self._halt("no caller waited any more for the arm to reach its target")
             if self._erase_due:
                 self._erase()
             return
         late_ns = min(late_ns, now_ns - streamed.since_ns)  # before there was a command nothing came too late
         if late_ns > self.config.command_deadline_s * 1e9:
-            self._halt(f"the cycle came {late_ns / 1e6:.0f} ms late")
+            self._halt(f"the cycle was {late_ns / 1e6:.0f} ms late")
         elif now_ns > streamed.expires_ns:
             with self._commanded:
                 if self._streamed is streamed:
@@ -405,7 +405,7 @@ class Jaco(Arm[JacoState]):
                 require_under_way()
                 if state is not None and there(state):
                     return state
-            came = f"an arm that is not there after {timeout_s:g} s"
+            came = f"an arm that arrives within {timeout_s:g} s"
             raise NotReached(where_to, came, "a longer timeout_s", self.name)
         finally:
             with self._commanded:
@@ -525,9 +525,9 @@ class Jaco(Arm[JacoState]):
     def _require_homed(self) -> None:
         if self.config.require_home and not self.homed:
             raise NotHomed(
-                "an arm that was homed since it was switched on",
+                "an arm that was homed after power-on",
                 "one that was not",
-                "hold its joystick's home button until it stands still; or deformscope arm home RIG; or arm.home()",
+                "hold its joystick's home button until it rests; or deformscope arm home RIG; or arm.home()",
                 self.name,
             )
 

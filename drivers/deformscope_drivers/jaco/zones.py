@@ -58,8 +58,8 @@ def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[
     kept = read(functions, "GetProtectionZone", ZoneList)
     if not _alike(boxes, kept):
         raise SettingsRefused(
-            f"an arm that keeps {len(boxes)} protection zones",
-            f"one that says it keeps {len(_closed(kept))}, or others",
+            f"an arm that stores {len(boxes)} protection zones",
+            f"one that reports {len(_closed(kept))}, or others",
             "look at them in Kinova's Development Center; or leave protection_zones out of the rig file",
             functions.where,
         )

@@ -173,9 +173,10 @@ class Kuka(Arm[ArmState]):
             moved_deg = self._probe_deg()
             if np.any(moved_deg > 1.5 * PROBE_DEG):
                 raise SettingsRefused(
-                    f"axes that move by {PROBE_DEG:g} deg for one answer, and stand while answers are missing",
-                    f"{_by_axis(moved_deg)} after one answer and {PROBE_LEFT_OUT} that were left out: the last "
-                    "correction is repeated, and the arm would go on when this program or the cable fails",
+                    f"axes that move by {PROBE_DEG:g} deg for one answer, and rest while answers are missing",
+                    f"{_by_axis(moved_deg)} after one answer and {PROBE_LEFT_OUT} that were left out: the "
+                    "last correction is repeated, and the arm would move on after a failure of this program "
+                    "or the cable",
                     f'HOLDON="0" for AK.A1 to AK.A6 in the file that ConfigFile of the ETHERNET object names; {FILES}',
                     self.name,
                 )
@@ -183,7 +184,7 @@ class Kuka(Arm[ArmState]):
                 return
             self._settled_deg()
         raise SettingsRefused(
-            f"axes that are {PROBE_DEG:g} deg further after one answer that says so",
+            f"axes that are {PROBE_DEG:g} deg further after one answer with that correction",
             f"{_by_axis(moved_deg)} in {PROBES} tries",
             f"RSI_ON(#RELATIVE) in place of #ABSOLUTE; AK.A1 to AK.A6 wired to AXISCORR; Precision 4 of the ETHERNET "
             f"object; RSI_MOVECORR() running with the drives on; {FILES}",
@@ -224,7 +225,7 @@ class Kuka(Arm[ArmState]):
         off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
         if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
             raise SettingsRefused(
-                f"the flange within {POSE_MM:g} mm and {POSE_DEG:g} deg of where a {self._chain.name} has it",
+                f"the flange within {POSE_MM:g} mm and {POSE_DEG:g} deg of the pose of a {self._chain.name}",
                 f"one that the controller reports {off_mm:.1f} mm and {off_deg:.1f} deg away",
                 "another `model`; or $TOOL = $NULLFRAME and $BASE = $NULLFRAME before RSI_ON: the tool belongs into "
                 "the rig file",
@@ -290,7 +291,7 @@ class Kuka(Arm[ArmState]):
         self._clamped += bool(np.any(correction_deg != wanted_deg))
         ahead_deg = np.asarray(joints_deg) + 2.0 * correction_deg
         if not self._chain.within_limits(ahead_deg):
-            self._forget(f"an axis came to the end of its range: {np.round(joints_deg, 1).tolist()} deg")
+            self._forget(f"an axis reached the end of its range: {np.round(joints_deg, 1).tolist()} deg")
             return zero
         return correction_deg
 

@@ -193,7 +193,7 @@ class KukaDouble:
         self._setpoint_deg = (self._begin_deg if self._absolute else before_deg) + taken_deg
         step_deg = np.abs(self._setpoint_deg - before_deg)
         if self.missed > self._timeout:
-            self.ended = f"{self.missed} answers in a row did not come in time"
+            self.ended = f"{self.missed} answers in a row were late"
         elif np.any(step_deg > self.chain.velocity_deg_s * self._cycle_ns / 1e9):
             self.ended = f"a correction by {step_deg.max():.3f} deg in a cycle"
         elif not self.chain.within_limits(self._setpoint_deg):

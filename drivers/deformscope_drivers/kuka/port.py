@@ -62,7 +62,7 @@ class UdpPort(Transport):
 
     def write(self, data: bytes) -> None:
         if self._from is None:
-            raise LinkLost("a controller that has spoken", "none yet", where=self.name)
+            raise LinkLost("a controller that has sent a datagram", "none yet", where=self.name)
         try:
             self._opened().sendto(data, self._from)
         except OSError as error:

@@ -50,11 +50,11 @@ class ManualArm(Arm[ArmState]):
 
     @property
     def chain(self) -> Chain:
-        raise self._no_commands("an arm whose joints are known")
+        raise self._no_commands("an arm with known joints")
 
     @property
     def speed_limits(self) -> SpeedLimits:
-        raise self._no_commands("an arm that moves by itself")
+        raise self._no_commands("an arm that moves on commands")
 
     @property
     def T_base_end_effector(self) -> FloatArray:
@@ -79,7 +79,7 @@ class ManualArm(Arm[ArmState]):
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         """Raises NotMovedByCommands."""
-        raise self._no_commands("an arm that moves by itself")
+        raise self._no_commands("an arm that moves on commands")
 
     def stop(self) -> None:
         """Nothing to stop: the arm stands by itself. Raises NotConnected where it is not open."""

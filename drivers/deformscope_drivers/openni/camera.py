@@ -78,7 +78,7 @@ class OpenniCamera:
         stream = self._openni.wait(self._streams(), timeout_s)
         for event, number in self._openni.take_events():
             if event == "disconnected":
-                raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._settings.uri)
+                raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._settings.uri)
             self._ended = self._ended or number == END_OF_FILE
         if stream is not None:
             return stream.read()

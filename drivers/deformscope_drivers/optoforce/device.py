@@ -273,7 +273,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         cutoff_hz = self._settings.filter.cutoff_hz
         settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
         settle = math.ceil((ZERO_REST_S + settling_s) * rate_hz)
-        self._still_mean(count, still_counts, "the zero point is as it was")
+        self._still_mean(count, still_counts, "the zero point is unchanged")
         self._measurer.offset = None
         self._send_settings(replace(self._settings, zeroed=False))
         self._gather(settle)
@@ -298,11 +298,11 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         readings = self._gather(count)
         bad = next((reading for reading in readings if not reading.status.usable or reading.overload), None)
         if bad is not None:
-            raise SettingsRefused("a sensor that is well", f"{bad.status}; {state}", "unload it", self.name)
+            raise SettingsRefused("a sensor without faults", f"{bad.status}; {state}", "unload it", self.name)
         counts = np.array([reading.counts for reading in readings if not reading.doubts], float)
         if len(counts) < STILL_PARTS:
             raise SettingsRefused(
-                "plausible readings", f"{len(counts)} of {count}; {state}", "look at the cable", self.name
+                "plausible readings", f"{len(counts)} of {count}; {state}", "check the cable", self.name
             )
         means = np.stack([part.mean(axis=0) for part in np.array_split(counts, STILL_PARTS)])
         varies = max(float(np.ptp(means, axis=0).max()), float(counts.std(axis=0).max()))
@@ -310,7 +310,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             raise SettingsRefused(
                 f"readings that vary by less than {still_counts:g} counts",
                 f"{varies:.3g}; {state}",
-                "let nothing move that touches the sensor; zero(still_counts=...)",
+                "keep what touches the sensor at rest; zero(still_counts=...)",
                 self.name,
             )
         return np.asarray(counts.mean(axis=0))
@@ -326,7 +326,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                     found.append(reading)
                     self._publish(reading)
         if len(found) < count:
-            advice = "look at power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
+            advice = "check power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
             raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
         return found
 

@@ -50,7 +50,7 @@ class ForceMeasurement:
         """(channels, axes) forces [N] and torques [N m]. Raises DeviceError without a sensitivity report."""
         if self.per_count is None:
             raise DeviceError(
-                "a sensitivity report, with what a count is worth",
+                "a sensitivity report, with the force of a count",
                 "none that fits this sensor: it differs from sensor to sensor",
                 "OptoforceConfig(sensitivity=Sensitivity(counts_at_nominal=..., nominal=...)); counts need none",
             )

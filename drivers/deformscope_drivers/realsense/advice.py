@@ -6,10 +6,10 @@ from deformscope_drivers.errors import Busy, DeviceError, NotConnected
 
 INSTALL = "pip install deformscope[realsense]"
 UDEV = (
-    "librealsense's udev rules (config/99-realsense-libusb.rules into /etc/udev/rules.d), then plug it in anew; "
-    "in a container /dev has to be passed through as a whole"
+    "librealsense's udev rules (config/99-realsense-libusb.rules into /etc/udev/rules.d), then reconnect it; "
+    "in a container pass /dev through as a whole"
 )
-NO_PICTURES = "a USB 3 port of the computer itself and the cable that came with it; plug it in anew"
+NO_PICTURES = "a USB 3 port of the computer itself and the camera's own cable; reconnect it"
 _BUSY = ("busy", "errno=16", "failed to set power state")
 _DENIED = ("status_access", "permission denied", "operation not permitted", "errno=13", "errno=1,")
 
@@ -24,8 +24,8 @@ def meaning(error: Exception, expected: str, where: str) -> DeviceError:
     words = " ".join(str(error).split())
     lower = words.lower()
     if any(sign in lower for sign in _BUSY):
-        what = "close what else reads it: realsense-viewer, a ROS node, an earlier run"
+        what = "close other programs that read it: realsense-viewer, a ROS node, an earlier run"
         return Busy(f"{expected} that no other program reads", words, what, where)
     if any(sign in lower for sign in _DENIED):
         return NotConnected(f"{expected} that this user may open", words, UDEV, where)
-    return NotConnected(expected, words or type(error).__name__, "plug it in anew", where)
+    return NotConnected(expected, words or type(error).__name__, "reconnect it", where)

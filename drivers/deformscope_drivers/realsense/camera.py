@@ -231,7 +231,7 @@ class RealsenseCamera:
     def _frames(self, timeout_s: float) -> tuple[Any, int]:
         """Frames of one moment and when they came [ns]; None when none came in time. Raises LinkLost."""
         if self._gone.is_set():
-            raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._where)
+            raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._where)
         came, frame = self._queue.try_wait_for_frame(max(round(timeout_s * 1e3), 1))
         host_ns = time.monotonic_ns()
         return (frame.as_frameset() if came else None), host_ns

@@ -111,7 +111,7 @@ class SdhConnection(StreamDevice[HandReading]):
         try:
             return self._round(timeout_s)
         except NoReply as error:
-            raise LinkLost("answers from the hand", "none", "look at its supply and cable", self.name) from error
+            raise LinkLost("answers from the hand", "none", "check its supply and cable", self.name) from error
 
     def _round(self, timeout_s: float) -> Iterable[HandReading]:
         """Wait for the time of the next reading, and take it. An answer that makes no reading is counted as refused."""
@@ -211,7 +211,7 @@ class SdhConnection(StreamDevice[HandReading]):
                 refusal.code, codes.error_name(refusal.code), doing, codes.error_advice(refusal.code), self.name
             )
         waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
-        raise NoReply(f"an answer to {doing} within {waited}", "none", "look at supply, cable and baud rate", self.name)
+        raise NoReply(f"an answer to {doing} within {waited}", "none", "check supply, cable and baud rate", self.name)
 
     def _answer(
         self, command: protocol.Command, kind: type[ReplyT], timeout_s: float

@@ -184,7 +184,7 @@ class Sdh(SdhConnection):
         """
         wanted = (on,) * codes.AXIS_COUNT if isinstance(on, bool) else tuple(on)
         if len(wanted) != codes.AXIS_COUNT:
-            raise OutOfLimits(f"{codes.AXIS_COUNT} values, one an axis", f"{len(wanted)}", where=self.name)
+            raise OutOfLimits(f"{codes.AXIS_COUNT} values, one per axis", f"{len(wanted)}", where=self.name)
 
         def switch() -> None:
             self._controller = None  # the next motion takes it up again, and with it the axes
@@ -279,7 +279,7 @@ class Sdh(SdhConnection):
         except Stale:
             reading = None
         if self.link is not Link.CONNECTED or self._connections != started.connection:
-            advice = "see how it stands; it is stopped as soon as the link is back"
+            advice = "check its pose; it is stopped once the link is back"
             raise LinkLost("the end of a motion", "a lost link", advice, self.name)
         return None if reading is None or reading.stamp.host_ns < started.sent_ns else reading
 
@@ -408,4 +408,4 @@ class Sdh(SdhConnection):
         if not agrees:
             came = ", ".join(f"{value:g}" for value in reported) or "nothing"
             asked = ", ".join(f"{value:g}" for value in values)
-            raise SettingsRefused(f"{name} = {asked}", came, "wait until the hand is still", self.name)
+            raise SettingsRefused(f"{name} = {asked}", came, "wait until the hand is at rest", self.name)

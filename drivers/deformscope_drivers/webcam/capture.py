@@ -96,12 +96,12 @@ class OpencvCapture:
         try:
             came, ready = self._cv2.VideoCapture.waitAny([self._capture], timeout_ns)
         except self._cv2.error as error:
-            advice = "look at the cable; dmesg"
+            advice = "check the cable; dmesg"
             raise LinkLost("an image", "an error (unplugged, or its driver failed)", advice, self._path) from error
         if came and len(ready) > 0:
             return True
         if came or not Path(self._path).exists():
-            raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._path)
+            raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._path)
         return False
 
     def timestamp_us(self) -> int | None:

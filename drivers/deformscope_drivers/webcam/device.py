@@ -108,7 +108,7 @@ class Webcam(Device[ColorImage]):
         if not self._capture.wait(timeout_s):
             silence_s = (self._clock() - self._heard_ns) / 1e9
             if silence_s > self.config.silence_s:
-                raise LinkLost("an image", f"none for {silence_s:.3g} s", "look at the camera", self._path)
+                raise LinkLost("an image", f"none for {silence_s:.3g} s", "check the camera", self._path)
             return []
         # Before decoding, which takes milliseconds that are not the camera's.
         self._heard_ns = host_ns = self._clock()

@@ -152,7 +152,7 @@ class VideoFile(Playback):
         capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             capture.release()
-            raise NotConnected("a video", "a file that is none, or damaged", f"ffprobe {self.path}", self.path)
+            raise NotConnected("a video", "a damaged file, or one of another kind", f"ffprobe {self.path}", self.path)
         reported = float(capture.get(cv2.CAP_PROP_FPS))
         return _VideoPictures(capture), reported if math.isfinite(reported) and reported > 0 else None
 
