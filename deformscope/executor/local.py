@@ -28,20 +28,20 @@ class HereWorker:
             attempt.set_exception(error)
         return attempt
 
-    def ready(self, under_way: Collection[Future[Any]]) -> list[Future[Any]]:
-        return list(under_way)
+    def ready(self, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
+        return futures.wait(under_way, RENEW_S, futures.FIRST_COMPLETED).done
 
     def result(self, attempt: Future[Any]) -> Any:
         return attempt.result()
 
     def give_up(self, attempt: Future[Any]) -> None:
-        """It is done already."""
+        """Nothing ends a thread."""
 
     def close(self) -> None:
         """There is nothing to end."""
 
 
-class ThreadWorkers:
+class ThreadWorkers(HereWorker):
     """Threads of this process, for what is computed below Python of arrays that are here; they keep no program alive
     that is interrupted."""
 
@@ -52,15 +52,6 @@ class ThreadWorkers:
         attempt = Future[Any]()
         self._pool.apply_async(function, arguments, callback=attempt.set_result, error_callback=attempt.set_exception)
         return attempt
-
-    def ready(self, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
-        return futures.wait(under_way, RENEW_S, futures.FIRST_COMPLETED).done
-
-    def result(self, attempt: Future[Any]) -> Any:
-        return attempt.result()
-
-    def give_up(self, attempt: Future[Any]) -> None:
-        """A thread cannot be ended."""
 
     def close(self) -> None:
         self._pool.terminate()
