@@ -39,7 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "results": ("plain",),
     "capsule": ("arrays",),
     "solid": ("arrays",),
-    "images": ("arrays", "errors"),
+    "images": ("arrays", "errors", "file_io"),
     "frames": ("arrays",),
     # Stages are pure: arrays in, frozen results out.
     "stages.msm": ("arrays", "errors"),
@@ -55,7 +55,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
-    "rig": ("errors", "frames"),
+    "rig": ("errors", "file_io", "frames"),
     "robot": ("arrays", "capsule", "errors", "rig", "solid"),
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot", "solid"),

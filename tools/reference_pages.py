@@ -18,6 +18,7 @@ import os
 import pkgutil
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,8 +74,10 @@ def _help_of(name: str) -> str:
         main([*name.split(), "--help"])
     lines = [line.rstrip() for line in shown.getvalue().strip().splitlines()]
     kept = "\n".join(line for line in lines if set(line.strip()) != {"-"})
+    kept, _, example = kept.partition("\nexample:\n")
     usage, description, flags = re.split(r"\n\n+", kept, maxsplit=2)
     parts = [f"```text\n{usage}\n```", _escaped(" ".join(description.split()))]
+    parts.append(f"```sh\n{textwrap.dedent(example)}\n```")
     for title, lines in re.findall(r"^ (\S.*)\n((?:(?! \S).*\n?)*)", flags, re.MULTILINE):
         about, rows = _flags_of(lines.splitlines())
         parts += [f"**{title.capitalize()}.** {about}", _table(("flag", "meaning"), rows)]

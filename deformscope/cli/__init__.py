@@ -19,6 +19,7 @@ import re
 import select
 import signal
 import sys
+import textwrap
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +27,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from deformscope.cli.examples import EXAMPLES
 from deformscope.errors import InputError, printable
 from deformscope.version import __version__
 
@@ -354,6 +356,8 @@ def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
             return tyro.cli(config, args=list(args), prog=prog, config=(tyro.conf.FlagCreatePairsOff,))
         except SystemExit as stop:
             if stop.code in (0, None):
+                if example := EXAMPLES.get(prog.removeprefix("deformscope ")):
+                    print(f"example:\n{textwrap.indent(example, '  ')}")
                 raise
     raise _usage_error(said.getvalue(), prog)
 
