@@ -22,8 +22,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
-from scipy.special import expit, logsumexp
-from scipy.special import ndtri
+from scipy.special import expit, logsumexp, ndtri
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.doubts import little_explained, not_converged, ordered
