@@ -69,14 +69,14 @@ def test_every_command_is_in_the_table_of_commands() -> None:
 
 def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
     tool = runpy.run_path(str(ROOT / "tools" / "layers.py"))
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
     shown = page.split(tool["BEGIN"])[1].split(tool["END"])[0]
 
     assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"
 
 
 def test_walks_pass_through_files_that_exist_at_most_fourteen_or_with_the_reason() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
     section = re.split(r"^## ", page.split("## Six walks\n")[1], flags=re.MULTILINE)[0]
     walks = section.split("### ")[1:]
     assert len(walks) == 6

@@ -23,7 +23,7 @@ README = ROOT / "README.md"
 EVERY = [one for page in printed.PAGES for one in printed.printed(page)]
 LONG = ("make demo", "deformscope explore")
 """What takes longer than some seconds begins so."""
-ILLUSTRATIONS = {"docs/architecture.md": 2, "docs/page.md": 1, "drivers/README.md": 1}
+ILLUSTRATIONS = {"docs/developers/architecture.md": 2, "docs/page.md": 1, "drivers/README.md": 1}
 """Blocks fenced as ```text, which nothing prints: drawings (that of the layers has its own
 test), a line of udev's, an address."""
 TYPED = [(kind, body) for kind, body in printed.FENCE.findall(README.read_text("utf-8")) if "make " not in body]
