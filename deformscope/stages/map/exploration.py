@@ -213,7 +213,7 @@ class MapRegion:
 
 
 PLATEAU_FACTOR = 2.8
-"""Modulus of foam that yields over that of linear foam that feels the same at 3 N, at most (docs/exploring.md)."""
+"""Modulus of foam that yields over that of linear foam that feels the same at 3 N, at most (docs/results/maps.md)."""
 
 REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no regions"
 
