@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 import subprocess
 import sys
@@ -27,7 +26,6 @@ LONG = ("make demo", "deformscope explore")
 ILLUSTRATIONS = {
     "docs/developers/architecture.md": 2,
     "docs/howto/watch-a-rig.md": 1,
-    "docs/howto/get-real-time-threads.md": 1,
     "drivers/README.md": 1,
 }
 """Blocks fenced as ```text, which nothing prints: drawings (that of the layers has its own
@@ -90,7 +88,9 @@ def test_the_flags_of_a_command_in_a_page_are_known(page: Path, line: str) -> No
 
 def understood(line: str) -> tuple[str, Any]:
     """The command of a line, and its options."""
-    name, rest = cli.find_command(shlex.split(re.split(r" (?:>|\|\|) ", line)[0], comments=True)[1:])
+    words = shlex.split(line, comments=True)
+    end = next((index for index, one in enumerate(words) if one in (">", "||")), len(words))
+    name, rest = cli.find_command(words[1:end])
     return name, cli.parse(getattr(config, cli.COMMANDS[name].config), rest)
 
 
