@@ -18,7 +18,7 @@ STIFFEST_N_M = 1e5
 touch slower; softer lets the force of a stiffer arm grow beyond what its speed is chosen for."""
 ARM_CYCLES = 3.0
 """Cycles of the arm from a command to its rest: one until it is taken, two to follow. A double whose axes lag by
-another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/arms.md`); a larger value makes every touch
+another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`); a larger value makes every touch
 slower."""
 SLOWEST_M_S = 1e-3
 """The tip comes down no more slowly than this: 3 cm take half a minute. Where it would have to, the preflight refuses
@@ -26,10 +26,10 @@ SLOWEST_M_S = 1e-3
 CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
 """Share of the hard stop that a contact may reach where it is expected, and higher up. Larger leaves less for a delay
 that is longer than reckoned; smaller makes every touch slower. Measured with them: 14.1 N of 15 N where a surface was
-45 mm too high and axes lagged by another 60 ms (`docs/arms.md`)."""
+45 mm too high and axes lagged by another 60 ms (`docs/results/safety.md`)."""
 MISS_M = 0.005
 """So far below the seen surface, beyond the camera's doubt, the tip is sent where it has met nothing [m]. An arm whose
-sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/arms.md`); a smaller value
+sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/results/safety.md`); a smaller value
 misses a surface whose height was overestimated."""
 
 
