@@ -43,8 +43,8 @@ class ArmBody(PushedArm, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, closed; body: what moves; person: who places it, None = it moves by itself
-    wire: between them, to be entered before the arm is opened, None = nothing runs by itself
+    """arm: the driver's device, closed; body: what moves; person: places it; None = an arm with motors
+    wire: between them, to be entered before the arm is opened, None = no thread or process runs
     """
 
     arm: Arm[Any]

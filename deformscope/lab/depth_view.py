@@ -6,7 +6,7 @@
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
 The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise:
-an arm had better stand opposite.
+an arm should be opposite.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class DepthView(RayCamera):
     def __init__(
         self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None
     ) -> None:
-        """surface_from_camera: (4, 4) where it stands, instead of where its configuration says"""
+        """surface_from_camera: (4, 4) its true pose, instead of that of its configuration"""
         config = config or DepthViewConfig()
         self.scene = scene
         middle = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, scene.thickness_m])

@@ -94,7 +94,7 @@ def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> No
 
 
 def _collide(lab: TouchLab, random: np.random.Generator) -> None:
-    """Something pushes elbow, forearm or wrist across, so that the joint that feels it most has 6 to 20 Nm."""
+    """A push across elbow, forearm or wrist, so that the most loaded joint has 6 to 20 Nm."""
     double = lab.arm_double
     links, link = double.T_base_links, int(random.integers(1, 4))
     levers = np.cross(links[: link + 1, :3, 2], links[link + 1, :3, 3] - links[: link + 1, :3, 3])

@@ -1,10 +1,10 @@
 """A driver in a process of its own: how it is started, what is sent both ways, and how it ends.
 
 `HostedProcess` is the end of the program that uses the device. It starts `python -m deformscope_drivers.hosted FD` and
-gives it one end of a socket pair and, as the first message, a function of the driver's package with its settings. The
+gives it one end of a socket pair. The first message is a function of the driver's package with its settings. The
 function runs there with a `Channel`, the other end, as its first argument. Messages are pickled tuples that begin with
-their kind: `("opened", report)` when the device is open, `("failed", error)` for a DeviceError that ends the process,
-and what else the driver and the device that uses it agree on.
+their kind: `("opened", report)` when the device is open, and `("failed", error)` for a DeviceError that ends the
+process. Drivers and their devices may add others.
 
 When the program ends, whatever ended it, the socket closes: the function sees that in `Channel.poll` and
 `Channel.receive`, and ends. When the process ends, hangs or crashes, the program gets `ProcessEnded`, or kills it after
@@ -135,8 +135,8 @@ class Channel:
         self._connection, self._sending = connection, threading.Lock()
 
     def send(self, *message: object) -> None:
-        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that has no
-        name there arrives in the words of this one, as a DeviceError: it must not end what moves an arm."""
+        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that is
+        unknown there arrives with its text, as a DeviceError: it must not end the process that moves an arm."""
         with self._sending, contextlib.suppress(OSError):
             try:
                 self._connection.send(message)

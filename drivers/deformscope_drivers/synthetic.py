@@ -43,9 +43,9 @@ class SyntheticConfig:
 class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
     """A camera on a program's scene: `scene(time_s)` is asked at `rate_hz`, or views come through `push`.
 
-    scene: what there is to see at a time since opening [s]; None = only what is pushed
-    A picture's device_ticks are the camera's own time since opening [us]. Everything that is random comes from `seed`.
-    It runs in real time with a thread of its own, or on a simulated clock with open(own_thread=False) and poll().
+    scene: the visible scene at a time since opening [s]; None = only pushed pictures A picture's device_ticks are the
+    camera's own time since opening [us]. Everything that is random comes from `seed`. It runs in real time with a
+    thread of its own, or on a simulated clock with open(own_thread=False) and poll().
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES

@@ -1,8 +1,8 @@
 """Transports to a device: serial ports, sockets and CAN buses.
 
 A transport carries bytes. It decodes nothing; it says at once when the link is gone.
-Ports and buses are named by rig files, which come from anywhere: pyserial and python-can know more kinds than are
-accepted here, some of which write files (`spy://`) or load classes (`alt://`).
+Rig files, which may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted
+here, some of which write files (`spy://`) or load classes (`alt://`).
 """
 
 from __future__ import annotations

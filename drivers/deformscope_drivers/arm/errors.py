@@ -1,4 +1,4 @@
-"""What can go wrong with an arm, beside what can go wrong with any device."""
+"""Errors of an arm, in addition to those of any device."""
 
 from __future__ import annotations
 

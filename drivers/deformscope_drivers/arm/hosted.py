@@ -1,8 +1,8 @@
 """An arm's driver in a process of its own: what this program does, or that it ends, does not keep the arm moving.
 
 The other process opens the arm and carries out velocities until they expire there, on the clock that both share. When
-this process is stopped, nobody sets a velocity again and it ends; when it dies, the socket between them closes, and the
-other process halts the arm, gives it back and ends too.
+this process is suspended, no velocity is renewed and it expires. When it dies, the socket between them closes, and the
+other process halts the arm, releases it and ends too.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from deformscope_drivers.hosted import HostedProcess
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
 WAITING_S = 0.1
-"""Who waits for an answer says so this often: the other process halts an arm on its way home once nobody does."""
+"""Period of messages from a caller that waits for an answer: without them the other process halts an arm on its way
+home."""
 
 
 class HostedArm(Arm[ArmState]):

@@ -295,10 +295,10 @@ def damped_joint_rates(
     """Joint rates (..., n) [rad/s] for a twist (..., 6) [m/s, rad/s]: the pseudo-inverse, damped only near
     singularities.
 
-    damping: smallest singular value that is still inverted in full; below it the rates are held down instead of
-    growing without end, and the twist is then not met (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
-    wish_rad_s: (n,) rates wanted besides, carried out as far as they leave the end effector where it is: the null
-    space of an arm with more than six joints (Liegeois 1977), nothing of them with six
+    damping: smallest singular value that is still inverted in full. Below it the rates are bounded, and the twist is
+    then not reached (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
+    wish_rad_s: (n,) additional desired rates, in the null space of the end effector's motion, for an arm with more than
+    six joints (Liegeois 1977); ignored with six
     """
     left, values, right = np.linalg.svd(jacobian, full_matrices=wish_rad_s is not None)
     least = values[..., -1:]
@@ -345,7 +345,7 @@ def rotation_from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Floa
 
 
 def rotation_from_euler_xyz(theta_x_rad: float, theta_y_rad: float, theta_z_rad: float) -> FloatArray:
-    """Rotation (3, 3) of the vendor's ThetaX, ThetaY, ThetaZ: Rx Ry Rz (kinova_driver says so of its poses)."""
+    """Rotation (3, 3) of the vendor's ThetaX, ThetaY, ThetaZ: Rx Ry Rz (as kinova_driver states for its poses)."""
     return _rotation_x(theta_x_rad) @ _rotation_y(theta_y_rad) @ _rotation_z(theta_z_rad)
 
 

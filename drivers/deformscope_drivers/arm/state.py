@@ -1,4 +1,4 @@
-"""What an arm says of itself."""
+"""The state that an arm reports."""
 
 from __future__ import annotations
 

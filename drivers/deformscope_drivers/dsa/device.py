@@ -234,7 +234,7 @@ class Dsa(StreamDevice[TactileReading]):
         return self._measurer.connect()
 
     def _start(self) -> None:
-        """Stop, discard what is still in transit, ask what it is, set it, and have it stream."""
+        """Stop, discard data in transit, query its identity, set it, and start its stream."""
         self._silence_ns = None
         self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, STOP_TRIES)
         self._settle(SETTLE_S)
@@ -439,7 +439,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._begin_stream()
 
     def _begin_stream(self) -> None:
-        """Frames are asked for anew, and the controller's clock may have been set anew meanwhile."""
+        """Frames are requested again, and the controller's clock may have been reset meanwhile."""
         self._measurer.begin_stream()
         self._clock_fit = self._measurer.clock_fit
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 THUMB = 1
-"""The finger that stands alone. Source: IPA's ROS node, which puts matrices 2 and 3 first and calls them the thumb."""
+"""The opposing finger. Source: IPA's ROS node, which puts matrices 2 and 3 first and calls them the thumb."""
 
 FEATURE_CELLS = 36
 FEATURE_FINGERS = (0, 2)

@@ -1,7 +1,7 @@
 """The vendor's functions over a simulated arm: what `Library` is to a real Jaco, `JacoDouble` is to this one.
 
-It has no thread: time passes on the clock that it is given, a laboratory's or the host's, and each call first lives
-through the cycles that have passed since the last.
+It has no thread: time passes on the given clock, a laboratory's or the host's, and each call first simulates the cycles
+since the last.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class JacoDouble:
         serials: Sequence[str] = ("DOUBLE-1",),
         cold_boot: bool = False,
     ) -> None:
-        """clock: [ns], never going back; start_deg: (n,) where the arm stands (default: home)
+        """clock: [ns], never going back; start_deg: (n,) first joint angles (default: home)
 
         serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on: it
         ignores the first StartControlAPI, and was not homed
@@ -169,7 +169,7 @@ class JacoDouble:
             self._arm.grip = np.array(at, dtype=float)
 
     def sag(self, sag_deg: npt.ArrayLike) -> None:
-        """Let the joints stand beyond the angles that they are commanded to hold, (n,) [deg], as weight has them do."""
+        """Offset of the joints from their commanded angles, (n,) [deg], as by weight."""
         with self._lock:
             self._live()
             self._arm.sag_deg = np.array(sag_deg, dtype=float)

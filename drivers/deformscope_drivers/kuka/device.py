@@ -167,7 +167,7 @@ class Kuka(Arm[ArmState]):
         self._ipoc, self._late_before, self._heard_ns = message.ipoc, message.late, self._clock()
 
     def _check_missing(self) -> None:
-        """That one answer moves the axes once, and that they stand while answers are missing."""
+        """That one answer moves the axes once, and that they rest while answers are missing."""
         moved_deg = self._zero
         for _ in range(PROBES):
             moved_deg = self._probe_deg()

@@ -82,7 +82,7 @@ class ManualArm(Arm[ArmState]):
         raise self._no_commands("an arm that moves on commands")
 
     def stop(self) -> None:
-        """Nothing to stop: the arm stands by itself. Raises NotConnected where it is not open."""
+        """Nothing to stop: the arm does not move without a person. Raises NotConnected where it is not open."""
         self._require_open()
 
     def halt(self, reason: str) -> None:

@@ -24,7 +24,8 @@ WAITING = 4
 
 @dataclass(frozen=True, slots=True)
 class OpenniSettings:
-    """How a camera is opened; None = as it is. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is read"""
+    """Settings for opening a camera; None = unchanged. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is
+    read"""
 
     uri: str = ""
     width: int | None = None
@@ -136,8 +137,8 @@ class OpenniCamera:
 class Pairs:
     """Puts depth and colour of the same moment together: timestamps within half a period.
 
-    Streams may lag behind each other: a depth frame waits for its colour until a later colour frame shows that there
-    is none, or until WAITING depth frames wait.
+    Streams may lag behind each other. A depth frame waits for its colour until a later colour frame shows that there is
+    none, or until WAITING depth frames wait.
     """
 
     def __init__(self, fps: int, *, wanted: bool) -> None:

@@ -1,4 +1,4 @@
-"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, losses found by its counter."""
+"""OptoForce's DAQ as a device: settings stored in a shadow copy, checked zeroing, losses found by its counter."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     """A DAQ with its sensors. `with Optoforce(OptoforceConfig(port="/dev/ttyACM0")) as sensor: ...`
 
     Opening sends the settings and waits for the first reading. After a lost link, or a restart of the DAQ, they are
-    sent again; a zero point that it lost is subtracted here from then on.
+    sent again; a lost zero point is subtracted here from then on.
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
@@ -204,8 +204,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _change(self, wanted: DaqSettings) -> None:
         """Send speed and filter, and see that readings come.
 
-        Every `Configure` says something about the zero point as well, and whether a second 255 keeps it or sets it
-        anew is not documented: so it is cleared, and what it was is subtracted here.
+        Every `Configure` affects the zero point as well, and the effect of a second 255 on it is not documented. So it
+        is cleared, and its value is subtracted here.
         """
         self._send_settings(replace(wanted, zeroed=False))
         if wanted.speed:

@@ -108,7 +108,7 @@ class OptoforceDouble:
     The filter is a first-order low-pass on samples at 1 kHz; the order of the real one is not known. An unknown
     setting is refused with result 1, which is an assumption: only 0 is documented.
 
-    unplugged: channels whose sensor is pulled off, which read 0 and say so; 0 is the first
+    unplugged: channels without their sensor, which read 0 and report it; 0 is the first
     silent: it hangs, and sends nothing
     """
 

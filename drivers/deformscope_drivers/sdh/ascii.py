@@ -32,7 +32,7 @@ _ERROR = re.compile(r"E(\d{1,3})")
 
 
 class BadLine(ValueError):
-    """A line that the protocol does not know; `reason` is a word or two."""
+    """A line that is not in the protocol; `reason` is a word or two."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)

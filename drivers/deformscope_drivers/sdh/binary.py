@@ -52,7 +52,7 @@ def encode_reply(event: Reading | ValueReply | ErrorReply, *, checksummed: bool)
 
 
 def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Event] | Refused | None:
-    """The reply whose code stands at `start`; checksummed: None = as its length says."""
+    """The reply whose code is at `start`; checksummed: None = as its length says."""
     body = _body(buffer, start, {_REPLY_LENGTH: AXIS_COUNT}, checksummed)
     if not isinstance(body, bytes):
         return body
@@ -78,7 +78,7 @@ def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> GoodFram
 
 
 def parse_request(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Command] | Refused | None:
-    """The request whose code stands at `start`, seen by the hand."""
+    """The request whose code is at `start`, as the hand decodes it."""
     body = _body(buffer, start, _REQUEST_LENGTHS, checksummed)
     if not isinstance(body, bytes):
         return body

@@ -21,7 +21,7 @@ class SdhConfig:
     bus: CAN bus (`socketcan:can0`); exactly one of them
 
     send_id, receive_id: CAN identifiers of the host and of the hand
-    protocol: `auto` speaks binary where firmware (0.0.2.15) and command know it, else ASCII
+    protocol: `auto` uses binary if firmware (0.0.2.15) and command support it, else ASCII
     checksum: of binary messages; None = on serial ports, not on CAN and `socket://`
     rate_hz: how often positions, velocities and states are asked (about 90 Hz is what RS-232 has room for)
     temperature_period_s: how often temperatures are asked

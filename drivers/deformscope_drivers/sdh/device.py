@@ -1,6 +1,6 @@
 """Schunk's SDH hand: `with Sdh(SdhConfig(port="/dev/ttyUSB0")) as hand: hand.move([0, -20, 20, -20, 20, -20, 20])`.
 
-Nothing moves unless a method here says so. The hand knows no watchdog: what was started goes on when the host is gone,
+Nothing moves without a call of a method here. The hand has no watchdog: after the loss of the host a motion continues,
 a move to its targets, a velocity to the ends of the axes.
 """
 
@@ -52,7 +52,7 @@ class Toward(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Started:
-    """A motion in progress. targets_deg: by axis that moves, None where the hand alone knows them"""
+    """A motion in progress. targets_deg: of each moving axis, None if the hand alone has them"""
 
     sent_ns: int
     duration_s: float | None
@@ -64,7 +64,7 @@ class _Started:
 class Sdh(SdhConnection):
     """The hand. Readings (`HandReading`) come at `config.rate_hz`, with the three reads of every device.
 
-    After a link was lost and made again the hand is stopped, a motion that was waited for raises LinkLost, and
+    After a lost link is restored the hand is stopped, a call that waits for a motion raises LinkLost, and
     `health().extra["stopped_after_reconnect"]` counts it. transport, clock: for a hand in memory
     """
 
@@ -94,10 +94,10 @@ class Sdh(SdhConnection):
         """Move to angles, all axes starting and ending together; the slowest one gives the time.
 
         targets_deg: (7,), or by axis, the others staying where they are; velocity_deg_s, acceleration_deg_s2: (7,) or
-        one for all (the sin² profile knows no acceleration); timeout_s: None = the hand's own duration and 1 s more,
-        after which the hand is stopped, as it is by Ctrl-C. Firmware switches all axes on by this.
-        A blocked axis raises nothing; `result.outcome` says so, since touching things is what hands are for.
-        Raises OutOfLimits (nothing was sent), CommandRefused, LinkLost, NoReply.
+        one for all (the sin² profile has no acceleration); timeout_s: None = the hand's own duration and 1 s more,
+        after which the hand is stopped, as it is by Ctrl-C. Firmware switches all axes on by this. A blocked axis
+        raises nothing; `result.outcome` reports it, because contact is a hand's purpose. Raises OutOfLimits (nothing
+        was sent), CommandRefused, LinkLost, NoReply.
         """
         speeds = self.limits.speeds(velocity_deg_s, self.name)
         accelerations = self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -247,7 +247,7 @@ class Sdh(SdhConnection):
             raise
 
     def _wait(self, started: _Started, timeout_s: float) -> MoveResult:
-        """Read until the axes are still. An idle axis is believed once one was seen to move, or after a while."""
+        """Read until the axes are still. An idle axis counts once one was seen to move, or after a while."""
         until_ns = self._clock() + round(timeout_s * 1e9)
         seen_moving = timed_out = False
         last: HandReading | None = None
