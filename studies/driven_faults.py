@@ -1,4 +1,4 @@
-"""Arms that are driven to where they must not go, and programs that are killed: whether the arm stands in time.
+"""Arms that are driven to forbidden poses, and programs that are killed: whether the arm stops in time.
 
 What `fault_study` injects strikes devices in the midst of a touch; here what commands the arm is itself wrong.
 """
@@ -275,8 +275,8 @@ class _Noting(KukaDouble):
 
 
 def run_killed(seed: int) -> KilledRun:
-    """A program that moves an arm in a process of its own, on the host's clock, is ended by SIGKILL: its velocity would
-    hold for a minute."""
+    """A program that moves an arm in a child process, on the host's clock, is ended by SIGKILL: its velocity would hold
+    for a minute."""
     random = np.random.default_rng([seed, 0xD9])
     double, port = _Noting(again_s=0.1), free_port()
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

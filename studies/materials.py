@@ -9,8 +9,8 @@ What is drawn for each: the material, how it is pushed, and the noise, which nei
 
 axes: a plate of this model, pushed anywhere at its top: its betas are the model's, so that no other truth of them is
 yield: a block of this model, pressed and let go, that yields; beta is fitted with it
-viscous: a block of finite elements, pressed, held and let go, whose moduli relax in one branch (stresses that relax,
-integrated here, where the fit knows how they creep) and which may keep a part of the push for good
+viscous: a block of finite elements, pressed, held and released, whose moduli relax in one branch (stresses that relax,
+integrated here, while the fit uses their creep) and which may have a permanent set
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def report(options: MaterialsCoverageConfig, seconds: float, tried: Sequence[Kno
     verdicts = {kind: counts(one.verdict for one in some) for kind, some in kinds.items()}
     tables = [interval_table(some, "motions", f"calibrate {kind}") for kind, some in lines.items()]
     taken = [(kind, "; ".join(f"{name}: {count}" for name, count in some.items())) for kind, some in verdicts.items()]
-    tables.append(Table(taken, ("motions of", "verdicts"), "what they were taken for"))
+    tables.append(Table(taken, ("motions of", "verdicts"), "verdicts by kind"))
     return StudyReport(tables, {kind: {"rows": lines[kind], "verdicts": verdicts[kind]} for kind in kinds})
 
 

@@ -36,7 +36,7 @@ LEVEL = 0.95
 DISTURBED = ("travel", "approach", "retreat")
 """The phases in which somebody moves or topples the container, in turn."""
 FORCES = ("force above the soft stop", "force above the hard stop")
-"""A container that was pushed into the hand's way may be felt before it is seen."""
+"""A container that was pushed into the hand's way may be touched before the camera sees it."""
 
 
 class PlacedTrial:
@@ -179,8 +179,8 @@ def try_placing(case: PlacingCase) -> PlacedRun:
 
 @dataclass(frozen=True, slots=True)
 class PlacingStudyConfig(StudyOptions):
-    """Count how often a simulated arm places the hand at a container, why not, and whether a container that somebody
-    moves or topples on the way there, or on the way back, is noticed."""
+    """Count how often a simulated arm places the hand at a container, and the reasons of failures. Also count whether
+    it detects a container that a person moves or topples on the way there, or on the way back."""
 
     arm: Literal["jaco", "kuka"] = "jaco"
     """The arm's double."""

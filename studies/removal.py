@@ -5,8 +5,8 @@ python -m studies removal --layouts 4 --picture removal.png --json removal.json
 
 Which points of foam stay, and which of the robot do.
 
-A laboratory's robot with gripper, stick and cable (`lab.robot_body`) is seen before foam, above it and as it presses;
-the estimator knows it as its rig file describes it, and the camera's place with an error.
+A laboratory's robot with gripper, stick and cable (`lab.robot_body`) is seen before foam, above it and during a press.
+The estimator has its rig file's description, and the camera's pose with an error.
 """
 
 from __future__ import annotations
@@ -90,8 +90,8 @@ class RobotPicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemovedPoints:
-    """Points of a picture in a box. points_m: (n, 3); foam, robot: (n,) what they truly are; beside: (n,) not taken for
-    the robot's; kept: nor as outliers, which follow; seconds: that telling the robot's apart took"""
+    """Points of a picture in a box. points_m: (n, 3); foam, robot: (n,) what they truly are; beside: (n,) not
+    classified as robot; kept: nor as outliers, which follow; seconds: that telling the robot's apart took"""
 
     points_m: FloatArray
     foam: BoolArray
@@ -105,8 +105,8 @@ class RemovedPoints:
 class RemovalCount:
     """One picture, seen with a sensor, with the camera's place off about something, in a box.
 
-    foam, foam_kept: points of foam, and how many of them are not taken for the robot's; foam_outliers: of these, how
-    many the filter of outliers takes afterwards, as it does without a robot
+    foam, foam_kept: points of foam, and number of them not classified as robot; foam_outliers: of these, how many the
+    filter of outliers takes afterwards, as it does without a robot
     robot, robot_left: points of the robot, and how many stay after both; seconds: that telling them apart took
     """
 
@@ -165,7 +165,7 @@ class RemovalScene:
         return SENSORS[sensor].measure(exact.depth_m, self.view.intrinsics.fx_px, self._random)
 
     def T_surface_camera(self, about: About) -> FloatArray:
-        """(4, 4) where the estimator takes the camera to be: off by `OFF_M` and `OFF_RAD` in random directions, turned
+        """(4, 4) the estimator's pose of the camera: displaced by `OFF_M` and `OFF_RAD` in random directions, turned
         about its own place or about the surface's middle."""
         T = self.view.surface_from_camera
         if about == "nothing":
@@ -313,8 +313,8 @@ def _as_seen(
 
 @dataclass(frozen=True, slots=True)
 class RemovalCoverageConfig(StudyOptions):
-    """Count which points of simulated pictures stay, of foam and of a robot with gripper, stick and cable, by how the
-    robot is taken out: capsules, convex hulls (Thesis 4.4) or meshes; with the camera's place exact, and off by 5 mm
+    """Count the remaining points of simulated images, of foam and of a robot with gripper, stick and cable, by the
+    method of removal: capsules, convex hulls (Thesis 4.4) or meshes. The camera's pose is exact, or displaced by 5 mm
     and 1 degree."""
 
     layouts: flags.ManyFlag = 6
@@ -324,8 +324,8 @@ class RemovalCoverageConfig(StudyOptions):
 
 
 TITLES: dict[Where, str] = {
-    "sample": "In the sample's box, as explorations crop it: foam kept (worst picture) / robot left (worst picture)",
-    "around a touch": "Within 8 cm of the tip while it presses: foam kept (worst picture) / robot left (worst picture)",
+    "sample": "In the sample's box, as explorations crop it: foam left (worst picture) / robot left (worst picture)",
+    "around a touch": "Within 8 cm of the tip during a press: foam left (worst picture) / robot left (worst picture)",
 }
 ABOUT = {
     "nothing": "exact",

@@ -121,7 +121,7 @@ class ArmContact:
 
         The deflection s along the force's direction solves |press(center + s e)| * compliance = s, whose left side
         falls with s. The secant method starts from the end of the last cycle and takes one or two evaluations of the
-        world; it is bracketed for contacts so stiff that it diverges.
+        world. It is bracketed for contacts so stiff that it diverges.
         """
         at_m = self._deflection_m
         force_n = self.world.press(center_m + at_m * self._direction)

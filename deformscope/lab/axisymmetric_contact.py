@@ -5,8 +5,8 @@ third axis; Ogden's law. The ball's surface pushes out nodes within it, along it
 they enter by about a five hundredth of its radius at the highest pressure. Newton's method as of
 `deformscope.lab.finite_strain`.
 
-Forces scale with the law's moduli, so that the effect of large strain is one number at each depth: the force over that
-of linear foam of the same modulus (`deformscope.lab.plateau_world`).
+Forces scale with the law's moduli. So the effect of large strain is one number at each depth: the force over that of
+linear foam of the same modulus (`deformscope.lab.plateau_world`).
 """
 
 from __future__ import annotations

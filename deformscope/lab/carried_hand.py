@@ -1,4 +1,4 @@
-"""The laboratory of squeezes with an arm that carries the hand, and a container that stands on a table at an unknown
+"""The laboratory of squeezes with an arm that carries the hand, and a container on a table at an unknown
 place: seen by the camera, slid or toppled by whatever meets it.
 
 Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's.
@@ -53,7 +53,7 @@ T_BASE_TABLE: Final = {
 READY_M: Final = (0.0, -0.12, 0.32)
 """First position of the middle between the pads, with the hand level and pointing away from the arm, table's frame."""
 SPREAD_M, TURNED_DEG = 0.08, 20.0
-"""Half the range along x and y of the container's place, and of its turn: a person sets a carton down with a narrow
+"""Half the range along x and y of the container's place, and of its turn. A person sets a carton down with a narrow
 side roughly towards the arm."""
 CAMERA: Final = DepthViewConfig(distance_m=1.0)
 T_TABLE_CAMERA: Final = looking_at(np.array([0.0, 0.0, 0.08]), 1.0, 35.0, 65.0)

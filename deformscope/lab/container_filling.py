@@ -51,8 +51,8 @@ class Gas:
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The resistance behind patches of wall, (p,) each: elastic stiffness, greatest and least yield traction, plastic
-    displacement at half of the greatest, viscous traction at 1 m/s; and the index of the rate."""
+    """The resistance behind patches of wall, (p,) each. It has elastic stiffness, greatest and least yield traction,
+    plastic displacement at half of the greatest, and viscous traction at 1 m/s; and the index of the rate."""
 
     stiffness_pa_m: FloatArray
     most_pa: FloatArray

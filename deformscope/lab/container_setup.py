@@ -1,4 +1,4 @@
-"""lab:containers as a setup to squeeze with, and the container that a rig's doubles squeeze: its requested properties
+"""lab:containers as a setup to squeeze with, and the container that a rig's doubles squeeze. Its requested properties
 are set, the rest is drawn from the seed."""
 
 from __future__ import annotations

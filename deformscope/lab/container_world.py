@@ -194,8 +194,8 @@ class _Balance:
 
 @dataclass(slots=True)
 class _Tangent:
-    """Response of the balance to a small load: the matrix of the last Newton step, its compliance between pressed
-    texels and all its unknowns, the pressed texels, and their normals along the slide."""
+    """Response of the balance to a small load: the matrix of the last Newton step, and its compliance between pressed
+    texels and all its unknowns. It lists the pressed texels, and their normals along the slide."""
 
     matrix: FloatArray
     compliance: FloatArray

@@ -18,7 +18,7 @@ at each node the same share of its greatest depth. On the approach that is a foa
 the retract it has its full stiffness, and the tip leaves it at u_p.
 
 Not modelled: foams of different relaxation within the reach of one touch (each touch creeps as the foam below the tip's
-middle), and the memory of a place from which the tip slides further than its mesh allows.
+middle). Nor is the memory of a place from which the tip slides further than its mesh allows.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@
     depth = view.observe(exact, random)                      # (H, W) uint16 [mm], 0 where the camera measured nothing
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
-The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise:
-an arm should be opposite.
+The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise.
+An arm should be opposite.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ class RandomizedRig:
         return cls(Placement(T, made), turn @ signs, camera, board, gain)
 
     def felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
-        """(3,) what the sensor makes of a force (3,) in the tip's frame [N]."""
+        """(3,) output of the sensor for a force (3,) in the tip's frame [N]."""
         return np.asarray(self.force_gain * self.R_tip_force.T @ force_n)
 
 
@@ -123,7 +123,7 @@ class BoardPicture:
 
 
 class HandledTable(Protocol):
-    """A simulated table at which somebody stands. body: the arm, which they move by hand"""
+    """A simulated table with a person at it. body: the arm, which they move by hand"""
 
     @property
     def body(self) -> ArmBody: ...

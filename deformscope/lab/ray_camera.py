@@ -28,11 +28,11 @@ COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 
 
 @dataclass(frozen=True, slots=True)
 class DepthViewConfig:
-    """A camera, where it stands, and what it gets wrong.
+    """A camera, its pose, and its errors.
 
     width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
     distance_m: from the middle of what it looks at; elevation_deg: of the camera above the table, as seen from there
-    azimuth_deg: where it stands around that, from the x axis towards y
+    azimuth_deg: its direction around that, from the x axis towards y
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
     which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
     missing: share of pixels without depth; grazing_deg: surfaces seen flatter than that have none
@@ -90,8 +90,8 @@ class RayCamera:
         self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
 
     def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
-        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 where it could not: noise along the view,
-        steps, and points missing at random and where a surface is seen too flat."""
+        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 for missing points: noise along the view,
+        steps, and points missing at random and at grazing angles."""
         config = self.config
         depth = np.nan_to_num(exact.depth_m, nan=0.0)
         measured = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))

@@ -22,7 +22,7 @@ FIRST_M, STEP_M, FINER = 2e-6, 3e-4, 1.35
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """What arm and force sensor make of it.
+    """Errors of arm and force sensor.
 
     rate_hz: samples a second; speed_m_s: of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
     arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
@@ -43,9 +43,9 @@ class Sensing:
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """A touch as recorded, and as it was.
+    """A touch as recorded, and its truth.
 
-    time_s: (n,) from the start; position_m: (n, 3) where the arm believes the tip's middle (a flat tip's face) to be
+    time_s: (n,) from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
     force_n: (n, 3) on the tip, as measured; all in the surface frame
     true_depth_m: (n,) how far the tip had sunk along the normal, negative above; true_force_n: (n,) along the normal
     level_n: the force that it was to stop at last; reached: it did, rather than stop at the depth

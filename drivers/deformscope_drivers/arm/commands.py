@@ -21,7 +21,8 @@ turns by 1e-4 deg in a control period of 10 ms."""
 DAMPED_BELOW = 0.03
 """Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
 driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
-direction. Below it the weakest direction is slower than any touch, and damped."""
+direction. Below it, the weakest direction is damped. Below it the weakest direction is slower than any touch, and
+damped."""
 OFF_COURSE = 0.1
 """Share of a velocity that damping may lose or turn away: a straight line may lead through a singularity if it does not
 need the weak direction."""

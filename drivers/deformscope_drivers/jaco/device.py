@@ -1,12 +1,12 @@
 """The arm as a device: its state to read, its motion to command, and a cycle of 10 ms that keeps both honest.
 
-The arm takes one velocity point each 10 ms, queues faster ones, and has no watchdog: it carries out the points in its
+The arm takes one velocity point each 10 ms, queues faster ones, and has no watchdog. It carries out the points in its
 FIFO even without their sender. So the device's thread sends one point in each slot of an absolute schedule and never
 ahead, and a velocity lasts only as long as its sender renews it:
 
 - not refreshed in time: the next slot sends zero, the one after erases the FIFO
-- cycle delayed by more than the deadline, workspace about to be left, link lost: the FIFO is erased as soon as the arm
-  is connected, and further commands are refused until `acknowledge_stop`
+- cycle delayed by more than the deadline, workspace about to be left, or link lost: the FIFO is erased as soon as the
+  arm is connected. Further commands are refused until `acknowledge_stop`
 - closed, an exception, Ctrl-C, the interpreter's end: erased before the library is closed
 
 A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out the waiting points: one or two
@@ -335,7 +335,7 @@ class Jaco(Arm[JacoState]):
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
     def home(self, timeout_s: float = 60.0) -> JacoState:
-        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is at rest, and
+        """Send the arm to its own home pose, on its own path and at its own speed. Wait until it is at rest, and
         reports that it is at home. To be done once after each time it was switched on, by this or its joystick's home
         button. Its control is stopped and started again first, as the vendor's driver does.
         """

@@ -194,8 +194,8 @@ class JacoDouble:
             self._arm.torque_bias_nm = np.array(torque_nm, dtype=float)
 
     def blur_torques(self, noise_nm: float, gravity_left: float) -> None:
-        """Let the joints' torques without gravity be off by noise of this deviation [Nm], and by this share of
-        gravity's, as of a tool that the arm does not know."""
+        """Add noise of this standard deviation [Nm] to the joints' torques without gravity, and this share of
+        gravity's, as of a tool that is missing in the arm's settings."""
         with self._lock:
             self._live()
             self._arm.torque_noise_nm, self._arm.gravity_left = noise_nm, gravity_left
@@ -416,7 +416,7 @@ class JacoDouble:
         self._arm.admittance.active = False
 
     def SetTorqueZero(self, address: int) -> int:
-        """What a joint's sensor shows now, beside gravity, is zero from here on."""
+        """The joint sensor's present torque without gravity becomes zero."""
         if address not in structures.ACTUATOR_ADDRESSES[: self.chain.joint_count]:
             return _INVALID
         joint = structures.ACTUATOR_ADDRESSES.index(address)

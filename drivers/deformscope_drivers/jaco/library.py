@@ -151,7 +151,7 @@ def call(functions: Functions, name: str, *arguments: object) -> None:
 
 
 def read(functions: Functions, name: str, kind: type[S]) -> S:
-    """Call a function that fills one structure, zeroed before: six-joint arms leave the seventh joint as it is."""
+    """Call a function that fills one structure, zeroed before: six-joint arms do not change the seventh joint."""
     response = kind()
     call(functions, name, response)
     return response

@@ -1,4 +1,4 @@
-"""What the arm says of itself."""
+"""The status that the arm reports."""
 
 from __future__ import annotations
 

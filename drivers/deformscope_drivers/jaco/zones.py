@@ -1,8 +1,8 @@
 """Protection zones that the arm's own firmware keeps its hand out of, also after this program has died.
 
-They are kept in the arm, for whichever program or joystick moves it next. Published of them: a zone is a prism on a
-base with four corners, and one whose speed is 0 is not entered; Cartesian motions keep to them, motions by joints as
-this driver sends them do not (kinova-ros issue 386). Not tried on a real arm.
+They are stored in the arm, for any program or joystick that moves it next. Published facts: a zone is a prism on a base
+with four corners, and one whose speed is 0 is not entered. Cartesian motions respect them, motions by joints as this
+driver sends them do not (kinova-ros issue 386). Not tried on a real arm.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _closed(zones: ZoneList) -> list[Zone]:
 
 
 def _alike(boxes: Sequence[Workspace], zones: ZoneList) -> bool:
-    """Whether these and no others are closed to the hand, in whatever order they are kept."""
+    """Whether the arm excludes these zones and no others, in any order."""
     left = _closed(zones)
     for box in boxes:
         same = next((number for number, zone in enumerate(left) if _is(box, zone)), None)

@@ -1,9 +1,9 @@
 """A KUKA through RSI: each of the controller's cycles is answered at once, with the correction for that cycle.
 
-Corrections are relative: an answer of zeros lets the arm stand, so nothing waits in it that would have to be erased.
-A velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
-after. A missing answer lets the arm stand only where the controller is set up so (HOLDON="0"): opening tries it, with a
-correction of PROBE_DEG after which answers are left out, and refuses any other controller.
+Corrections are relative: an answer of zeros leaves the arm at rest, so no waiting points would have to be erased. A
+velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
+after. A missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it,
+with a correction of PROBE_DEG after which answers are left out, and refuses any other controller.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A stand with a stick, simulated: it is where a person puts it."""
+"""A simulated stand with a stick: a person places it."""
 
 from __future__ import annotations
 

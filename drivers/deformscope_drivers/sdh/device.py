@@ -1,7 +1,7 @@
 """Schunk's SDH hand: `with Sdh(SdhConfig(port="/dev/ttyUSB0")) as hand: hand.move([0, -20, 20, -20, 20, -20, 20])`.
 
-Nothing moves without a call of a method here. The hand has no watchdog: after the loss of the host a motion continues,
-a move to its targets, a velocity to the ends of the axes.
+Nothing moves without a call of a method here. The hand has no watchdog: after the loss of the host a motion continues.
+A move goes to its targets, a velocity to the ends of the axes.
 """
 
 from __future__ import annotations
