@@ -53,7 +53,7 @@ LOST = (0.0, 0.8)
 """Share of its motion up to which a lost track follows its particle, even between these."""
 
 THETA_BETA = 0.9
-"""beta of the bodies whose theta is looked for."""
+"""beta of the bodies whose theta is sought."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,7 +358,7 @@ def _errors_of(name: str) -> Disturbance | Errors:
 
 
 def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
-    """Objects of the kinds of errors that are asked for."""
+    """Objects of the requested kinds of errors."""
     return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, NAMES), "beta"))]
 
 

@@ -1,4 +1,4 @@
-"""`python -m studies contents`: whether probabilities of contents by touch and vision mean what they say, over time.
+"""`python -m studies contents`: calibration of probabilities of contents by touch and vision, over time.
 
 python -m studies contents
 python -m studies contents --train 100 --trials 100 --jobs 16 --json contents.json

@@ -207,7 +207,10 @@ COUNTED: tuple[Quantity[Sequence[LawOutcome]], ...] = (
 def law_table(outcomes: Sequence[LawOutcome]) -> tuple[Table, list[dict[str, object]]]:
     """A line for each law: how often a reason was named, and how often intervals hold, of those that were given."""
     lines = rows(by(outcomes, lambda one: one.law).values(), COUNTED)
-    title = "laws of viscoelasticity by hereditary integrals: reasons, and 90 % intervals that hold (of so many)"
+    title = (
+        "laws of viscoelasticity by hereditary integrals: reasons, and share of 90 % intervals that hold (of "
+        "their number)"
+    )
     return table(lines, COUNTED, title), lines
 
 

@@ -167,7 +167,7 @@ def _fast(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab:
 
 @dataclass(frozen=True, slots=True)
 class _Pressed:
-    """What does not depend on the scatter of forces: a fitted model, and unseen pokes with what it predicts."""
+    """The part that does not depend on the scatter of forces: a fitted model, and unseen pokes with its predictions."""
 
     model: FittedModel
     unseen: tuple[tuple[Press, SeenPoke, Prediction, Score], ...]
@@ -196,7 +196,7 @@ def _press(drawn: PokedSlab, condition: Condition, device: str) -> _Pressed:
 
 
 def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray, pressed: _Pressed) -> TriedSlab:
-    """Forces that are off by these factors (24,) change the stiffness alone that pokes meet."""
+    """Force errors by these factors (24,) change only the stiffness of pokes."""
     model = dataclasses.replace(pressed.model, stiffness=pressed.model.stiffness * factor[drawn.fitted])
     assert model.between is not None
     pokes = []

@@ -43,7 +43,7 @@ SIZE_M, TOP_M = (0.6, 0.4), 0.05
 MODULUS_PA = 60e3
 TOUCHES = 3
 LOOK_EVERY = 5
-"""Control periods from one look at how far a singularity is to the next."""
+"""Control periods between two checks of the distance to a singularity."""
 SINGULAR_BELOW = 0.006
 """Smallest singular value that counts as a singularity [m/rad; rad/rad]: between two checks 1 deg apart it changes by
 about this much where it goes through zero."""

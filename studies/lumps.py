@@ -70,7 +70,7 @@ class LumpAfter:
 
 @dataclass(frozen=True, slots=True)
 class LumpOutcome:
-    """What came of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
+    """Outcome of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
     foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found
     radius_m, interval_m: of the found lump nearest to the true one, within_m: stated accuracy of its middle; depth: its
     class
@@ -93,7 +93,7 @@ class LumpOutcome:
     seconds: float
 
     def at(self, touches: int) -> LumpAfter:
-        """What is known with so many touches at most."""
+        """Results after at most this number of touches."""
         return self.after[min(touches, len(self.after)) - 1]
 
     def hit(self, touches: int) -> bool:
@@ -266,7 +266,7 @@ def alarm_rate(outcomes: Sequence[LumpOutcome], touches: int) -> Rate:
 
 
 AfterTouches = tuple[int, Sequence[LumpOutcome]]
-"""Searches with so many touches at most."""
+"""Searches with at most this number of touches."""
 
 QUANTITIES: tuple[Quantity[AfterTouches], ...] = (
     Quantity("touches", lambda after: after[0], {"touches": int}),

@@ -79,7 +79,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
+    """Outcome of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
     seconds: processor time of the fit; codes: of the reasons to doubt it"""
 
     condition: str
@@ -264,7 +264,7 @@ def _turned(rest: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 QUICK_OBJECTS = 15
 PART_APART = 5
-"""One object at 0 and one near 1 for so many in between; and so many finite element bodies."""
+"""Number of objects in between for one object at 0 and one near 1; and for as many finite element bodies."""
 
 NOTHING_CASES = 200
 

@@ -73,9 +73,9 @@ Truth = Literal["prior", "scenes", "maps"]
 class RegionCondition:
     """Where truths come from, and what the session keeps from the estimator.
 
-    errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at so many of their
-    deviations, the sign by the seed, instead of drawn; materials: on maps of an independent generator
-    (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change
+    errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at this number of
+    their standard deviations, with the sign by the seed, instead of random; materials: on maps of an independent
+    generator (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change
     """
 
     name: str
@@ -120,7 +120,7 @@ class RegionCase:
 
 @dataclass(frozen=True, slots=True)
 class RegionOutcome:
-    """What came of one exploration.
+    """Outcome of one exploration.
 
     true_count: of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
     levels, levels_covered: of the true regions, where their number is right, and those in their 90 % intervals;

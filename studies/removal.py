@@ -56,13 +56,13 @@ REMOVALS: tuple[Removal, ...] = ("capsules", "hull", "mesh")
 SCENE = "two-60-150"
 OFF_M, OFF_RAD = 0.005, float(np.radians(1.0))
 DOUBT_M: Mapping[About, float] = {"nothing": 0.0, "surface": OFF_M + 0.2 * OFF_RAD, "camera": OFF_M + 0.8 * OFF_RAD}
-"""What [camera] doubt_m is then: how far off the robot seems at 0.2 m from what it is turned about, or at 0.8 m."""
+"""The [camera] doubt_m of this: the robot's apparent displacement at 0.2 m from the centre of the turn, or at 0.8 m."""
 NOISE_PER_M: Mapping[Sensor, float] = {"plain": 1.425e-3, "primesense": 1.425e-3, "realsense": 3.75e-3}
 """Deviation of depth z is that times z^2 [m], as the cameras have it."""
 DEVIATIONS, STEP_M = 4.0, 0.002
 """What differs from the foam's depth by more is none of it."""
 BLEEDING_PX = 2
-"""Pixels so near the robot may have its depth, or one between."""
+"""Distance in pixels from the robot within which a pixel may have its depth, or one between."""
 TILT_RAD = float(np.radians(10.0))
 PRESSED_M = (0.002, 0.012)
 ABOVE_M = 0.05
@@ -74,7 +74,7 @@ BORDER_M = 0.05
 class RobotPicture:
     """One picture with the robot in it.
 
-    depth_m: (H, W) measured; exact: what it would be without the sensor's errors; pose: of the arm, as it reports
+    depth_m: (H, W) measured; exact: without the sensor's errors; pose: of the arm, as it reports
     center_m: (3,) of the tip; foam: (H, W) pixels that fell on foam and have its depth; robot: pixels on the robot, or
     within BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher
     """
@@ -90,8 +90,8 @@ class RobotPicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemovedPoints:
-    """Points of a picture in a box. points_m: (n, 3); foam, robot: (n,) what they truly are; beside: (n,) not
-    classified as robot; kept: nor as outliers, which follow; seconds: that telling the robot's apart took"""
+    """Points of a picture in a box. points_m: (n, 3); foam, robot: (n,) their true classes; beside: (n,) not classified
+    as robot; kept: nor as outliers, which follow; seconds: that telling the robot's apart took"""
 
     points_m: FloatArray
     foam: BoolArray

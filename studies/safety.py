@@ -44,7 +44,7 @@ class SafetyCoverageConfig(StudyOptions):
 
 
 def trials(options: SafetyCoverageConfig) -> list[Trials[int, Any]]:
-    """Faults, layouts and rigid surfaces; those that are not asked for have no cases."""
+    """Faults, layouts and rigid surfaces; those without a request have no cases."""
 
     def seeds(count: int) -> Sequence[int]:
         return reported(count, options.output.seed) if count else ()
@@ -197,7 +197,7 @@ def layout_table(runs: Sequence[LayoutRun]) -> Table:
 
 
 def slowing_table(runs: Sequence[LayoutRun]) -> Table:
-    """By distance to a singularity along the motion, which share of the velocity asked for was sent."""
+    """By distance to a singularity along the motion, the sent share of the requested velocity."""
     rows = [
         (f"up to {high:g} deg" if np.isfinite(high) else "farther", count, f"{share:.2f}")
         for high, (count, share) in shares_by_distance(runs).items()

@@ -1,4 +1,4 @@
-"""A moving KUKA whose answers end: how far its flange goes on, by what ends them and by the controller's HOLDON.
+"""A moving KUKA whose answers end: motion of its flange afterwards, by the reason and by the controller's HOLDON.
 
 On the host's clock, through the arm's own process and UDP; each run draws cycle, lag, acceleration and moment.
 """

@@ -82,7 +82,7 @@ COLUMNS = {
 
 
 def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
-    """Objects of the kinds of errors, and cubes at the settings, that are asked for."""
+    """Requested objects of the kinds of errors, and cubes at the settings."""
     names = names_of(options.only, (*DISTURBED, *SETTINGS))
     disturbed, settings = ([name for name in names if (name in SETTINGS) is kind] for kind in (False, True))
     return [

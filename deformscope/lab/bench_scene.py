@@ -69,8 +69,8 @@ def _picture(share: float) -> Picture:
 
 
 def side(time_s: float) -> Picture:
-    """(480, 640, 3) what a camera sees that looks at the foam from the side, RGB: a plate presses it from above, every
-    speck moves with the material."""
+    """(480, 640, 3) view of a camera at the foam's side, RGB: a plate presses it from above, every speck moves with the
+    material."""
     way_px = STROKE_PX * pressed(time_s)
     if way_px == 0.0:
         return _side_texture()

@@ -1,5 +1,5 @@
 """The laboratory of squeezes with an arm that carries the hand, and a container on a table at an unknown
-place: seen by the camera, slid or toppled by whatever meets it.
+place: measured by the camera; a hit slides or topples it.
 
 Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's.
 """
@@ -211,7 +211,7 @@ class _Wire(MemoryTransport):
 
 class CarriedHandLab(SqueezeLab):
     """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, wire: of a
-    KUKA, which can be disturbed; scheduled: what happens at moments of the clock"""
+    KUKA, which can be disturbed; scheduled: events at moments of the clock"""
 
     simulated: StandingContainer
 

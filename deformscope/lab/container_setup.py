@@ -170,7 +170,7 @@ def rig_container(parts: SqueezeParts, content: str, container: str, session: st
 
 
 def _drawn(content: str, container: str, kind: str, seed: int) -> tuple[str, str]:
-    """What is asked for, or drawn where it is empty."""
+    """The requested content, or a random one if it is empty."""
     random = np.random.default_rng([seed, 0xC0])
     content = content or list(CONTENTS)[int(random.integers(len(CONTENTS)))]
     return content, container or f"{kind}-{int(random.integers(100)):02d}"

@@ -14,8 +14,8 @@ A box is four plates of it (1 / R = 0, where w alone is left), joined by slopes 
 corner does not move, because the plate around it would have to stretch. A cylinder has all three fields. Bottom and lid
 keep their rim round or square, and hinge there.
 
-What is left out: stiffening by large dents (von Karman), buckling, creases of a carton, creep; bottom and lid do not
-bend. Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
+Not modelled: stiffening by large dents (von Karman), buckling, creases of a carton, creep; bottom and lid do not bend.
+Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
 factorisation serves them all.
 """
 
@@ -38,9 +38,9 @@ from deformscope.lab.container_constants import BOX_M, CARDBOARD, CYLINDER_M, PL
 FINE_M, COARSE_M = 0.0075, 0.010
 """Sizes of elements where fingers press, and elsewhere along the height."""
 FINE_HALF_M = 0.030
-"""Fingers press within so much of the middle of the height."""
+"""Range of the fingers' heights around the middle."""
 PATCHES = (4, 4)
-"""The filling acts on so many patches along s and z of each pressed side."""
+"""Number of patches along s and z of each pressed side that the filling acts on."""
 PATCH_HALF_M = 0.048
 """Patches reach so far from the middle of the height."""
 

@@ -38,7 +38,7 @@ PALM = Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RAD
 TABLE_M = 0.8
 AROUND_PX = 3.0
 FINER = 3
-"""Between two nodes of the shell there are so many facets, flat ones on the true form."""
+"""Number of flat facets between two nodes of the shell, on the true form."""
 
 
 def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
@@ -48,7 +48,7 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 
 
 class ContainerView(RayCamera):
-    """A camera that looks at a container in the hand.
+    """A camera in front of a container in the hand.
 
     shape: of the container
     """
@@ -142,7 +142,7 @@ def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
 
 
 def _between(nodes_m: FloatArray, parts: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes with so many equal parts between two of them; the nodes."""
+    """Nodes with this number of equal parts between two of them; the nodes."""
     number = np.arange(parts * (len(nodes_m) - 1) + 1) / parts
     return np.interp(number, np.arange(len(nodes_m)), nodes_m), nodes_m
 

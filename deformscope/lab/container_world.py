@@ -10,7 +10,7 @@ shell's compliance (`container_shell`), and the forces from them:
 A few Newton steps on some 60 active unknowns solve it. A joint of a finger moves on only while the contact's torque
 about it (virtual work: sum of forces x d depth / d angle) is within its motor's torque; gears hold the reached angle.
 
-Texels keep the place on the wall where they were when their finger came near. What is left out: friction of the pads,
+Texels keep the place on the wall where they were when their finger came near. Not modelled: friction of the pads,
 rotation of the container under the squeeze, the shape of the dent under a single texel.
 """
 

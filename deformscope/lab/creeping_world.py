@@ -70,8 +70,8 @@ class CreepingWorld(SlabWorld):
         self._memory: _Memory | None = None
 
     def at(self, time_s: float) -> None:
-        """The next press is at this time [s]. Of several presses at one time the last is what happens; without any
-        since the last time, nothing touched the foam meanwhile."""
+        """The next press is at this time [s]. Of several presses at one time the last counts; without any since the
+        last time, nothing touched the foam meanwhile."""
         if time_s < self._now_s:
             raise InputError("a time not before the last", f"{time_s:g} s after {self._now_s:g} s")
         if time_s > self._now_s:
@@ -120,7 +120,7 @@ class _Memory:
         return force_n, self.moves_n(self._next_n)
 
     def moves_n(self, elastic_n: FloatArray) -> FloatArray:
-        """(n,) the forces that would move elastic foam as far, with what it keeps [N]."""
+        """(n,) the forces that would move elastic foam equally, with its permanent set [N]."""
         return elastic_n + self._kept_n
 
     def settle(self, step_s: float) -> None:
@@ -141,7 +141,7 @@ class _Memory:
         return -known_n / stiff
 
     def _law(self, step_s: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """A and h (n,) of a step, how much each branch keeps over it, and its mean over it for what comes evenly."""
+        """A and h (n,) of a step, each branch's remaining share over it, and its mean over it for a uniform load."""
         over = step_s / self._time_s
         left, even = np.exp(-over), np.where(over > 1e-9, -np.expm1(-over) / np.maximum(over, 1e-9), 1.0)
         stiff = float(1.0 - self._share.sum() + (self._share * even).sum())

@@ -37,7 +37,7 @@ SPACING_M = 0.003
 """Between the vertices of the foam's surface."""
 
 STILL_M = 1e-5
-"""What has moved less is not cast again."""
+"""Least motion for which rays are cast again."""
 
 CORNERS = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
 """A rectangle's two triangles."""
@@ -47,7 +47,7 @@ TABLE_M = 0.6
 
 
 class DepthView(RayCamera):
-    """A camera that looks at a scene.
+    """A camera in front of a scene.
 
     places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
     """

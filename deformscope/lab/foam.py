@@ -1,6 +1,6 @@
 """Five virtual foams in the place of those of Thesis table 3.3, each a law of two terms (`deformscope.lab.ogden`).
 
-A maker states density and hardness. What follows from them, and what has to be chosen:
+A maker states density and hardness. Consequences of these, and remaining choices:
 
 - **Hardness sets the scale.** It is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). The law
   is scaled so that its uniaxial stress at 40 % is that force over that area. The plate's edge is not modelled, which
@@ -69,7 +69,7 @@ class Foam:
         return OgdenFoam(tuple(scale * mu for mu in shape.shear), shape.exponent, shape.poisson)
 
     def _shape(self, log_weight: float) -> OgdenFoam:
-        """The law up to its scale, with the second term's shear modulus so many times the first's."""
+        """The law up to its scale, with the ratio of the second term's shear modulus to the first's."""
         return OgdenFoam((1.0, math.exp(log_weight)), (self.plateau, DENSIFYING_EXPONENT), self.poisson)
 
 

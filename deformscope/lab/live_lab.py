@@ -68,7 +68,7 @@ class _Shared:
     """What the processes share, each value with one writer.
 
     wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
-    finger_n: (3,) of somebody on the tip, surface frame; board: somebody has fixed it to the arm
+    finger_n: (3,) of a person on the tip, surface frame; board: a person has fixed it to the arm
     """
 
     def __init__(self, T_base_links: FloatArray) -> None:
@@ -154,7 +154,7 @@ class LiveLab:
 
     @property
     def body(self) -> ArmBody:
-        """The simulated arm, which somebody may move by hand."""
+        """The simulated arm, which a person may move by hand."""
         return self.arm.body
 
     def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:

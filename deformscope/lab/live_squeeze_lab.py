@@ -100,7 +100,7 @@ class LiveSqueezeLab:
 
 
 def _stand(answers: Connection, case: ContainerCase, camera_hz: float, pictures: Connection) -> None:
-    """The process: wires with their threads, pictures at their rate, answers, until nobody can ask any more."""
+    """The process: wires with their threads, pictures at their rate, answers, until all callers have ended."""
     try:
         simulated = SqueezedContainer(case, monotonic_ns, Port.RS232)
     except InputError as error:

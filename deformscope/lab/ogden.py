@@ -8,7 +8,7 @@ the principal Kirchhoff stresses are those of linear elasticity:
 
 - A term with a > 0 yields: pressed to l, its nominal stress tends to -2 mu (1 + b) / (a l), a plateau that rises as it
   thins.
-- A term with a < 0 stiffens: densification, where cell walls meet.
+- A term with a < 0 stiffens: densification, where cell walls touch.
 - nu is Poisson's ratio of small strains. With a > 0 it falls towards 0 as the foam is pressed, as in real foam (Gibson
   and Ashby 1997, chapter 5). The law of Ogden and Hill as commonly used for foam (Storåkers 1986) has the same ratio at
   all strains, which with nu > 0 would remove the plateau; with nu = 0 both laws are one.

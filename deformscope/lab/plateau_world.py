@@ -1,9 +1,9 @@
 """A slab whose foam yields: `SlabWorld` whose forces are those of Ogden's foam at large strain.
 
-Foam that yields meets a light touch with its modulus, and a deep one with far less, as its cells' walls buckle. The
-reduction is computed once for a foam, a ball and a thickness, around the ball's axis (`axisymmetric_contact`), relative
-to the same ball on linear foam. At each depth a touch's force is that share of the linear one's. On foam of one kind,
-far from its edges, force over depth is therefore that of the large-strain solution.
+Foam with a plateau answers a light touch with its modulus, and a deep one with far less, as its cells' walls buckle.
+The reduction is computed once for a foam, a ball and a thickness, around the ball's axis (`axisymmetric_contact`),
+relative to the same ball on linear foam. At each depth a touch's force is that share of the linear one's. On foam of
+one kind, far from its edges, force over depth is therefore that of the large-strain solution.
 
 Not modelled: near a border or an edge, the share is that of the foam below the tip's middle on a level layer of the
 same thickness. The dent around the tip is that of linear foam at the same depth, while on a plateau it is narrower.

@@ -1,4 +1,4 @@
-"""A rig whose doubles are not where its file says: drawn from a number, known to nobody who calibrates.
+"""A rig whose doubles are not at the poses of its file: random poses that the calibration has to find.
 
 `[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` does what the calibrating commands ask for, with a
 hand that is a little off, as a person at a real rig would.
@@ -136,9 +136,9 @@ class HandledTable(Protocol):
 
 
 class SimulatedHand:
-    """Does what is asked for at a table, by the kind of request (`experiments.rig_calibration`); never quite exactly.
+    """Carries out requests at a table, by their kind (`experiments.rig_calibration`); never exactly.
 
-    Raises InputError where the arm does not reach what is asked for.
+    Raises InputError if the arm does not reach the requested pose.
     """
 
     def __init__(self, rig: RandomizedRig, table: HandledTable, size_m: tuple[float, float], seed: int = 0) -> None:

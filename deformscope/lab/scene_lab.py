@@ -47,8 +47,8 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class SceneLab:
-    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: what it
-    keeps from the estimator"""
+    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: its hidden
+    errors"""
 
     def __init__(
         self,
@@ -63,8 +63,8 @@ class SceneLab:
         described: RobotDescription = AS_CAPSULES,
         travel_speed_m_s: float = 0.05,
     ) -> None:
-        """parked_m: first z of the tip's centre [m, surface frame]; errors: what is drawn of what it keeps, default
-        nothing; sensor: of SENSORS, what the camera measures by, empty = noise alone
+        """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
+        none; sensor: of SENSORS, what the camera measures by, empty = noise alone
         robot: that the camera sees, None = capsules; described: what is known of its shape; travel_speed_m_s: between
         touches"""
         self._robot, self._described = robot, described

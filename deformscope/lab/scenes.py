@@ -5,7 +5,7 @@
     scene.truth()                                                        # the labels of the map's cells
 
 Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
-at the origin. `robot.setup.T_BASE_SURFACE` is the arm's pose. Pieces reach from top to bottom, and meet sharply.
+at the origin. `robot.setup.T_BASE_SURFACE` is the arm's pose. Pieces reach from top to bottom, with sharp borders.
 
 **Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
 foam less than that, below its plateau, so that it measures the *initial* modulus. The plate's stress at 40 % is assumed
@@ -55,7 +55,7 @@ CRATE_M, CRATE_WAVE_M = 0.005, 0.06
 
 
 def initial_modulus_pa(hardness_n: float) -> float:
-    """The modulus that a light touch meets, of foam of an ISO 2439 hardness [N]."""
+    """The modulus in a light touch of foam of an ISO 2439 hardness [N]."""
     return hardness_n / PLATE_M2 / PLATEAU_SHARE
 
 
@@ -290,25 +290,27 @@ class Scene:
 BUILT_IN = {
     "homogeneous-60": "one foam of 60 N",
     "homogeneous-110": "one foam of 110 N",
-    "two-60-150": "two foams, 60 and 150 N, that meet along a tilted line",
-    "two-110-150": "two foams, 110 and 150 N, that meet along a tilted line",
+    "two-60-150": "two foams, 60 and 150 N, with a border along a tilted line",
+    "two-110-150": "two foams, 110 and 150 N, with a border along a tilted line",
     "two-150-rigid": "a foam of 150 N next to a rigid part",
     "three-60-110-rigid": "foams of 60 and 110 N and something rigid, as stripes or as a T",
     "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N, either being the softer",
     "gradient": "foam whose modulus rises evenly from corner to corner, without regions",
     "bumpy": "two foams, 60 and 150 N, under a surface that is not flat",
     "soft-spot": "a spot of 10 to 12 cm and 60 N in a foam of 150 N",
-    "wavy": "two foams, 60 and 150 N, that meet along a wave",
+    "wavy": "two foams, 60 and 150 N, with a border along a wave",
     "corner": "a rectangle in a corner of another foam, 60 and 150 N, either being the softer",
     "strip": "a strip of 12 to 18 cm across another foam, 60 and 150 N, either being the softer",
     "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N, either being the softer",
     "ring": "a ring 6 to 8 cm wide, 26 to 32 cm across, in another foam, 60 and 150 N, either being the softer",
-    "zigzag": "two foams, 60 and 150 N, that meet along a zigzag",
+    "zigzag": "two foams, 60 and 150 N, with a border along a zigzag",
     "wedge": "one foam of 110 N, 5 cm thick at one corner and 2 at the other",
     "step": "one foam of 110 N, 2 cm thick on one side of a tilted line and 5 on the other, a ramp of 6 cm between",
     "egg-crate": "one foam of 110 N, 5 cm thick, with crests and hollows 1 cm apart in height and 6 cm in waves",
     "thin-thick": "a foam of 60 N, 2 cm thick, next to one of 75 N, 5 cm thick, with the same apparent stiffness",
-    "lump": "two foams, 60 and 150 N, that meet along a tilted line, and something rigid 12 cm wide somewhere in them",
+    "lump": (
+        "two foams, 60 and 150 N, with a border along a tilted line, and a rigid part 12 cm wide somewhere in them"
+    ),
 }
 """Scenes by name, with their descriptions: thesis table 4.1's six, and others."""
 

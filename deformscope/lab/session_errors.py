@@ -36,8 +36,8 @@ class LabErrors:
     sensor's; drift: deviation of what that changes by in TOUCHES_S
     scatter: between which the deviation of log stiffness within one material lies, drawn evenly in logarithms;
     scatter_length_m: over which it changes
-    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: how far the arm goes on after
-    the stop, evenly from 0; friction: of the tip on the surface, evenly from 0
+    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: overshoot of the arm after the
+    stop, uniform from 0; friction: of the tip on the surface, evenly from 0
     """
 
     arm: float = ARM_DOUBT

@@ -57,8 +57,8 @@ class RigidTip:
 
 @dataclass(frozen=True, slots=True)
 class Dent:
-    """A slab under a tip. displaced: (n, 3) of points (n, 3) that were asked for [m]; depth: of the tip [m]; force:
-    on it [N]; touched: (n,) points under the tip"""
+    """A slab under a tip. displaced: (n, 3) of the requested points (n, 3) [m]; depth: of the tip [m]; force: on it
+    [N]; touched: (n,) points under the tip"""
 
     displaced: FloatArray
     depth: float

@@ -47,7 +47,7 @@ REACH = 1.6
 """The mesh goes this many thicknesses beyond the tip; a free side there changes the force by less than 0.2 %."""
 
 MARGIN = 1.0
-"""Elements between a tip and the edge of what it may touch: how far it may drift before a new mesh is made."""
+"""Elements between a tip and the edge of its possible contact: how far it may drift before a new mesh is made."""
 
 FLAT_DRIFT = 0.25
 """Share of that for a flat tip: it keeps to its nodes meanwhile."""
@@ -75,8 +75,8 @@ class Contact:
     depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
     gap_m: from tip to foam, along the normal; 0 in contact [m]
     force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, and what the table adds
-    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) what moves each, along the normal [N]: what it
-    carries, on foam without a memory
+    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each, along the normal [N]: its contact
+    force, on foam without a memory
     tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
     node: (n,) the nodes' numbers in it
     """

@@ -110,7 +110,7 @@ class Film:
     """A push as a camera takes it.
 
     mask: (H, W) True where the foam is in the first image; motions: the true one at each image
-    images: makes each (H, W) uint8 image when it is asked for
+    images: makes each (H, W) uint8 image on demand
     """
 
     mask: BoolArray

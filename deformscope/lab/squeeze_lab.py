@@ -157,7 +157,7 @@ class SqueezedContainer:
         )
 
     def seen(self) -> View:
-        """What the camera is to show now, without what it adds itself."""
+        """The camera's present scene, without its own errors."""
         position = np.array([axis.position_deg for axis in self.hand.motion.axes])
         exact = self.view.render(self.world.inward_m(), self.world.T_hand_container, position)
         flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
@@ -263,7 +263,7 @@ class SqueezeLab:
         return RigSource(members(*self._three), clock=self.clock, opener=self.open)
 
     def wait_until(self, until_ns: int) -> None:
-        """Let time pass: the hand goes on in each of its cycles, and every device is polled at its moments."""
+        """Let time pass: the hand moves in each of its cycles, and every device is polled at its moments."""
         while (now_ns := self.clock()) < until_ns:
             self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
             self.simulated.hand.position_deg(self.clock())

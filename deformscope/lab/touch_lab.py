@@ -212,8 +212,8 @@ def _poll(device: Device[Any]) -> None:
 class SpoiledWire(MemoryTransport):
     """A wire from the force sensor that can be spoiled: a share of its bytes, or everything repeated or held back.
 
-    spoiled: chance of a byte to be turned into another; frozen: the same counts again and again, in frames that are
-    whole (their counter goes on), of all axes or of those that are `stuck`
+    spoiled: chance of a byte to be turned into another; frozen: repeated counts, in complete frames (their counter
+    advances), of all axes or of those that are `stuck`
     """
 
     def __init__(self, double: OptoforceDouble, clock: SimulatedClock, seed: int = 0) -> None:

@@ -17,7 +17,7 @@ from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 
 FIRST_M, STEP_M, FINER = 2e-6, 3e-4, 1.35
-"""Depths at which the force is found: from the first, each so many times deeper, until they are a step apart."""
+"""Depths at which the force is computed: from the first, each deeper by this factor, until they are a step apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Sensing:
 
     rate_hz: samples a second; speed_m_s: of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
     arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
-    gain: force as measured over the true one, which decides where it stops; overshoot_m: how far it goes on after that
+    gain: force as measured over the true one, which decides where it stops; overshoot_m: overshoot after that
     friction: force aside over the normal one, towards `friction_rad` from the x axis
     """
 
@@ -77,7 +77,7 @@ def approach(
 ) -> Approach:
     """Come down on a place (2,) along the surface's normal (3,) until the force is reached, or the depth.
 
-    Where the dent at the set force is shallower than `shallow_m`, the arm goes on to the second force. It starts
+    If the dent at the set force is shallower than `shallow_m`, the arm continues to the second force. It starts
     `clearance_m` above the surface, and stays `dwell_s` where it stopped. The last sample before that is at the stop
     itself, in less than a period from the one before.
     """

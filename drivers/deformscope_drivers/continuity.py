@@ -17,7 +17,7 @@ START_S = 3.0
 SETTLE_S = 1.0
 """After a pause of a link that held, what waited in a buffer arrives within this time, and is not missing."""
 RATE_FROM_S, RATE_OVER_S = 1.0, 10.0
-"""The observed rate is known from so long a stretch on; it is that of the latest stretch of about RATE_OVER_S."""
+"""The observed rate is known after a stretch of this length; it is that of the latest stretch of about RATE_OVER_S."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class Continuity:
             self._settle(now_ns)
 
     def count_lost(self, count: int) -> None:
-        """The device's counter says that so many were sent and did not come; below 0 takes some back."""
+        """The device's counter shows this number of sent and missing readings; below 0 takes some back."""
         self._got += count
 
     def lose_link(self, now_ns: int) -> None:

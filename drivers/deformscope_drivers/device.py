@@ -63,7 +63,7 @@ RECONNECT = Reconnect()
 
 
 class EndOfReadings(Exception):
-    """For a `_receive` at the end of its data, such as a file: readers end, as if the device had been closed. Its words
+    """For a `_receive` at the end of its data, such as a file: readers end, as after closing the device. Its words
     become the reason in `health()`."""
 
 
@@ -132,7 +132,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     @abstractmethod
     def _receive(self, timeout_s: float) -> Iterable[MeasurementT]:
-        """Wait up to `timeout_s` for readings and give what came. Raises LinkLost, or EndOfReadings."""
+        """Wait up to `timeout_s` for readings and return them. Raises LinkLost, or EndOfReadings."""
 
     @abstractmethod
     def _disconnect(self) -> None:
@@ -152,7 +152,7 @@ class Device(ABC, Generic[MeasurementT]):
     # Lifecycle -------------------------------------------------------------------------------------------------------
 
     def open(self, *, own_thread: bool = True) -> Self:
-        """Connect. Raises NotConnected, or what else keeps the device from working as configured.
+        """Connect. Raises NotConnected, or another error that prevents the configured operation.
 
         own_thread: False = no thread; `poll` does one round (a simulated laboratory on its own clock)
         """
@@ -297,7 +297,7 @@ class Device(ABC, Generic[MeasurementT]):
         return self._subscribe(self._chunks, capacity)
 
     def events(self, capacity: int = QUEUE_EVENTS) -> Subscription[LinkEvent]:
-        """A queue of what happens to the link from now on: where the gaps in the readings are."""
+        """A queue of the link's events from now on: the places of gaps in the readings."""
         return self._subscribe(self._events, capacity)
 
     def health(self) -> Health:
@@ -338,7 +338,7 @@ class Device(ABC, Generic[MeasurementT]):
     # For subclasses --------------------------------------------------------------------------------------------------
 
     def _do(self, action: Callable[[], ResultT], timeout_s: float) -> ResultT:
-        """Have the device's thread do something between two rounds, and return what it returns."""
+        """Have the device's thread call a function between two rounds, and return its result."""
         self._require_open()
         if threading.current_thread() is self._thread:
             return action()
@@ -373,7 +373,8 @@ class Device(ABC, Generic[MeasurementT]):
             self._changed.notify_all()
 
     def _wanted(self) -> bool:
-        """Whether someone waits for a reading and nobody would lose one, for a device that can wait for its readers."""
+        """Whether a caller waits for a reading and no reader would lose one, for a device that can wait for its
+        readers."""
         with self._changed:
             if not self._own_thread:
                 return True
@@ -563,8 +564,8 @@ def _put_back(reading: MeasurementT, late_ns: int) -> MeasurementT:
 class StreamDevice(Device[MeasurementT]):
     """A device that speaks in bytes over a transport.
 
-    A subclass gives `_start` (what is said after opening), `_make_decoder`, and `_measure` (an event of the decoder
-    that is no measurement gives none). `_ask` sends a command and waits for its reply.
+    A subclass gives `_start` (its first commands), `_make_decoder`, and `_measure` (an event of the decoder that is no
+    measurement gives none). `_ask` sends a command and waits for its reply.
     silence_s: a device that should send and sent nothing for this long is lost (a bus does not show it); None = it may
     """
 

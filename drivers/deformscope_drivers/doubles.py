@@ -21,7 +21,7 @@ class Double(Protocol):
         """Take bytes that the host sent, in pieces of any size."""
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the device by now and was not handed out before."""
+        """Bytes that have left the device by now and were not handed out before."""
 
     def next_ns(self, now_ns: int) -> int | None:
         """When `due` has something next, without any bytes from the host; None = only bytes from the host matter."""

@@ -1,4 +1,4 @@
-"""The health of a device: what came, what was lost and why, how often, how old."""
+"""The health of a device: its readings, its losses with reasons, its rate and age."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LinkEvent:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """One look at a device.
+    """The health of a device at one time.
 
     link: the state of the connection; reason: why it is so, in words
     received: readings since it was opened
@@ -52,8 +52,8 @@ class Health:
     lost_by_time: how many of the lost ones are estimated from the device's rate and the time of a lost link or of
     silence, where its counter does not show them; silent_s: how long that was [s]
     jitter_s: standard deviation of the time from one reading to the next, lately, as the host stamps them [s]
-    alarms: what its readings themselves show, each in words that begin with `stuck` or `saturated`; filled in by who
-    looks at the readings
+    alarms: of its readings, each as text that begins with `stuck` or `saturated`; set by the code that checks the
+    readings
     """
 
     link: Link

@@ -38,8 +38,8 @@ class ProcessEnded(LinkLost):
 class HostedProcess:
     """The program's end of a process that hosts a driver. Messages may be sent from any thread.
 
-    expected, where: for the words of the error that says that the process has ended; status_s: for so long its exit
-    status is waited for then [s], None = not at all, where no time may be lost
+    expected, where: for the words of the error that says that the process has ended; status_s: time to wait for its
+    exit status then [s], None = not at all, for urgent calls
     """
 
     def __init__(self, expected: str, where: str, status_s: float | None) -> None:
@@ -162,7 +162,7 @@ def hosted_command(descriptor: str) -> list[str]:
 
 
 def hosted_environment() -> dict[str, str]:
-    """The process finds packages where this one does, and looks for no others (-S)."""
+    """The process finds packages where this one does, and nowhere else (-S)."""
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 

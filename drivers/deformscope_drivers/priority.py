@@ -13,7 +13,7 @@ machine with them; of 1 to 99, below the system's own (interrupts have 50). Chos
 
 def be_prompt(priority: int) -> bool:
     """Have the calling thread run as soon as it is ready, under any load of the machine (SCHED_RR). Returns whether the
-    system allows this user to. Elsewhere the thread is unchanged. What it begins is ordinary, at nice 0.
+    system allows this user to. Elsewhere the thread is unchanged. Its child processes are ordinary, at nice 0.
 
     It should mostly wait. Another thread of the same program that holds Python's lock still holds it up.
     """

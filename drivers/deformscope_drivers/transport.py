@@ -61,7 +61,7 @@ class Transport(ABC):
 
     @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        """What has come, at once when there is something; empty after the time, or when woken. Raises LinkLost."""
+        """Received bytes, immediately if there are any; empty after the time, or when woken. Raises LinkLost."""
 
     @abstractmethod
     def write(self, data: bytes) -> None:
@@ -71,7 +71,7 @@ class Transport(ABC):
         """End a `read` that waits, where the transport can."""
 
     def drain(self, first_s: float, quiet_s: float, limit_bytes: int = 1 << 20) -> bytes:
-        """Read what comes: wait `first_s` for the first byte, then go on until nothing came for `quiet_s`, or until
+        """Read incoming bytes: wait `first_s` for the first one, then continue until none came for `quiet_s`, or until
         that many bytes have come."""
         found = self.read(first_s)
         while found and len(found) < limit_bytes and (more := self.read(quiet_s)):

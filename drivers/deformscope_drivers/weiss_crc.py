@@ -31,7 +31,7 @@ _PAIR_TABLE = tuple((low >> 8) ^ _TABLE[high ^ (low & 0xFF)] for high in range(2
 
 
 def crc16(data: bytes, crc: int = START) -> int:
-    """The checksum of `data`; `crc` is that of what came before it, to go on from. Sent low byte first."""
+    """The checksum of `data`; `crc` is that of the bytes before it, to continue from. Sent low byte first."""
     for pair in struct.unpack_from(f"<{len(data) // 2}H", data):
         crc = _PAIR_TABLE[crc ^ pair]
     if len(data) % 2:

@@ -27,7 +27,7 @@ class Wire(ABC):
     """`with PtyWire(OptoforceDouble()) as wire: Optoforce(port=wire.port)`.
 
     port: what a device's configuration names to come to the other end
-    lost_bytes: what the double sent while nobody took it off the wire
+    lost_bytes: bytes that the double sent without a reader on the wire
     """
 
     port: str

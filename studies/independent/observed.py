@@ -32,7 +32,7 @@ class Errors:
     """tool: displacement of all moved particles, by `tool_size` [m]: along the push, in any direction, turned by this
     at its ends, or in proportion to the place along it
     camera: what is wrong with all deformed positions: scale off by a share `camera_size`, of both axes or one; drift,
-    largest at one end [m]; lens: radial, or a wave as long as the body, at most so much [m]
+    largest at one end [m]; lens: radial, or a wave as long as the body, at most this [m]
     cells: over how many spacings neighbours share noise, 0 for none; smooth: nu of the Matern kernel, inf for Gaussian
     held: whether held positions have noise too; told: whether that is stated
     """

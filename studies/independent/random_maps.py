@@ -55,7 +55,7 @@ class RandomSurface:
 
 
 def random_surface(count: int, seed: int) -> RandomSurface:
-    """A surface of so many materials, 0 = a gradual change."""
+    """A surface with a number of materials, 0 = a gradual change."""
     rng = np.random.default_rng([seed, count, 0x3A9])
     labels, kind = _random_labels(rng, count) if count else (_nowhere, "gradual")
     level = _random_levels(rng, max(count, 1))

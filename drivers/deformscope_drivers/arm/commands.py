@@ -1,4 +1,4 @@
-"""The velocities that an arm can be asked for, checked before anything is sent."""
+"""The possible velocities of an arm, checked before anything is sent."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ def by_joints(
 ) -> JointVelocity | str:
     """The joint rates that make a velocity at these joint angles (n,) [deg], or why there are none.
 
-    No arm is sent Cartesian velocities of its own: what they do near limits and singularities is not published. So the
-    guards are here. No joint exceeds its limit (all are slowed alike), none comes within JOINT_MARGIN_DEG of the end of
-    its range. If damping near a singularity would take the hand off its path there is no motion. That the arm does not
-    hit itself is not looked at.
+    No arm receives Cartesian velocities of its own: their behaviour near limits and singularities is not published. So
+    the guards are here. No joint exceeds its limit (all are slowed alike), none comes within JOINT_MARGIN_DEG of the
+    end of its range. If damping near a singularity would take the hand off its path there is no motion. Self-collision
+    is not checked.
     """
     if isinstance(velocity, JointVelocity):
         return velocity

@@ -165,7 +165,7 @@ class Arm(Device[StateT]):
     # For subclasses --------------------------------------------------------------------------------------------------
 
     def _require_ready(self) -> None:
-        """Raises for what else keeps this arm from taking a velocity."""
+        """Raises for other states in which this arm takes no velocity."""
 
     def _require_moves(self) -> None:
         self._require_open()

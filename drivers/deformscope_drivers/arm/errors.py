@@ -6,7 +6,7 @@ from deformscope_drivers.errors import DeviceError
 
 
 class MotionStopped(DeviceError):
-    """The arm was stopped, and refuses commands until someone has taken note of why."""
+    """The arm was stopped, and refuses commands until a person acknowledges the reason."""
 
 
 class NotStopped(DeviceError):

@@ -1,4 +1,4 @@
-"""An arm's driver in a process of its own: what this program does, or that it ends, does not keep the arm moving.
+"""An arm's driver in a child process: a fault or the end of this program does not keep the arm moving.
 
 The other process opens the arm and carries out velocities until they expire there, on the clock that both share. When
 this process is suspended, no velocity is renewed and it expires. When it dies, the socket between them closes, and the
@@ -129,8 +129,8 @@ class HostedArm(Arm[ArmState]):
         return state
 
     def ask(self, name: str, *arguments: object, timeout_s: float = ANSWER_S) -> Any:
-        """Have a method of the arm called there, and give what it returns; raises what it raises. Threads do not wait
-        for one another's answers."""
+        """Call a method of the arm there, and return its result; raises its error. Threads do not wait for one
+        another's answers."""
         self._require_open()
         if self._link is not Link.CONNECTED:
             raise LinkLost("a device that is connected", self._reason or self._link, where=self.name)

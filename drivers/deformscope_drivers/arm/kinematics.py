@@ -40,9 +40,9 @@ class Joint:
 class InverseResult:
     """What inverse kinematics found.
 
-    joints_deg: (n,) the best joint angles met, within the limits, whether or not they reach the target [deg]
-    converged: both errors are within the tolerances asked for
-    position_error_m, rotation_error_rad: what is left at joints_deg
+    joints_deg: (n,) the best joint angles found, within the limits, whether or not they reach the target [deg]
+    converged: both errors are within the requested tolerances
+    position_error_m, rotation_error_rad: residuals at joints_deg
     iterations: steps taken over all starts; starts: how many starting points were tried
     """
 
@@ -164,7 +164,7 @@ class Chain:
     ) -> InverseResult:
         """Joint angles that bring the end effector to a pose, by damped least squares from several starts.
 
-        T_base_end_effector: (4, 4) the pose asked for [m]; start_deg: (n,) where to begin (default: the home pose);
+        T_base_end_effector: (4, 4) the requested pose [m]; start_deg: (n,) where to begin (default: the home pose);
         further starts are drawn under the seed; margin_deg: the joints stay so far inside their ranges. The first start
         that converges ends the search. A target out of reach is no error: `converged` is then False and the remaining
         errors are given.
@@ -396,7 +396,7 @@ def squared(vector: FloatArray) -> FloatArray:
 
 
 def _within(error: FloatArray, position_m: float, rotation_rad: float) -> npt.NDArray[np.bool_]:
-    """(...,) whether what is left of poses (..., 6) is within tolerances."""
+    """(...,) whether the residuals of poses (..., 6) are within tolerances."""
     return np.asarray((squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2))
 
 

@@ -21,7 +21,7 @@ from deformscope_drivers.priority import READING, STEERING, be_prompt
 
 HEALTH_S = 0.5
 CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
-"""What may be called; velocities have a message of their own."""
+"""Methods that may be called; velocities have a message of their own."""
 LONG = frozenset({"home"})
 """Of these, what takes seconds."""
 UNATTENDED_S = 1.0

@@ -141,7 +141,7 @@ class DepthCamera(HostedCamera):
         return last - int(frame_count)
 
     def _ticks(self, frame: FrameMessage) -> int:
-        """The camera's time, which goes on where a recording begins again."""
+        """The camera's time, which continues where a recording begins again."""
         timestamp_us = frame.timestamp_us
         if timestamp_us + self._ticks_offset < self._ticks_before and self.config.is_recording:
             self._ticks_offset = self._ticks_before + round(1e6 / max(int(self._reported["fps"]), 1)) - timestamp_us

@@ -29,7 +29,7 @@ microphones."""
 
 
 def list_by_openni() -> list[ListedDevice] | None:
-    """The cameras that OpenNI2 sees, asked in a process of its own; None where it is not installed."""
+    """The cameras that OpenNI2 lists in a child process; None if it is not installed."""
     try:
         return ask_hosted(report_cameras, timeout_s=LIST_TIMEOUT_S) or []
     except DeviceError:

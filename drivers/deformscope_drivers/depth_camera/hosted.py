@@ -118,7 +118,7 @@ class HostedCamera(Device[DepthImage]):
         if message is None:
             silence_s = (self._clock() - self._heard_ns) / 1e9
             if silence_s > self._silence_s:
-                raise LinkLost("a picture", f"none for {silence_s:.3g} s", "look at the camera", self.name)
+                raise LinkLost("a picture", f"none for {silence_s:.3g} s", "check the camera", self.name)
             return []
         match message:
             case ("note", note):

@@ -45,7 +45,7 @@ STOP_TRIES = 4
 REPLY_TIMEOUT_S = 1.0
 REPLY_TRIES = 3
 SETTLE_S = 0.05
-"""How long answers to what was asked before, and frames, may still come. (Schunk's software waits 1 s after the first
+"""Time in which answers to earlier requests, and frames, may still arrive. (Schunk's software waits 1 s after the first
 stop. Answers come in order, so a late one to it is past when the controller has reported its identity.)"""
 
 CELLS_MAX = (0xFFFF - 5) // 2
@@ -64,7 +64,7 @@ ResultT = TypeVar("ResultT")
 
 @dataclass
 class _WantedSettings:
-    """What was asked for, and is asked for again after every reconnect: by matrix, None = of all."""
+    """The requested settings, repeated after every reconnection: by matrix, None = of all."""
 
     streaming: bool
     rle: bool

@@ -109,7 +109,7 @@ class DsaDouble:
                 self._line.send(encode(reply), now_ns)
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the line by now."""
+        """Bytes that have left the line by now."""
         self._take_frames(now_ns)
         return self._line.due(now_ns)
 

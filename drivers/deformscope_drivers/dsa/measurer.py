@@ -33,8 +33,8 @@ class TactileReading:
 
 
 class TactileMeasurer:
-    """For each link: `connect`, `describe` when the controller has reported its matrices, `begin_stream` whenever it
-    is asked for frames.
+    """For each link: `connect`, `describe` when the controller has reported its matrices, `begin_stream` whenever
+    frames are requested.
 
     clock_fit: the controller's clock against the host's; repeated: frames that were sent twice; restarts: of its clock
     """

@@ -1,4 +1,4 @@
-"""The SDH's tactile pads: what they are called, and the feature of the thesis."""
+"""The SDH's tactile pads: their names, and the feature of the thesis."""
 
 from __future__ import annotations
 

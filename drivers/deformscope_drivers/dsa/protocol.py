@@ -123,8 +123,8 @@ class Decoder(_DsaDecoder[Reading | Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
     cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
-    exactly so many. While it is None, any number up to the SDH's 486 passes, the largest sensor with a public size. A
-    bound is needed, because a damaged length must not delay the frames behind it.
+    exactly this number. While it is None, any number up to the SDH's 486 passes, the largest sensor with a public size.
+    A bound is needed, because a damaged length must not delay the frames behind it.
     """
 
     def __init__(self, cells: int | None = None) -> None:
@@ -174,7 +174,7 @@ class Faulty:
 class CommandDecoder(_DsaDecoder[Command | Faulty]):
     """The controller's end, for doubles. Yields commands, `Faulty` for damaged packets, and `Skipped`.
 
-    A controller trusts the length and answers what it cannot use, where the host searches on. Which error code answers
+    A controller trusts the length and answers unusable packets, where the host searches on. Which error code answers
     what is our reading of their names; only that there are codes for it is public.
     """
 

@@ -1,4 +1,4 @@
-"""How a Jaco is reached, and what it may do."""
+"""How a Jaco is connected, and its limits."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ class Jaco(Arm[JacoState]):
         return (state,)
 
     def _command(self, now_ns: int, late_ns: int) -> None:
-        """Send the point of this slot, if there is one; end what must not go on."""
+        """Send the point of this slot, if there is one; end motions that must stop."""
         with self._commanded:
             streamed, position_until_ns = self._streamed, self._position_until_ns
         if streamed is None:
@@ -233,7 +233,7 @@ class Jaco(Arm[JacoState]):
         self._erase_due = False
 
     def _halt(self, reason: str) -> None:
-        """Stop the arm, and refuse commands until someone has taken note."""
+        """Stop the arm, and refuse commands until a person acknowledges it."""
         self._forget_commands(reason)
         self._erase()
 
@@ -245,7 +245,7 @@ class Jaco(Arm[JacoState]):
             self._erase_due = True
 
     def _forbids(self, velocity: Velocity, now_ns: int) -> str:
-        """Why a velocity must not go on: the arm is not seen any more, or would leave its workspace."""
+        """Why a velocity must end: the arm's state is unknown, or it would leave its workspace."""
         state = self._state
         assert state is not None
         age_s = (now_ns - state.stamp.host_ns) / 1e9

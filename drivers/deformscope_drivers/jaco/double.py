@@ -53,7 +53,7 @@ _ADMITTANCE = {
 class JacoDouble:
     """A simulated Jaco: its methods in capitals are the vendor's, the others are for who runs the simulation.
 
-    The vendor's functions are to be had through `function` alone, which is what makes time pass before each.
+    The vendor's functions are available through `function` alone, which advances time before each call.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class JacoDouble:
             self._codes.setdefault(name, deque()).extend([code] * times)
 
     def unplug(self) -> None:
-        """Pull the cable: calls time out, no arm is found. The arm itself goes on with what it was sent."""
+        """Pull the cable: calls time out, no arm is found. The arm itself carries out its waiting points."""
         with self._lock:
             self._live()
             self._unplugged = True
@@ -156,14 +156,14 @@ class JacoDouble:
             self._arm.acceleration_deg_s2 = at_most_deg_s2
 
     def put(self, joints_deg: npt.ArrayLike) -> None:
-        """Bring the joints to these angles, (n,) [deg], as somebody does by the joystick, only at once."""
+        """Bring the joints to these angles, (n,) [deg], as a person does by the joystick, but immediately."""
         with self._lock:
             self._live()
             self._arm.joints_deg = self.chain.clip(joints_deg)
             self._arm.links = self.chain.forward(self._arm.joints_deg)
 
     def put_between_fingers(self, at: npt.ArrayLike) -> None:
-        """Let the fingers meet something at these positions, (3,) from 0 to 6800: they close no further."""
+        """Put an obstacle between the fingers at these positions, (3,) from 0 to 6800: they close no further."""
         with self._lock:
             self._live()
             self._arm.grip = np.array(at, dtype=float)
@@ -351,7 +351,7 @@ class JacoDouble:
         self._write_fingers(response)
 
     def GetAngularCommand(self, response: structures.AngularPosition) -> None:
-        """What the joints are commanded to hold: less than what they are measured at by what they sag."""
+        """The commanded angles of the joints: the measured ones less their sag."""
         _write_joints(response, self._arm.joints_deg - self._arm.sag_deg)
         self._write_fingers(response)
 

@@ -34,7 +34,7 @@ class SimulatedArm:
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
     sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
-    grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set between cycles.
+    grip: (3,) position of each finger on its object; cycles: that have passed. All may be set between cycles.
     lag: rates that it will turn at, one a cycle: it follows its commands so late
     acceleration_deg_s2: of each joint at most, as it sets out and as it stops
     link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
@@ -266,8 +266,8 @@ class SimulatedArm:
         self.links = self.chain.forward(self.joints_deg)
 
     def _move_fingers(self, target: FloatArray) -> None:
-        """Move the fingers one cycle towards a target (n,), no faster than they can and no farther than what they
-        grip."""
+        """Move the fingers one cycle towards a target (n,), no faster than their limit and no farther than the gripped
+        object."""
         step = FINGER_SPEED * CYCLE_S
         self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 

@@ -60,7 +60,7 @@ class JacoIdentity:
 
 
 def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], None]) -> JacoIdentity:
-    """Initialise the library, choose the arm, and take control of it; nothing moves unless the fingers are asked to.
+    """Initialise the library, choose the arm, and take control of it; nothing moves without a command to the fingers.
 
     pause: waits that many seconds. Raises the named exception of whatever goes wrong.
     """

@@ -15,7 +15,7 @@ from deformscope_drivers.jaco.library import Functions, call, read
 from deformscope_drivers.jaco.structures import ShapeType, Zone, ZoneList
 
 WITHIN_M = 1e-5
-"""Corners that are read back may be off by so much: they travel in single precision."""
+"""Tolerance of corners that are read back: they travel in single precision."""
 
 
 def zone_list(boxes: Sequence[Workspace]) -> ZoneList:
@@ -60,7 +60,7 @@ def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[
         raise SettingsRefused(
             f"an arm that stores {len(boxes)} protection zones",
             f"one that reports {len(_closed(kept))}, or others",
-            "look at them in Kinova's Development Center; or leave protection_zones out of the rig file",
+            "check them in Kinova's Development Center; or leave protection_zones out of the rig file",
             functions.where,
         )
 

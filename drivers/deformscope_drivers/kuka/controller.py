@@ -9,7 +9,7 @@ from deformscope_drivers.kuka.config import KukaConfig
 FOLDER = Path(__file__).parent / "controller_files"
 """As shipped they fit KukaConfig(address="192.168.1.25")."""
 TIMEOUT_S = 0.06
-"""Answers may be missing for so long before RSI ends; opening leaves two out. Chosen."""
+"""Time of missing answers after which RSI ends; opening leaves two out. Chosen."""
 
 
 def controller_files(config: KukaConfig) -> dict[str, str]:

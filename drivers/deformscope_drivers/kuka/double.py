@@ -3,8 +3,8 @@
 As a controller does, it takes an answer only within its own cycle and with its own IPOC, and counts missing ones. It
 ends RSI after too many, or for a correction that would turn an axis faster or further than its limits. A missing answer
 is a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from where RSI
-began. What HOLDON and both modes do is from kuka_experimental (ros_rsi_ethernet.xml, pull request 119); no controller
-was asked. It is pure (`deformscope_drivers.doubles.Double`).
+began. The behaviour of HOLDON and of both modes is from kuka_experimental (ros_rsi_ethernet.xml, pull request 119), not
+from a real controller. It is pure (`deformscope_drivers.doubles.Double`).
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class KukaDouble:
         acceleration_deg_s2: float = math.inf,
     ) -> None:
         """start_deg: (6,) where the axes are (default: upright, flange down); T_base_tool_offset_m: a $TOOL that is set
-        in the controller reaches so far beyond the flange [m]; again_s: somebody starts its program again so long after
-        RSI has ended, None = nobody does
+        in the controller reaches so far beyond the flange [m]; again_s: time after RSI's end at which a person restarts
+        its program, None = never
 
         holdon: HOLDON of the corrections, of all or (6,): 1 repeats the last one where an answer is missing; absolute:
         RSI_ON(#ABSOLUTE); timeout: missing answers in a row after which RSI ends, and the axes brake

@@ -1,6 +1,6 @@
 """An arm that a person places: it is where they have confirmed that it is, and reports that until they say otherwise.
 
-Nothing is measured here: `place` is what a person vouches for, as they read it from a scale. No command moves it.
+Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves it.
 """
 
 from __future__ import annotations

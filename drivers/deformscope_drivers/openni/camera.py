@@ -1,4 +1,4 @@
-"""A depth camera as OpenNI2 has it, set as asked and read back; and depth and colour of one moment put together."""
+"""A depth camera by OpenNI2, configured and read back; and depth and colour of one moment put together."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class OpenniSettings:
 
 
 class OpenniCamera:
-    """A camera that was opened and set as asked, every setting read back. Raises SettingsRefused on a mismatch."""
+    """An opened and configured camera, every setting read back. Raises SettingsRefused on a mismatch."""
 
     def __init__(self, settings: OpenniSettings) -> None:
         self._settings = settings
@@ -115,7 +115,7 @@ class OpenniCamera:
             self._device.register_depth_to_color()
 
     def _set_mode(self, stream: OpenniStream) -> None:
-        """Size, rate and unit, as far as they were asked for."""
+        """Size, rate and unit, if requested."""
         now, settings = stream.mode(), self._settings
         if stream.sensor is Sensor.COLOR:
             pixel_format = int(PixelFormat.RGB888)

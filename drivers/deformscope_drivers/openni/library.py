@@ -162,7 +162,7 @@ class Openni:
         return OpenniDevice(self, handle, uri)
 
     def take_events(self) -> list[tuple[str, int]]:
-        """What happened to cameras since the last call: ("disconnected", 0) or ("state", number)."""
+        """Events of cameras since the last call: ("disconnected", 0) or ("state", number)."""
         events, self._events = self._events, []
         return events
 

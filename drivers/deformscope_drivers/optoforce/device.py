@@ -129,7 +129,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._do(clear, 10.0)
 
     def identity(self) -> Identity:
-        """What hangs on the DAQ, and its serial number if it was asked for."""
+        """The sensors of the DAQ, and its serial number if it was requested."""
         return Identity(f"OptoForce {self._measurer.kind.value}" if self._measurer.kind else "OptoForce", self._serial)
 
     def serial_number(self) -> str:
@@ -294,7 +294,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return self._measurer.offset
 
     def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
-        """(channels, axes) mean of so many readings; refused where they vary."""
+        """(channels, axes) mean of a number of readings; refused if they vary."""
         readings = self._gather(count)
         bad = next((reading for reading in readings if not reading.status.usable or reading.overload), None)
         if bad is not None:
@@ -316,7 +316,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return np.asarray(counts.mean(axis=0))
 
     def _gather(self, count: int) -> list[ForceMeasurement]:
-        """The next so many readings, which are published as well."""
+        """The next readings, a given number, which are published as well."""
         found: list[ForceMeasurement] = []
         wait_s = max(SILENCE_S, SILENCE_READINGS * self._settings.speed * 1e-3) + 2e-3 * count * self._settings.speed
         until_ns = self._clock() + round(wait_s * 1e9)

@@ -166,7 +166,7 @@ class OptoforceDouble:
                     self._line.send(encode(SerialReply(self.sensors.serial)), now_ns)
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the device by now and was not handed out before."""
+        """Bytes that have left the device by now and were not handed out before."""
         self._run_until(now_ns)
         return self._line.due(now_ns)
 

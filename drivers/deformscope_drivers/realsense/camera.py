@@ -1,4 +1,4 @@
-"""A RealSense camera as librealsense has it: chosen by its serial number, set as asked, every setting read back.
+"""A RealSense camera by librealsense: chosen by its serial number, configured, every setting read back.
 
 Frames come through a frame queue. `pipeline.wait_for_frames` is not used: after the loss of a camera it blocks for up
 to 15 s, and restarts it without the settings (librealsense, src/pipeline/pipeline.cpp). `rs`: the module pyrealsense2,
@@ -35,7 +35,7 @@ UNIT_STEP_M = 1.01e-6
 @dataclass(frozen=True, slots=True)
 class RealsenseSettings:
     """How a camera is opened. serial: empty = the only one; preset: empty, unit_m: None = as the camera has it
-    warm_up_s: pictures are left out for so long, while the exposure settles; global_time: stamps on the host's clock"""
+    warm_up_s: time whose pictures are left out, while the exposure settles; global_time: stamps on the host's clock"""
 
     serial: str = ""
     width: int = 848
@@ -61,7 +61,7 @@ class ListedRealsense:
 
 
 def listed(rs: ModuleType) -> list[ListedRealsense]:
-    """The cameras that are plugged in; one with its trouble where the library cannot look at all."""
+    """The connected cameras; with its trouble for one that the library cannot open."""
     try:
         return [_described(rs, device) for device in rs.context().query_devices()]
     except RuntimeError as error:
@@ -69,7 +69,7 @@ def listed(rs: ModuleType) -> list[ListedRealsense]:
 
 
 class RealsenseCamera:
-    """A camera that streams, set as asked. Raises DeviceError."""
+    """A camera that streams, configured. Raises DeviceError."""
 
     def __init__(self, settings: RealsenseSettings, rs: ModuleType) -> None:
         self._rs, self._settings = rs, settings

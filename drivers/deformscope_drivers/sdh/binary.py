@@ -25,7 +25,7 @@ _REQUEST_LENGTHS = {1: 0, 1 + _VALUES.size: AXIS_COUNT}
 
 
 def encode_request(command: Command, *, checksummed: bool) -> bytes:
-    """Raises ValueError for what the protocol has no bytes for; limits are not looked at."""
+    """Raises ValueError for a request outside the protocol; limits are not checked."""
     values = command.values
     if command.name not in CODES:
         raise ValueError(f"the hand has no command {command.name!r}")

@@ -25,7 +25,7 @@ from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome, St
 from deformscope_drivers.transport import Transport
 
 SETTLE_S = 0.5
-"""For so long after a command an idle axis may not have noticed it yet: IPA's driver waits as long."""
+"""Time after a command in which an idle axis may not have started yet: IPA's driver waits as long."""
 MARGIN_S = 1.0
 LONGEST_MOTION_S = 15.0  # where old firmware does not report it: the whole range at 12 deg/s
 REFERENCE_TIMEOUT_S = 10.0
@@ -137,7 +137,7 @@ class Sdh(SdhConnection):
         return self._wait(_Started(self._clock(), None, None, self._connections, self._stops), timeout_s)
 
     def stop(self) -> StopReport:
-        """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for what goes on."""
+        """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for motions that continue."""
         return self._do(self._stop_now, COMMAND_TIMEOUT_S)
 
     # Velocities ------------------------------------------------------------------------------------------------------
@@ -149,10 +149,10 @@ class Sdh(SdhConnection):
         keep_s: float = 0.2,
         acceleration_deg_s2: Sequence[float] | float | None = None,
     ) -> None:
-        """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to go on.
+        """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to continue.
 
         When no further call comes in time, the driver's thread sets all to 0. acceleration_deg_s2: ramp, given once;
-        None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would go on for ever.
+        None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for ever.
         """
         velocities = self.limits.velocities(velocity_deg_s, self.name)
         ramp = None if acceleration_deg_s2 is None else self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -323,7 +323,7 @@ class Sdh(SdhConnection):
             self._stopped_after_reconnect += 1
 
     def _stop(self) -> None:
-        """On closing: what can be stopped does not go on, and what was switched on is switched off."""
+        """On closing: stoppable motions end, and axes that were switched on are switched off."""
         if not self._switched_on:
             return
         self._switched_on = False
@@ -336,7 +336,7 @@ class Sdh(SdhConnection):
         return {**super()._extra_health(), "stopped_after_reconnect": self._stopped_after_reconnect}
 
     def _round(self, timeout_s: float) -> Iterable[HandReading]:
-        """No reading is waited for beyond the time that a velocity may go on."""
+        """No reading is waited for beyond the end of a velocity's duration."""
         if self._drive_until_ns is None:
             return super()._round(timeout_s)
         left_ns = self._drive_until_ns - self._clock()

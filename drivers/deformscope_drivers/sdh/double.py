@@ -94,7 +94,7 @@ class SdhDouble:
         self._firmware.refusals.append(code)
 
     def say(self, data: bytes, now_ns: int) -> None:
-        """Send something without being asked: a debug line, noise."""
+        """Send something without a request: a debug line, noise."""
         self._line.send(data, now_ns)
 
     def position_deg(self, now_ns: int) -> tuple[float, ...]:

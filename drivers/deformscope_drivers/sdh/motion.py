@@ -62,7 +62,7 @@ def sin_square_duration_s(distance_deg: float, velocity_deg_s: float) -> float:
 
 
 def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Of a move that speeds up, goes on at the velocity if it gets there, and slows down."""
+    """Of a move that speeds up, continues at the velocity if it reaches it, and slows down."""
     distance = abs(distance_deg)
     if distance <= velocity_deg_s**2 / acceleration_deg_s2:
         return 2 * math.sqrt(distance / acceleration_deg_s2)
@@ -117,7 +117,7 @@ class Axis:
     ramp_part: float | None = None  # of a pose move with ramp profile
 
     def advance_to(self, wanted_deg: float) -> codes.AxisState | None:
-        """Go there, as far as obstacles and the range let; what was met."""
+        """Move there, as far as obstacles and the range allow; the obstacles."""
         low = max(self.low_deg, self.obstacle_low_deg)
         high = min(self.high_deg, self.obstacle_high_deg)
         met = None
@@ -296,7 +296,7 @@ class Motion:
             axis.halt(codes.AxisState.IDLE)
 
     def _press(self, compliance: Compliance, before: list[tuple[float, _Mode]]) -> None:
-        """Take the axes back to where what they press, and their currents, let them come to."""
+        """Move the axes back to the balance of their contacts and their currents."""
         wanted = [axis.position_deg for axis in self.axes]
         currents = [axis.move_current_a for axis in self.axes]
         reached = compliance.reach_deg([position for position, _ in before], wanted, currents, _CYCLE_S)
