@@ -16,7 +16,7 @@ def printable(text: str) -> str:
 class InputError(Exception):
     """Something a user gave cannot be used.
 
-    The message says, in one line, what was expected, what came, and what to try; a path comes last.
+    The message has, in one line, the expectation, the actual value, and what to try; a path comes last.
     """
 
     def __init__(self, expected: str, came: str, try_this: str = "", where: object = "") -> None:

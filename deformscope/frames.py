@@ -148,7 +148,7 @@ class LinkChange:
 
 @dataclass(frozen=True, slots=True)
 class HealthReport:
-    """One look at all devices. host_ns: when [ns]; devices: by name"""
+    """The health of all devices at one time. host_ns: when [ns]; devices: by name"""
 
     host_ns: int
     devices: tuple[tuple[str, Health], ...]
@@ -156,8 +156,8 @@ class HealthReport:
 
 @dataclass(frozen=True, slots=True)
 class SessionNote:
-    """What a person remarked while the devices went on, or what was noticed. host_ns: when [ns]; text: a note in words,
-    an episode's label, the name of a tared device, an alarm of a sensor (`deformscope.rig.alarms`), or the reason for a
+    """A person's remark during the recording, or a detected event. host_ns: when [ns]; text: a note in words, an
+    episode's label, the name of a tared device, an alarm of a sensor (`deformscope.rig.alarms`), or the reason for a
     stage without results. Also the reason why an episode (the newest that began) or the whole recording is discarded"""
 
     host_ns: int
@@ -189,9 +189,9 @@ class UsedFrames:
 
 @dataclass(frozen=True, slots=True)
 class StageResult:
-    """What a stage computed from the newest frames while the devices went on.
+    """A stage's result from the newest frames, during the recording.
 
-    stage: its name; used: what it was computed from, the frame that it belongs to last
+    stage: its name; used: its input frames, the frame that it belongs to last
     host_ns: when that frame was taken, on the host's clock [ns]
     skipped: frames of that frame's device since the result before that nothing was computed from: newer ones came
     late_s: from when the frame was taken until the result was there [s]

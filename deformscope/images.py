@@ -53,7 +53,7 @@ def decode_image(encoded: bytes, where: object) -> ImageArray:
 def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
     """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small.
 
-    noisy: from a sensor, hence without repetitions to look for: half the time and no more bytes
+    noisy: from a sensor, hence without repetitions for the compressor: half the time and no more bytes
     """
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1, *(NOISY if noisy else ())]

@@ -12,7 +12,8 @@ from deformscope.terminal import say
 
 
 class Interruption(threading.Event):
-    """Set once somebody asked to end. signal_number: with what; 0 before, and where it was otherwise: by, in words"""
+    """Set once a person has requested the end. signal_number: with what; 0 before, and where it was otherwise: by, in
+    words"""
 
     signal_number = 0
     by = ""

@@ -268,7 +268,7 @@ def replay(
 ) -> ReplayResult:
     """Compute a recording again from its inputs, and compare with the numbers that it holds.
 
-    settings: other ones than recorded, of an exploration, by name; what comes of them is not compared to the bit
+    settings: other ones than recorded, of an exploration, by name; their results are not compared to the bit
     progress: as of `calibrate_beta`
     Raises InputError where the numbers differ, or for what cannot be used.
     """
@@ -337,7 +337,7 @@ def classify(
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
     merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
     splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
-    curve_splits: of the learning curve and the steps of a squeeze; duplicates: what happens to equal trials
+    curve_splits: of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
     Raises InputError for what cannot be used.

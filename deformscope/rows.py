@@ -102,7 +102,7 @@ SqueezeResult = (
     | ContainerSighting
     | HandPlacement
 )
-"""What comes of a squeeze."""
+"""Results of a squeeze."""
 
 ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
@@ -151,7 +151,7 @@ OF_DEVICES: dict[type, str] = {
     RawBytes: "raw",
     LinkChange: "link",
 }
-"""The same of what comes from a device, whose name follows: `wrench/DEVICE`."""
+"""Items of a device, whose name follows: `wrench/DEVICE`."""
 
 FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
 """Of these the index is no component but the row's place on the timeline `index` of an exploration, else `frame`."""
@@ -216,7 +216,7 @@ def from_components(
     """What `to_components` took apart; raises KeyError where a part is missing that is not of `LATER`.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
-    read_image: what becomes of an encoded image, of which the second argument says which it is
+    read_image: replacement of an encoded image, which the second argument identifies
     """
     made: dict[str, Any] = dict(given or {})
     for field in _fields(cast("Any", kind)):

@@ -2,8 +2,8 @@
 
 An experiment is a generator. It receives a source's items (a frame of a video, or all items of a rig's devices since
 the last time), None once a source has ended, and an `Answer` to each of its commands. It yields a `Step`: results, and
-a command where it acts. Neither a robot's motion nor a computation is waited for: frames go on being recorded and sent
-in, until the answer is there.
+a command where it acts. Neither a robot's motion nor a computation blocks: frames are recorded and sent in, until the
+answer is there.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Compute:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came of the last command. value: what was computed, or what the robot gave"""
+    """The result of the last command. value: what was computed, or what the robot gave"""
 
     value: Any
 
@@ -113,7 +113,7 @@ class SessionRig(Protocol):
 class SessionRobot(Protocol):
     """What carries commands out (`deformscope.experiments.touching_robot`).
 
-    stopped: fails once it must not go on, also while it carries nothing out
+    stopped: fails once it must stop, also without a command
     """
 
     stopped: Future[None]
@@ -122,7 +122,7 @@ class SessionRobot(Protocol):
         """Begin with a command. keep: to be called now and then by a robot that is done before it returns"""
 
     def reports(self) -> list[Step]:
-        """What it began since the last call."""
+        """Its new actions since the last call."""
 
 
 class Inline(Executor):
@@ -159,7 +159,7 @@ def measuring(stage: str) -> Iterator[None]:
 
 
 def with_costs(stage: str, call: Callable[..., ValueT], *arguments: object) -> tuple[ValueT, list[StageCost]]:
-    """A value, and what it cost by stage, in whatever process or thread it is computed."""
+    """A value, and its cost by stage, in any process or thread."""
     costs = list[StageCost]()
     kept = _measured.set(costs)
     try:
@@ -204,7 +204,7 @@ def run(
             recorder.write(step)
 
     def keep(wait_s: float = 0.0) -> ColorFrame | Sequence[Item] | None:
-        """Record what came."""
+        """Record the items."""
         for step in robot.reports() if robot is not None else ():
             write(step)
         if frames is None:

@@ -1,4 +1,4 @@
-"""What is said to somebody at a terminal while something runs: all of it on stderr."""
+"""Messages to a person at a terminal during a run: all of them on stderr."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def is_watched() -> bool:
 @contextmanager
 def messages_to(progress: Say | bool | None) -> Iterator[None]:
     """What a call of the library says within: to this function; True: to stderr; None: there where it is watched;
-    False: to nobody."""
+    False: no output."""
     shown = is_watched() if progress is None else progress
     token = _listener.set(shown if callable(shown) else None if shown else lambda remark: None)
     try:

@@ -57,7 +57,7 @@ FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
     SensorFault.REVERSED: lambda load_n: -load_n,
     SensorFault.EXCHANGED: lambda load_n: np.roll(load_n, 1),
 }
-"""(3,) what it makes of a load (3,) [N]."""
+"""(3,) its output for a load (3,) [N]."""
 ARMS = ("kuka", "kuka with motor currents", "jaco")
 STIFFNESSES_N_M = (5e3, 2e4, 1e5)
 """Of arm, sensor and stick in series."""

@@ -20,7 +20,7 @@ chosen on them."""
 
 
 def independent(count: int, first: int = 0) -> range:
-    """`count` of these seeds, from the `first` of them on. Raises InputError where there are not so many."""
+    """`count` of these seeds, from the `first` of them on. Raises InputError if there are not enough."""
     return range(INDEPENDENT.start + (seeds := reported(count, first)).start, INDEPENDENT.start + seeds.stop)
 
 

@@ -26,7 +26,7 @@ SMALL = {"parameter": "beta", "value": 0.5, "interval": [0.4, 0.6], "verdict": "
 
 @dataclass(frozen=True, slots=True)
 class TasksOptions(StudyOptions):
-    """Sweep so many tasks that compute nothing, once, and once more when all are known."""
+    """Sweep a number of tasks that compute nothing, once, and again with all stored."""
 
     tasks: flags.ManyFlag = 1000
     """Tasks."""

@@ -24,7 +24,7 @@ PRIVATE = {
     r"told": "given, stated, known, distinguished",
     r"beside": "next to, with, besides",
     r"by (?:it|them)sel(?:f|ves)": "alone, automatically",
-    r"(?<!a )(?<!the )(?<!its )stands?(?! for\b)": "is, are, is written",
+    r"stands?(?! for\b)": "is, are, is written",
     r"kept(?!:)": "stored, held, unchanged, left",
     r"had it|that is none|that are none": "say who does what",
     r"feels?|felt": "measures, is loaded",
@@ -43,8 +43,8 @@ PRIVATE = {
     r"[Ww]hat (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
 }
 """Patterns of whole words, and what to write instead."""
-EXCEPT = r"^told  ?JSON|\[calibrated\.time\] device and beside"
-"""Names of keys and columns in tables."""
+EXCEPT = r"^told JSON|\[calibrated\.time\] device and beside|exact and told$|[Aa] stand\b|if its flags say so"
+"""Names of keys, columns and rows; a stand is a thing."""
 COMMANDS = ("deformscope ", "python ", "make ")
 """Beginnings of lines to type."""
 CODE = re.compile(r"[;{]\n|\(\?|\\[wdsb]|;\s*\+\+|\.data\[|<\w+ \w+=")

@@ -174,7 +174,7 @@ ENGINES: dict[str, Callable[[int], Built]] = {"pypbd": pypbd, "mujoco": mujoco, 
 
 
 def main(engine: str, side: int) -> None:
-    """Build, report, and step as often as asked."""
+    """Build, report, and step on request."""
     lines = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever the engine prints
     facts, start, step, position = ENGINES[engine](side)

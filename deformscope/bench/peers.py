@@ -1,4 +1,4 @@
-"""Other engines, run in child processes that answer how long so many steps took."""
+"""Other engines, run in child processes that report the time of a number of steps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def require_peers() -> None:
 
 
 def search_path() -> str:
-    """Where a child process finds what this one found."""
+    """Module path of this process, for a child process."""
     return os.pathsep.join(str(Path(folder).resolve()) for folder in sys.path)
 
 
@@ -68,7 +68,7 @@ class Peer:
         self._stderr.close()
 
     def steps(self, count: int) -> Timing:
-        """One run of so many steps from the start: the time of one."""
+        """One run of a number of steps from the start: the time of one."""
         assert self._process.stdin is not None
         print(count, file=self._process.stdin, flush=True)
         wall_s, cpu_s = (float(word) for word in self._answer().split())

@@ -1,4 +1,4 @@
-"""The `deformscope` command: finds the command asked for, reads its flags, runs it, and reports errors in one line.
+"""The `deformscope` command: finds the requested command, reads its flags, runs it, and reports errors in one line.
 
     deformscope --help
     deformscope flow before.png after.png --out flow.npz
@@ -162,7 +162,7 @@ PACKAGES = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for.
+    """Run one command line and return its exit status; nothing is raised, and a traceback is shown only on request.
 
     0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
     128 + its number: ended by a signal
@@ -281,7 +281,7 @@ def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
 
 
 def find_command(args: list[str]) -> tuple[str, list[str]]:
-    """The command's full name, or a group's where its help is asked for, and the arguments left."""
+    """The command's full name, or a group's for its help, and the remaining arguments."""
     first, both = args[0], " ".join(args[:2])
     if both in COMMANDS:
         return both, args[2:]

@@ -48,7 +48,7 @@ REMARK = (
 
 
 def run(config: BenchConfig) -> None:
-    """Measure, and show what there is when it ends, also where it ends early."""
+    """Measure, and show the results at the end, also after an interruption."""
     quiet_warp()
 
     device = pick_device(config.device)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
 PAGE_LOOK_S = 0.2
-"""Seconds between looks at whether a page's server still runs."""
+"""Seconds between checks whether a page's server still runs."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
 
@@ -100,7 +100,7 @@ def recorder_of(
 
 
 def pictures_of(drawn: Mapping[str, Path]) -> tuple[Figure, ...]:
-    """PNG files that a study has drawn, by what they show."""
+    """PNG files that a study has drawn, by their titles."""
     return tuple(Figure(path.read_bytes(), caption) for caption, path in drawn.items())
 
 
@@ -111,13 +111,12 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
 
 
 def at_terminal() -> bool:
-    """Whether somebody sits there who reads stdout and types."""
+    """Whether a person reads stdout and types there."""
     return sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def keep_page() -> None:
-    """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
-    page's server ends."""
+    """A page stays open until Ctrl-C if a person is at a terminal; elsewhere, and then, the page's server ends."""
     from deformscope.page.server.page_server import end_pages, running_pages
 
     if at_terminal() and (pages := running_pages()):

@@ -1,4 +1,4 @@
-"""`deformscope dataset`: look at a data set of squeezes, correct it, and make one of several.
+"""`deformscope dataset`: list a data set of squeezes, correct it, and merge several.
 
 deformscope dataset list squeezes
 deformscope dataset relabel squeezes lab-0-box-07-00003 --content flour

@@ -35,7 +35,7 @@ NOTHING = (
 
 @dataclass(frozen=True, slots=True)
 class ListedDevice:
-    """One line of the list. health: `ok at 1000/s`, or why not; empty where nothing was asked"""
+    """One line of the list. health: `ok at 1000/s`, or the reason against; empty without a query"""
 
     driver: str
     port: str
@@ -47,7 +47,7 @@ class ListedDevice:
 
 
 def run(config: DevicesConfig) -> None:
-    """List what is plugged in, and ask what can be asked without harm."""
+    """List connected devices, and query those that can be queried without harm."""
     found = [_listed(one, config.probe) for one in _found()]
     write_json([dataclasses.asdict(one) for one in found], config.json)
     if not found:
@@ -116,7 +116,7 @@ def _ask(found: Any) -> tuple[str, str, str]:
 
 
 def _asked_serial(device: Any) -> str:
-    """A serial number that is given only when asked for; empty where there is none."""
+    """A serial number that is given only on request; empty without one."""
     try:
         return str(device.serial_number())
     except (AttributeError, DeviceError):

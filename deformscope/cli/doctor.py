@@ -98,14 +98,14 @@ def _nothing_yet(name: str) -> RigStep | None:
 
 
 def _list_of(steps: tuple[RigStep, ...], following: str) -> str:
-    """The way to an exploration, step by step, and what comes next."""
+    """The way to an exploration, step by step, with the next step."""
     width = max(len(step.what) for step in steps)
     lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
     return "\n".join([*lines, *([f"next: {following}"] if following else [])])
 
 
 def _minutes(step: RigStep) -> str:
-    """What it takes, of a step that is not done."""
+    """Duration of a step that is not done."""
     return f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
 
 
@@ -155,9 +155,9 @@ def _sections(rig: Rig) -> list[Finding]:
 
 
 def _exploring(rig: Rig, measured: bool) -> list[Finding]:
-    """Whether `explore` would begin with this file, where it looks as if it were meant to; nothing is opened.
+    """Whether `explore` would begin with this file, if it seems to be meant for it; nothing is opened.
 
-    measured: nothing is left to do before it, or there is no list of what is: what it lacks is named here
+    measured: no step is left before it, or there is no list of steps: missing keys are named here
     """
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:

@@ -52,7 +52,7 @@ def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
 
 
 def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
-    """Name, driver and configuration of every double asked for; None = as the driver has it."""
+    """Name, driver and configuration of every requested double; None = the driver's default."""
     wanted: list[tuple[str, str, Any]] = []
     for word in what:
         if word in DRIVERS:

@@ -85,7 +85,7 @@ def run(config: MaterialOptions) -> int:
 
 
 def _pairs(config: BothConfig) -> tuple[list[tuple[str, bytes]], list[Observation]]:
-    """The files, by name and content, and what they hold."""
+    """The files, by name and content, and their pairs."""
     raws = [(one, read_file(one, "a pair file (.npz)")) for one in config.sources]
     seen = [parse_pair(raw, name, noise_m=config.fit.noise_m) for name, raw in raws]
     for remark in size_notes([one.rest for one in seen]):

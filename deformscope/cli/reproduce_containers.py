@@ -95,7 +95,7 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
 
 
 def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> ClassificationResult:
-    """Accuracies of one set of classes: of the cardboard boxes, as in the thesis; others are what it transfers to."""
+    """Accuracies of one set of classes: of the cardboard boxes, as in the thesis; others are targets of transfers."""
     from deformscope.lab.container_setup import KINDS
     from deformscope.runs.classification import QUICK_SPLITS, classify_table
     from deformscope.stages.squeeze.evaluation import EvaluationOptions

@@ -103,7 +103,7 @@ def _draw(
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
 ) -> dict[str, Path]:
-    """Draw and write; the pictures by what they show."""
+    """Draw and write; the pictures by their titles."""
     out = config.out
     theta, errors = out / "figure-3.10.png", out / "figure-3.11.png"
     figures.draw_theta(theta, found)

@@ -99,11 +99,11 @@ def tried(
     keep: Callable[[Sequence[tuple[CaseT, OutcomeT]]], None] | None = None,
     together: int = 1,
 ) -> list[OutcomeT]:
-    """The outcome of each case in their order, from so many workers of the executor, each on one core, with a progress
-    bar. A case that fails does not end the others: its error is raised once they are done.
+    """The outcome of each case in their order, from a number of workers of the executor, each on one core, with a
+    progress bar. A case that fails does not end the others: its error is raised once they are done.
 
     known: outcomes that are there already, by the index of their case
-    keep: called with so many new ones at a time, also with what is there where the command is broken off
+    keep: called with a number of new ones at a time, also with the remaining ones after an interruption
     """
     from threadpoolctl import threadpool_limits
 

@@ -1,4 +1,4 @@
-"""The stages that run while devices do: which frames each takes, and what it computes from them.
+"""The stages that run with the devices: which frames each takes, and what it computes from them.
 
 A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
 """
@@ -38,7 +38,7 @@ StageName = Literal["flow", "particles", "beta", "theta", "field", "surface", "t
 """What is computed while a rig is watched."""
 
 PARTICLES_ALONG = 9
-"""Particles along the longer side of the region where neither shape nor spacing is asked for: a fit takes 0.2 s."""
+"""Particles along the longer side of the region if neither shape nor spacing is given: a fit takes 0.2 s."""
 CANDIDATES = 12
 """Values of beta that the sweep tries before it refines: a finer one finds the same."""
 NOISE_SHARE = 0.005
@@ -50,7 +50,7 @@ DEPTH_ALONG = 160
 ABOVE_M, BELOW_M = 0.02, 0.03
 """Height range around the surface's top at rest whose points count as surface."""
 TOUCHING_N = 0.5
-"""Force from which on an approach is in contact; it is over at half of it."""
+"""Force from which an approach is in contact; it is over at half of it."""
 BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
 ALONG_WAY = 0.5
@@ -70,7 +70,7 @@ class LiveOptions:
     color, depth, tactile, wrench, arm: devices by name; lossless: colour images are recorded as PNG
     particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
     focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
-    T_ee_tip: (4, 4) the tool's tip, whose z axis points at what it presses, to the arm's end [m]
+    T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
     tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
     version: of fits, see `NEWEST_FIT`
@@ -220,7 +220,7 @@ class Chooser(Protocol):
 
     @property
     def lacks(self) -> str:
-        """What has to come before a first result, in words."""
+        """Missing items before a first result, as text."""
 
     def see(self, item: Item) -> None: ...
 
@@ -404,7 +404,7 @@ class ApproachReadings:
     """What arm and force sensor gave of an approach.
 
     arm_ns: (m,) stamps; position_m: (m, 3) of the arm's end; rotation_rad: (m, 3) its Euler angles, in the arm's base
-    force_ns: (n,); force_n: (n, 3) what the tip does to what it presses, in the tip's frame
+    force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame
     """
 
     arm_ns: IntArray
@@ -467,7 +467,7 @@ class ApproachChooser:
         self._recent.clear()
 
     def _follow(self, passed_s: float) -> float:
-        """By what share the force without contact follows a reading, so long after the one before."""
+        """Share by which the force without contact follows a reading, after this time since the one before."""
         return FOLLOW
 
     def take(self) -> tuple[Frame, ...] | None:

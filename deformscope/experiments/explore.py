@@ -1,4 +1,4 @@
-"""Thesis chapter 4: look, decide where to touch, touch, estimate, map, again; until the map says what it can.
+"""Thesis chapter 4: look, choose a place, touch, estimate, update the map, repeat; until the map is complete.
 
 `explore` is an experiment (`deformscope.session`): it commands a robot, has `ExplorationStages` computed, and yields
 their results. It is the same for simulated, recorded and real robots and stages.
@@ -39,7 +39,7 @@ ESTIMATES_FAILED = "estimates failed"
 DRY_RUN = "dry run"
 """Kind of the stop at the end of a dry run, which is as it should be."""
 AFTER_S = 0.5
-"""A recording goes on for so long after the robot was stopped."""
+"""Duration of a recording after the robot was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Wait:
 
 
 class ExplorationStopped(InputError):
-    """The robot must not go on, or what it was to do came to nothing. stop: why, and when on the robot's clock"""
+    """The robot must stop, or its command failed. stop: why, and when on the robot's clock"""
 
     def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
         super().__init__("an exploration that ends normally", f"{stop.kind}: {stop.reason}", stop.advice)
@@ -68,7 +68,7 @@ class TouchHeld(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NextMove:
-    """What comes next: go on = as planned, veto = another plan without xy_m, touch = there, after a confirm, and
+    """The next step: go on = as planned, veto = another plan without xy_m, touch = there, after a confirmation, and
     replan. xy_m: (2,) [m]"""
 
     kind: Literal["go on", "veto", "touch", "replan"] = "go on"
@@ -76,7 +76,7 @@ class NextMove:
 
 
 class Steering(Protocol):
-    """A person, where one may change what comes next: asked where the loop decides, before each touch."""
+    """A person who may change the next step: consulted before each touch."""
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         """plan: None where nothing could be planned; touches: made so far"""
@@ -134,14 +134,14 @@ class ExploringRobot(Protocol):
 
 
 class AtOnce:
-    """A robot that is done before the loop goes on; a `SessionRobot`."""
+    """A robot that finishes before the loop continues; a `SessionRobot`."""
 
     def __init__(self, robot: ExploringRobot) -> None:
         self.stopped: Future[None] = Future()
         self._robot = robot
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Look or touch, now; nothing comes of waiting."""
+        """Look or touch, now; waiting has no effect."""
         if isinstance(command, Touch):
             return Inline().submit(self._robot.touch, command)
         return Inline().submit((lambda: None) if isinstance(command, Wait) else self._robot.look)
@@ -159,7 +159,7 @@ class Exploration:
     ended_ns, iou: of each touch, when it had ended on the robot's clock, and of the map after it (None without a truth)
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
-    started: touches that were started; asked: numbers of those that a person asked for, from 1
+    started: touches that were started; asked: numbers of touches that a person requested, from 1
     stop, stop_ns: reason and time of a stop before the plan's end
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
@@ -297,7 +297,7 @@ def _next_touch(
 
 
 def _answer_to(steering: Steering, asked: Future[Any]) -> Generator[Step, Any, Any]:
-    """What a person says; the session goes on meanwhile."""
+    """A person's answer; the session continues meanwhile."""
     if asked.done():
         return asked.result()
     given = yield Step(command=asked)
@@ -328,7 +328,7 @@ def _computed(
 
 
 def _recorded_input(given: Any) -> Any:
-    """What is recorded of what a robot gave: the frames that it used, or what it measured."""
+    """The recorded input of a robot's action: the frames that it used, or its measurement."""
     return given if isinstance(given, SurfaceMeasurement | TouchMeasurement) else given.used
 
 

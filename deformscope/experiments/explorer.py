@@ -58,9 +58,9 @@ StageResult = TypeVar("StageResult")
 Estimate = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult
 Result = Estimate | PlannedTouch | TouchForecast | StageFailure | Perception
 VETO_M = 0.03
-"""A veto leaves out what is so near."""
+"""A veto leaves out places this near."""
 SEEN_M = 0.01
-"""A place counts as seen where a point of the surface was, so near."""
+"""A place counts as seen if a point of the surface was this near."""
 BEFORE_A_MAP = ("contact", "creep", "loss", "regions", "maps")
 """Stages without which a touch gives no map."""
 WAY = "way"
@@ -208,7 +208,7 @@ def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class AfterTouch:
     """What is known after a touch. estimate: of the touch; maps: None where it gave none; inclusions: None also where
-    none are sought; perception: None where that is not asked for"""
+    none are sought; perception: None unless requested"""
 
     estimate: TouchEstimate
     maps: MapEstimate | None
@@ -247,7 +247,7 @@ class UnseenSurface:
 
 
 class Explorer:
-    """The estimates after each touch of a surface that was seen; pure, but for what it was given so far.
+    """The estimates after each touch of a measured surface; pure, except for its input so far.
 
     surface: as the look saw it; search: the goal, and its posterior by the usable touches
     touches, betas: of every touch made
@@ -400,7 +400,7 @@ class Explorer:
     def _perception(
         self, touched: TouchMeasurement, contact: TouchContact | None, sample: StiffnessSample | None
     ) -> TouchPerception | None:
-        """Of the newest touch, with what its maps were trained with; None where that is not asked for."""
+        """Of the newest touch, with the training data of its maps; None unless requested."""
         options, beta = self.options, self.betas[-1]
         if options.detail == "lean":
             return None

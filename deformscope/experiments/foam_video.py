@@ -28,7 +28,7 @@ FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True, slots=True)
 class ParticleOptions(ParticleFlags):
-    """How an image becomes particles: what can be asked for, and noise_px, the deviation of a measured position.
+    """Options that turn an image into particles, and noise_px, the deviation of a measured position.
     frames_of: how many the sequence has, of which some are followed; None = all are"""
 
     held: tuple[HeldPart, ...] = ("top", "bottom")

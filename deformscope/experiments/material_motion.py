@@ -46,8 +46,8 @@ MOST_FRAMES = 8
 
 @dataclass(frozen=True, slots=True)
 class UnloadingOptions:
-    """How the end of a push is known. released: of the held parts, those that let go; at: the loaded and the unloaded
-    frame, where somebody names them; force: of the tool, where it was recorded"""
+    """How the end of a push is known. released: the held parts that are released; at: the loaded and the unloaded
+    frame, if given; force: of the tool, where it was recorded"""
 
     released: tuple[str, ...] = ("contact",)
     at: tuple[int, int] | None = None
@@ -124,10 +124,10 @@ def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | Non
 def camera_motion(
     tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions
 ) -> tuple[Motion, PressCycle]:
-    """All frames, the first one at rest among them, and when what was pressed is let go.
+    """All frames, the first one at rest among them, and the time of the release.
 
-    The parts that let go are held as long as something may hold them: until the frame from which nothing does. From
-    then on they count as not seen.
+    Released parts are held as long as anything may hold them: until the frame of the release. From then on they count
+    as not seen.
     """
     released = [part for part in particles.held if part in unloading.released]
     if not released:
@@ -232,7 +232,8 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 
 
 def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
-    """Of a motion file: what is held at its deepest and no longer at the end was let go, from then on."""
+    """Of a motion file: particles that are held at the greatest depth and no longer at the end are released, from then
+    on."""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])

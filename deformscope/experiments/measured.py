@@ -63,7 +63,7 @@ HOP_M, HOP_SPEED_M_S, HOP_PASSING_M, HOP_BRAKING_PER_S = 0.02, 0.05, 2e-3, 8.0
 """Over a known surface: the tip's height before and after a touch, its speeds down and up, its accuracy at the start,
 and its deceleration. Chosen."""
 HOP_MARGIN_M, HOP_SLOW_M = 5e-3, 0.015
-"""It is slow from so much above where the surface may be; the first touch from the other above where it was seen. Where
+"""Height above the surface from which it is slow; the first touch uses the larger one, above the measured height. Where
 it may be higher than that, all is as at a careful pace. Chosen."""
 
 
@@ -135,7 +135,7 @@ def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupGeometry:
-    """Where surface, arm and camera are to one another, and what follows of it; pure.
+    """Poses of surface, arm and camera relative to each other, and their consequences; pure.
 
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: what the robot looks like
     """

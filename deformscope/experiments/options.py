@@ -36,8 +36,8 @@ TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 PLANNED_COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen: near enough to
-what they take, and such that both paces weigh a touch and its way alike, and touch the same places."""
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen near the measured
+times, and such that both paces weight a touch and its travel alike, and touch the same places."""
 DRY_RUN_M = 0.1
 """A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
 EDGE_M, ABOVE_M, LOW_SHARE, LOW_UNSTATED = 0.005, 0.08, 0.5, 0.2
@@ -47,7 +47,7 @@ thickness; another share without a stated thickness."""
 
 @dataclass(frozen=True, slots=True)
 class ExploreOptions(ExploreFlags):
-    """How to explore: what can be asked for, what a rig file or a scene says, and what studies set.
+    """How to explore: options of a user, of a rig file or a scene, and of studies.
 
     relief, beta_grid_m, beta_step, sigma_w_m: without values, as in older recordings, the foam is level and as thick as
     stated. beta is then swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
@@ -55,9 +55,9 @@ class ExploreOptions(ExploreFlags):
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
     go_on: touch until the budget is spent, even if the plan is complete (for studies)
     inclusion_m: radius of the smallest inclusions that are sought
-    lift_m: all touches are made so far above the surface, where nothing is met: a dry run
+    lift_m: all touches are made this far above the surface, without contact: a dry run
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
-    thickness_stated: else thickness_m says where to look for the surface, and nothing more
+    thickness_stated: else thickness_m is only the height at which the surface is sought
     detail: where nothing is said, as in older recordings, lean
     """
 

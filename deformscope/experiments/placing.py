@@ -61,22 +61,22 @@ LOOK_S, LOOKS = 0.6, 3
 ROBOT_MARGIN_M = 0.015
 """Around links and fingers that is left out of an image: arms differ by a centimetre or so from capsules."""
 AREA_M = 0.45
-"""Things on the table further from the middle of its frame are not looked at [m]: an arm's foot, what lies there."""
+"""Objects on the table further from the middle of its frame are ignored [m]: an arm's foot, other objects."""
 BACK_M = 0.03
 """Distance to back away from a contact on the way."""
 STUCK_S = 2.0
-"""A finger whose arrays say the same force for so long, and not 0, is stuck: 22 frames at worst. A shorter time stops
-arrays with little noise; a longer one lets the arm move on for longer with a finger that may be dead."""
+"""A finger whose arrays repeat the same force for this time, and not 0, is stuck: 22 frames at worst. A shorter time
+stops arrays with little noise; a longer one lets the arm move on for longer with a finger that may be dead."""
 NOT_FOUND, NO_GRASP, CONTAINER = "container not found", "no grasp is reached", "container"
 BEGINS_NEAR, NOT_READY = "arm begins too near the container", "checks before motion"
-"""Kinds of stops; `CONTAINER` with what became of it: `container moved`."""
+"""Kinds of stops; `CONTAINER` with its change: `container moved`."""
 LEAVE_OUT = ("plan", "arm: reach", "force sensor: noise", "force sensor: alive")
 """Rows of the preflight that are of touches, and of sensors that are never silent: arrays in the air may all say 0."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckArm:
-    """A command: look at everything before the arm moves; its answer is a `Preflight`."""
+    """A command: run all checks before the arm moves; its answer is a `Preflight`."""
 
     plan: GraspPlan
 
@@ -306,7 +306,7 @@ class Placing:
     """An arm that places the hand, before and after the squeeze.
 
     grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed
-    permit: asked with the preflight before the arm moves, whether it had to wait for a person; arm: as of `PlacingArm`
+    permit: called with the preflight before the arm moves, whether it had to wait for a person; arm: as of `PlacingArm`
     found: collects sightings and placement
     """
 

@@ -41,7 +41,7 @@ from deformscope_drivers.manual_arm.config import MANUAL
 FOLLOW_S = 5.0
 """In which the force without contact is followed: a slow press outruns it."""
 TRAVEL_M = 0.03
-"""An arm that is so far from where its tip met something has left it."""
+"""An arm this far from the contact has left it."""
 ASIDE_M, LEAST_WAY_M = 3e-3, 1e-3
 """Largest distance of the tip from the straight path to a touch. One that dents less has its direction from the way
 before contact too."""

@@ -24,9 +24,9 @@ Key = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class ReplayedStages:
-    """What came of it. results: that were computed again; failures: that were recorded, and are not computed again:
-    whether a stage fails may hang on the machine; different: largest difference of each stage's numbers, as a share of
-    the number (0 = equal to the last bit; inf = other words or sizes)
+    """Outcome of a replay of stages. results: that were computed again; failures: that were recorded, and are not
+    computed again: whether a stage fails may hang on the machine; different: largest difference of each stage's
+    numbers, as a share of the number (0 = equal to the last bit; inf = other words or sizes)
     """
 
     results: int

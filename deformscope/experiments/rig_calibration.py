@@ -37,7 +37,7 @@ PATIENCE = 400
 
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
-    """What a person is asked to do.
+    """A request to a person.
 
     kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
     axis: of a push: what the finger does to the tip, surface frame; of a load its force [N]
@@ -50,7 +50,7 @@ class SetupRequest:
 
 
 Assistant = Callable[[SetupRequest], RigExperiment[None]]
-"""Who does what is asked; frames pass meanwhile."""
+"""Carries out requests; frames pass meanwhile."""
 
 
 CORNER_WORDS = (
@@ -97,7 +97,7 @@ def held(frames: Sequence[ArmFrame]) -> HeldArm:
 
 
 def _frames(seconds: float, wanted: dict[str, type[Frame]]) -> RigExperiment[dict[str, list[Frame]]]:
-    """The frames of devices, by name, until all of them have given so many seconds of them."""
+    """The frames of devices, by name, until all of them have given this number of seconds of them."""
     taken: dict[str, list[Frame]] = {name: [] for name in wanted}
     given: Sequence[Item] | Answer | None = yield Step(batch_s=0.05)  # what waited is from before
     for _ in range(PATIENCE):
@@ -125,7 +125,7 @@ def _span_s(frames: Sequence[Frame]) -> float:
 
 
 def _held(operator: Assistant, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
-    """Where the arm is held after a request; asked again while it moves."""
+    """Pose of the arm, held after a request; requested again while it moves."""
     for _ in range(TRIES):
         yield from operator(request)
         frames = yield from _frames(HOLD_S, {arm: ArmFrame})

@@ -28,7 +28,7 @@ from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 FEWEST_FOR_FIELD = 2
-"""Touches with a beta, from which on it has a field."""
+"""Number of touches with a beta from which it has a field."""
 FREE_EXPONENT_SD = 0.3
 """Prior deviation of the contact's exponent in a search for inclusions, which change it: nearly uninformative."""
 

@@ -205,7 +205,7 @@ def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | 
 
 
 def container_tracker(geometry: SqueezeGeometry) -> ContainerTracker:
-    """The camera that looks at the container. Raises InputError where its projection is not known."""
+    """The camera in front of the container. Raises InputError where its projection is not known."""
     camera = geometry.camera
     if camera.focal_px is None or camera.center_px is None:
         raise InputError("[camera] focal_px and center_px", "none")
@@ -239,7 +239,7 @@ class SqueezeImages:
         return range(max(min(before, REST_IMAGES) - 1, 0), known)
 
     def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
-        """The image at a place, and those before it, `together` so many. first_ns: of first contact, 0 = not known
+        """The image at a place, and those before it, `together` in number. first_ns: of first contact, 0 = not known
         since_ns: from when on the fingertips have come closer, default from there"""
         when_ns = frame_ns(self.frames[at])
         frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])

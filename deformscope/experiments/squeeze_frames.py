@@ -26,7 +26,7 @@ BEFORE_S = 1.0
 AIR, OPEN = "air", "open"
 """The phases in which the open fingertips are in the air, at rest, and in which they open again."""
 POSTERIOR_S = 0.1
-"""The posterior is computed so often."""
+"""Period of computing the posterior."""
 
 FrameT = TypeVar("FrameT", TactileFrame, HandFrame, DepthFrame)
 
@@ -133,7 +133,7 @@ def frame_ns(frame: Frame) -> int:
 class Tracking:
     """What tracks the container (`deformscope.experiments.squeeze_live`); this one does not.
 
-    found: all that was tracked; failed: why it does not go on, or empty; waiting: the last of what is being computed
+    found: all that was tracked; failed: why it stopped, or empty; waiting: the last of what is being computed
     """
 
     waiting: Future[Any] | None = None
@@ -143,7 +143,7 @@ class Tracking:
         self.failed = ""
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """What has become known since the last call. first_ns: of first contact, 0 = not yet"""
+        """New results since the last call. first_ns: of first contact, 0 = not yet"""
         return ()
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
@@ -174,7 +174,7 @@ class SqueezeObserver:
             self.frames.open_ns = now_ns
 
     def observe(self, item: Item) -> Step | None:
-        """Take it in; what there is to show of it, None = nothing."""
+        """Take it in; its view, None = nothing."""
         self.frames.add(item, self._onset.first_ns)
         if isinstance(item, TactileFrame) and item.device == self.frames.tactile_source.device:
             results, costs = with_costs("fingertips", self._felt, item)
@@ -182,7 +182,7 @@ class SqueezeObserver:
         return None
 
     def tracked(self) -> list[Step]:
-        """What there is to show of the container by now; what came is begun with."""
+        """Present view of the container; computation begins with the arrived images."""
         known = self.tracking.go_on(self._onset.first_ns)
         return [Step((one.container, one.change), moment=Moment(one.when_ns), costs=one.costs) for one in known]
 

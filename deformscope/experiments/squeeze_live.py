@@ -74,7 +74,7 @@ class LiveTracking(Tracking):
         self._newest_ns = self._skipped = 0
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """What came meanwhile is begun with."""
+        """Begin with the images that arrived meanwhile."""
         known = self._known()
         try:
             self._ask(first_ns)

@@ -36,7 +36,7 @@ AIR_FRAMES = BASELINE_FRAMES
 """Tactile frames in the air, the fingers open and at rest, before they close."""
 AIR_TIMEOUT_S = 3.0
 AFTER_S = 0.5
-"""A recording goes on for so long after the hand was stopped."""
+"""Duration of a recording after the hand was stopped."""
 RELEASES = (
     SqueezeFault.SATURATED,
     SqueezeFault.OVER_SQUEEZED,
@@ -65,7 +65,7 @@ class HandWait:
 
 
 class SqueezeEnded(InputError):
-    """The squeeze must not go on. stop: why; time_ns: when, on the devices' clock"""
+    """The squeeze must stop. stop: why; time_ns: when, on the devices' clock"""
 
     def __init__(self, stop: SqueezeStop, time_ns: int) -> None:
         super().__init__("a squeeze that reaches its steady state", f"{stop.kind}: {stop.reason}", stop.advice)

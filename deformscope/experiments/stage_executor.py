@@ -29,7 +29,7 @@ def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Exec
     """What computes, and how to have a stage computed there; its state lasts until the end of the context.
 
     Devices on their own clock must not wait: then it is a child process, with one thread of BLAS and a low priority. On
-    a simulated clock nothing goes on meanwhile, and it is computed within the loop.
+    a simulated clock nothing runs meanwhile, and it is computed within the loop.
     """
     given = SetupGeometry.of(setup), options, setup.truth
     if not setup.runs_itself:

@@ -29,7 +29,7 @@ from deformscope.stages.regions.touches import MapGrid
 
 
 class StageProcesses:
-    """A process for every stage; they have loaded what they need when the context begins, before any device is opened.
+    """A process for every stage; they have loaded their modules when the context begins, before any device is opened.
 
     A process, no thread: both ask for Python's lock all the time. On two cores with `lab:bench` a fit of beta came
     3.6 s after its frame from a thread, 0.6 s from a process. Of the lowest priority by default: eight stages of the

@@ -44,7 +44,7 @@ from deformscope_drivers.priority import STEERING, be_prompt
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10
-"""Of a dent's pictures, at most the last so many are taken together."""
+"""Largest number of last pictures of a dent that are combined."""
 PREFLIGHT_CELL_M = 0.02
 """The outermost places that can be reached are sought on a grid of this."""
 LOOKS = 3
@@ -57,7 +57,7 @@ LOOK_PERIODS = 1000
 KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
 IDLE_S = 0.02
-"""A robot that may not move yet looks so often whether there is a command."""
+"""Period at which a robot without permission checks for a command."""
 SWITCH_S = 5e-4
 """A thread that waits for Python's lock is let in after this. With Python's 5 ms a control period, which waits for it
 several times, is late if other threads write and draw."""
@@ -65,11 +65,11 @@ several times, is late if other threads write and draw."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckFirst:
-    """A command: look at everything before anything moves; its answer is a `Preflight`.
+    """A command: run all checks before anything moves; its answer is a `Preflight`.
 
-    calibrated: what has to be, by name, and whether it is; places_m: (n, 2) that will be touched, None = any that can
-    be reached; ask_finger: says to a person that they have to press the tip, where nothing else guards the arm; None =
-    they have
+    calibrated: the required calibrations, by name, and whether they are done; places_m: (n, 2) that will be touched,
+    None = any that can be reached; ask_finger: says to a person that they have to press the tip, where nothing else
+    guards the arm; None = they have
     """
 
     calibrated: Mapping[str, bool] = field(default_factory=dict)
@@ -347,7 +347,7 @@ class TouchingRobot:
         return partial(self._touched, record, dents, xy_m, robot.pose)
 
     def _dry_run(self, record: TouchRecord, xy_m: FloatArray) -> ExplorationStopped:
-        """Nothing was met, as it should be; else what was."""
+        """No contact, as expected; else the contact."""
         where = f"{100 * self._options.lift_m:g} cm above ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
         if record.ending is not TouchEnding.NO_CONTACT:
             return self._stop(record.ending, f"{where}: {record.reason or 'something was met'}")
@@ -394,7 +394,7 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """The present action, or what it waits for, in words; empty between touches."""
+        """The present action, or its condition for continuing, as text; empty between touches."""
         if self._phase is None:
             return self._waits
         words = f"touch {self._touches + 1}: {self._phase}"
@@ -457,7 +457,8 @@ class TouchingRobot:
 
     @contextlib.contextmanager
     def _pictures_kept(self) -> Iterator[None]:
-        """From now on new pictures wait to be taken; at other times nobody takes them, and they would count as lost."""
+        """From now on new pictures wait in the queue; at other times no caller takes them, and they would count as
+        lost."""
         if self._robot.camera is None:
             yield
             return

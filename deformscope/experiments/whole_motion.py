@@ -110,7 +110,7 @@ def whole_motion(
 ) -> Experiment[Calibration]:
     """Follow particles through the frames that are sent, fit all of them, and simulate every frame.
 
-    asked: what is chosen by held-out error; the rest stays as `fit` and `particles` have it
+    asked: options selected by held-out error; the rest stays as in `fit` and `particles`
     mask: (H, W) True where the thing is in the first frame
     """
     motion = yield from tracked_motion(particles, mask)
@@ -181,7 +181,7 @@ def select(
     asked: tuple[Selectable, ...],
     progress: Progress | None = None,
 ) -> Selection:
-    """Choose what is to be chosen by the error on particles left out."""
+    """Select the options by the error on particles left out."""
     if not asked:
         return Selection(_ways(motion, particles, fit.model, ())[0], (), "")
     ways = _ways(motion, particles, fit.model, asked)
@@ -206,7 +206,7 @@ def select(
 
 
 def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
-    """The held sets that are tried: what was asked for, and others that the flags make possible."""
+    """The held sets that are tried: the requested one, and others that the flags make possible."""
     every: list[tuple[str, ...]] = [("bottom",), ("top", "bottom"), ("border",)]
     if particles.contact is not None:
         every = [("bottom", "contact"), ("top", "bottom", "contact"), ("border", "contact")]
@@ -214,7 +214,7 @@ def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
 
 
 def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]) -> list[Way]:
-    """Those of static states; the first is the one that was asked for."""
+    """Those of static states; the first is the requested one."""
     last, contact = motion.history[-1], particles.contact_rect
     sizes: list[int | None] = [model.cluster_size]
     if "cluster-size" in choices:

@@ -53,7 +53,7 @@ class Source:
         self._ahead: list[ColorFrame] = []
 
     def __enter__(self) -> Source:
-        """Open it and look at the first two frames, so that what cannot be used is refused before any work."""
+        """Open it and read the first two frames, so that unusable input is refused before any work."""
         self._frames = self._open()
         try:
             self._ahead = list(itertools.islice(self._frames, 2))
@@ -75,7 +75,8 @@ class Source:
             yield from self._frames
 
     def thin(self, most: int) -> None:
-        """Give so many frames at most, evenly spread, the last one among them; two at least. Once it was entered."""
+        """Give at most this number of frames, evenly spread, the last one among them; two at least. Once it was
+        entered."""
         if self.count is None or self.count <= most or self._frames is None:
             return
         kept = np.unique(np.linspace(0, self.count - 1, max(most, 2)).round().astype(int)).tolist()

@@ -1,6 +1,6 @@
 """Whether a video gave all frames that it holds: what its container lists against what could be read, and the times.
 
-A damaged video is read without complaint: a decoder conceals, or leaves out, what it cannot make sense of.
+A damaged video is read without an error: a decoder conceals, or leaves out, undecodable parts.
 """
 
 from __future__ import annotations

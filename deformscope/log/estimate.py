@@ -24,7 +24,7 @@ RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
 """Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""
 
 NET = 1.2
-"""Particles of a surface that are at most so many spacings apart are joined by a net."""
+"""Largest distance, in spacings, of a surface's particles that a net joins."""
 
 CELLS, OVER_IMAGE = 192, 0.75
 """Of the heat map in the plane: cells along its longer side, and how much of it covers an image."""

@@ -14,7 +14,7 @@ MOST_NS, MOST_NS_OF_RESULTS = 20_000_000_000, 300_000_000_000
 hold the span of the longest one. Each portion costs rerun about 70 bytes of memory, until the file is closed, for every
 column of any entity of the file: 20 kB in an exploration."""
 RESULTS = ("/exploration/", "/display/")
-"""Entities of a few rows a touch, which nobody reads in the order of their time with what devices gave."""
+"""Entities of a few rows per touch, which no reader merges with device items in the order of time."""
 
 
 @dataclass(slots=True)

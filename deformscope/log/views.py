@@ -21,7 +21,7 @@ class ShownStage:
     name: as its costs are named; chapter: of the thesis, 0 = what is recorded of the run itself; gives: in words
     entity: where its rows are, with what is below it, "" = that of its type of result
     field: of the result, without which a row holds nothing of the stage, "" = each does
-    costs: names of what else is computed for it
+    costs: names of other stages that are computed for it
     when: the setting of a recording that requests it, as `explore.hold_s`, or with one of its values, as
     `stages.names=beta`. Several, separated by spaces, are all needed; "" = it is always present, `SOMETIMES` = it may
     be absent

@@ -94,7 +94,7 @@ def _set(
 
 def follow(entry: RigDevice, fit: FitProcess, session: PageSession) -> None:
     """Open a camera of a rig, nothing else of it, and hand its pictures to a fit until one of them has ended. session:
-    where it is said what happens to the camera. Raises InputError where it gives no picture."""
+    receives remarks on the camera. Raises InputError where it gives no picture."""
     came = ended = False
     with member_of(entry) as member, RigSource((member,), raw=False) as source:
         while fit.goes_on and not ended:

@@ -63,7 +63,7 @@ class FitPanel:
         return fit.handle(command)
 
     def close(self) -> None:
-        """End it, and say at the terminal what gives its numbers."""
+        """End it, and print the command of its numbers at the terminal."""
         if self._fit is not None:
             self._fit.close()
 

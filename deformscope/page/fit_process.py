@@ -92,7 +92,8 @@ class FitProcess:
         return self.outcome
 
     def end(self) -> None:
-        """From any thread, at once; `thread` then comes to its end. What gives the numbers is said at the terminal."""
+        """From any thread, at once; `thread` then comes to its end. The command of the numbers is printed at the
+        terminal."""
         if not self.ending:
             # What has not begun yet handles no command: it ends once its pipe does.
             self._until_s = time.monotonic() + (END_S if self.commands else 0.0)
@@ -108,7 +109,7 @@ class FitProcess:
             self.thread.join(3 * END_S)
 
     def _pass_picture(self) -> None:
-        """To the process where that waits for one: the first in any case, then what somebody looks at."""
+        """To the process if it waits for one: the first in any case, later ones if a page shows them."""
         seen = not self._has_first or (self.is_shown and not self._page.session.absent())
         if self._wanted and seen and self._newest is not None:
             self._wanted, self._has_first = False, True

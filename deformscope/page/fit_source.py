@@ -129,7 +129,7 @@ class FollowedCamera:
         self._kept: tuple[str, str] | None = None
 
     def on_picture(self, image: ImageArray) -> None:
-        """A picture (H, W[, 3]) replaces one that was not looked at."""
+        """A picture (H, W[, 3]) replaces one that was not used."""
         self._wants, self._newest = False, image
 
     def take_rest(self) -> None:

@@ -39,7 +39,7 @@ from deformscope.terminal import say
 from deformscope_drivers.clock import monotonic_ns
 
 ROOM = 2.0
-"""While it goes on, a recording takes so many times its size on the disk."""
+"""Disk space of a running recording, as a multiple of its size."""
 
 
 @dataclass(slots=True)
@@ -71,7 +71,7 @@ class _FileTake:
 
 
 class EpisodeNotes:
-    """Notes that wait to be recorded, and the episode that goes on; the label is empty where none does."""
+    """Notes that wait to be recorded, and the present episode; the label is empty without one."""
 
     def __init__(self) -> None:
         self._waiting: list[SessionNote] = []
@@ -99,7 +99,7 @@ class EpisodeNotes:
         return label
 
     def enter_file(self) -> None:
-        """Of what follows, nothing was begun in the file yet."""
+        """Nothing of the following has begun in the file yet."""
         self._last_episode = ""
 
     def lose_file(self) -> None:
@@ -287,7 +287,7 @@ class PageRecorder:
         self._enter()
 
     def _show_file(self) -> None:
-        """How much is held and recorded, and how long that can go on."""
+        """The stored and recorded amounts, and the remaining time."""
         with self._lock:
             changes: dict[str, Any] = {"held_s": None if self._recent is None else self._recent.held_s}
             if self._take is not None:
@@ -333,7 +333,7 @@ class PageRecorder:
                     return "refused", "not while a rig is shown"
 
     def _enter(self) -> None:
-        """Have the state say what goes on, and what can be asked for."""
+        """Update the state with the present activity, and the possible requests."""
         take = self._take
         commands = ["stop", *(["tare"] if self.session.state.tares else [])]
         if take is None:

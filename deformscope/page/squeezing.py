@@ -39,7 +39,7 @@ class PageSqueezing(RobotPage):
 
 
 def show_squeezed(session: PageSession, table: Iterable[Sequence[object]]) -> None:
-    """Say what came of it, on a page that may outlive the squeeze. table: rows of a name and words"""
+    """Report the outcome, on a page that may outlive the squeeze. table: rows of a name and words"""
     rows = [(str(name), str(words)) for name, words in table]
     for name, words in reversed(rows):
         session.remark(f"{name}: {words}", bad=name == "discarded")

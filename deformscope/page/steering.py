@@ -1,4 +1,4 @@
-"""An exploration that is steered from a page: paused and gone on with, and touched where somebody points.
+"""An exploration that a page steers: paused and continued, and with touches at places that a person picks.
 
 It starts no motion: the loop of `deformscope.experiments.explore` queries it before each touch. Its robot checks in
 each control period whether the page that confirmed the touch is still present.
@@ -196,7 +196,7 @@ class PageSteering(RobotPage):
         return self._plan.target_m
 
     def _take(self, choice: NextMove, words: str) -> tuple[Outcome, str]:
-        """Give the loop what it waits for."""
+        """Give the loop its requested answer."""
         if self._choice is None:
             return "refused", "a touch is planned or under way"
         taken, self._choice = self._choice, None
@@ -220,7 +220,7 @@ class PageSteering(RobotPage):
         self.session.remark(reason)
 
     def _enter(self) -> None:
-        """Have the state say what goes on, and what can be asked for."""
+        """Update the state with the present activity, and the possible requests."""
         if not self._agreed or self.session.state.phase == "stopped":
             return
         commands = ["stop", "explore" if self._paused else "pause"]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 DPI = 110
 MARKERS = "osD^vP*Xhp"
 NUMBERED = 12
-"""Confusion matrices of so many classes have a number in each cell."""
+"""Largest number of classes whose confusion matrices have a number in each cell."""
 NAMED = 30
 """So many classes are named in a legend."""
 SHOWN_IMAGES = 15
@@ -36,7 +36,7 @@ PADS, PAD_SIDE = 36, 6
 
 
 def class_colors(count: int) -> list[Any]:
-    """(count,) colours, as distinct as so many can be."""
+    """(count,) colours, as distinct as possible."""
     if count <= len(COLOURS):
         return list(COLOURS[:count])
     from matplotlib import colormaps
@@ -48,7 +48,7 @@ def class_colors(count: int) -> list[Any]:
 
 
 def image_of(features: FloatArray) -> FloatArray:
-    """(p,) features as what they are a picture of: two tactile arrays side by side, a square patch, else one row."""
+    """(p,) features as their picture: two tactile arrays side by side, a square patch, else one row."""
     if features.size == 2 * PADS:
         gap = np.full((PAD_SIDE, 1), np.nan)
         first, second = features.reshape(2, PAD_SIDE, PAD_SIDE)

@@ -15,7 +15,7 @@ STIRRED = 0.05
 """Particles that moved this share of the largest motion belong into the picture."""
 
 ROOM, LEAST = 1.5, 8.0
-"""Side of the picture: times what moved, and at least so many spacings."""
+"""Side of the picture: a multiple of the moved part, and at least this number of spacings."""
 
 RELIEF = 0.25
 """Share of the picture's side that heights should fill."""

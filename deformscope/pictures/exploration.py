@@ -250,7 +250,7 @@ def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
 
 
 def _height_range(height_mm: FloatArray) -> tuple[float, float]:
-    """Where a scale of heights begins and ends: not so near that a level surface looks like hills."""
+    """Ends of a scale of heights: not so near that a level surface looks like hills."""
     low, high = float(height_mm.min()), float(height_mm.max())
     more = max(0.5 * (LEAST_RANGE_MM - (high - low)), 0.0)
     return low - more, high + more

@@ -104,7 +104,7 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
         rows.append(("pose", "the held particles leave the body free to turn: hold more for a reliable value"))
     if lost := found.get("lost"):
         every = int(str(found["particles"]))
-        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
+        many = "; so many that the tracking may have failed: check the picture" if int(str(lost)) * 3 > every else ""
         rows.append(("lost particles", f"{lost} of {every}: left out of the fit{many}"))
     if moved := found.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)

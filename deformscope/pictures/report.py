@@ -64,7 +64,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with what it shows, which is also read to those who do not see it."""
+    """A picture with its description, which is also the text for screen readers."""
 
     png: bytes
     caption: str

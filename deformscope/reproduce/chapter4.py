@@ -55,7 +55,8 @@ Hold = Literal[
     "layers, whole patch, raw points",
 ]
 HOLDS: tuple[Hold, ...] = get_args(Hold)
-"""What the model is made of and held by, and what it is compared with; else the thesis's Gaussian process surface."""
+"""Particles and held set of the model, and the surface that it is compared with; else the thesis's Gaussian process
+surface."""
 
 CLUSTER_SIZES: tuple[int | None, ...] = (2, 3, 4, 5, None)
 """Particles a side; None: no clusters, one that deforms quadratically (Thesis figure 4.5 (b), note 5)."""
@@ -213,7 +214,7 @@ def explore_scenario(job: tuple[str, int], own: ExploreOptions = OWN) -> Scenari
 
 
 class _Nowhere:
-    """A session's recorder that keeps nothing."""
+    """A session's recorder that stores nothing."""
 
     def write(self, items: object) -> None: ...
 

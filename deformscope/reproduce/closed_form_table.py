@@ -33,7 +33,7 @@ LOG_N_PER_MM_60 = float(np.log(0.55))
 RIGID_LOG = float(
     np.log(1e-3 * FORCE_N / (RIGID_SDS * ArmCompliance(0.0, ARM_DOUBT / ARM_STIFFNESS_N_M).depth_sd_m(FORCE_N)))
 )
-"""Log stiffness [N/mm] from which on a touch is a lower bound."""
+"""Log stiffness [N/mm] from which a touch is a lower bound."""
 
 MOST_LOG = RIGID_LOG + 0.1
 """Its effect is small next to softer material, where a part of the ball leans on its edge: so finite elements show it

@@ -23,7 +23,7 @@ TEST_OVER_TRAIN = 0.3 / 0.7
 
 @dataclass(frozen=True, slots=True)
 class FindingComparison:
-    """thesis: what it reports; ours: what the laboratory shows, with intervals"""
+    """thesis: its reported result; ours: what the laboratory shows, with intervals"""
 
     thesis: str
     ours: str

@@ -53,7 +53,7 @@ STEPS = 200
 """Time steps that are timed together."""
 
 HELD_SHARE = 1.0 / 3.0
-"""Share of the body's mass that `equal_share` gives to the held particles: what they have in a lattice of 6^3."""
+"""Share of the body's mass that `equal_share` gives to the held particles: their share in a lattice of 6^3."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +310,7 @@ def standard_error(values: Iterable[float]) -> float:
 class Spread:
     """theta over cubes of one Poisson's ratio.
 
-    of: what they share besides, "" where nothing; count: of cubes; sem: standard error of the mean;
+    of: other properties that they share, "" without any; count: of cubes; sem: standard error of the mean;
     equal_share_sem: that of `Found.equal_share_theta`
     """
 

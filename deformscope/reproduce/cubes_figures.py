@@ -251,7 +251,7 @@ def search_rows(found: Sequence[CubeResult]) -> list[dict[str, Any]]:
 
 
 def search_summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
-    """Of each search over all cubes: what it needs, and how far off its theta is."""
+    """Cost of each search over all cubes, and the error of its theta."""
     said = []
     for name in dict.fromkeys(row["search"] for row in rows):
         some = [row for row in rows if row["search"] == name]

@@ -128,7 +128,7 @@ class FoamResult:
 @dataclass(frozen=True, slots=True)
 class FoamCase:
     """One foam. images: folder that its images are left in, which then holds nothing of an earlier run; empty = none
-    changed: what it differs by from `BASE`, of a `Control`"""
+    changed: its difference from `BASE`, of a `Control`"""
 
     foam: Foam
     setup: FoamSetup

@@ -29,7 +29,7 @@ SOFT, STIFF = 20e3, (70e3, 120e3)
 HALVES = (20e3, 80e3)
 RADIUS = (0.07, 0.095)
 LEAST_SEEN = 3
-"""Fitted pokes that an inclusion holds, and unseen ones: what nothing has met cannot be predicted."""
+"""Fitted pokes within an inclusion, and unseen ones: untouched material cannot be predicted."""
 
 BORDER = 0.02
 """Pokes nearer to a border than this are near it: their contact covers both materials [m]."""
@@ -78,7 +78,7 @@ class PokedSlab:
         return Slab(SIZE, self.young, poisson)
 
     def apparent(self, place: FloatArray) -> FloatArray:
-        """Young's modulus (n,) [Pa] of the slab of one material that a poke at places (n, 2) would meet as this one."""
+        """Young's modulus (n,) [Pa] of the slab of one material with the same stiffness for a poke at places (n, 2)."""
         if self.kind == "gradual":
             return self.young(place)
         low, high = sorted(self.modulus)

@@ -33,9 +33,9 @@ LOST_SHARE = 0.1
 """Of the frames and readings of each device, at random, and besides one run of `LOST_RUN` of them."""
 LOST_RUN = 5
 PERIODS, SHIFT_M, TURN_DEG = 2.0, 0.002, 1.0
-"""An event, and a pose in the directions that are observed, may be off by so much."""
+"""Tolerances of an event, and of a pose in the observed directions."""
 OFF = 5.0
-"""A change of depth may be off by so many deviations of its stated noise."""
+"""Tolerance of a change of depth, in standard deviations of its stated noise."""
 LARGER = 1.15
 NEAR_MM = 500
 NAN = float("nan")

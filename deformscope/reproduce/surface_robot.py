@@ -150,7 +150,7 @@ class LabRobot:
         return self._see(None, ())
 
     def touch(self, command: Touch) -> TouchMeasurement:
-        """Come down along the normal that was seen, and look at the dent."""
+        """Move down along the measured normal, and measure the dent."""
         xy_m, normal = command.xy_m, command.normal
         options = self._options
         gain = self._sensing.gain * self.errors.gain_at(len(self.felt) * TOUCH_S)

@@ -1,4 +1,4 @@
-"""Explorations of table 4.1: what is asked, what came of it, and their file."""
+"""Explorations of table 4.1: their options, their outcome, and their file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from deformscope.stages.map.plan import Planner
 @dataclass(frozen=True, slots=True)
 class TableJob:
     """One exploration. go_on: to the last touch, even after the end of the plan, so that planners compare
-    closed_form: touches are contacts in closed form, instead of finite elements; clean: the laboratory keeps nothing
-    from the estimator; relief, pace: as in `ExploreOptions`
+    closed_form: touches are contacts in closed form, instead of finite elements; clean: no hidden errors in the
+    laboratory; relief, pace: as in `ExploreOptions`
     """
 
     scene: str
@@ -42,8 +42,8 @@ class MapAfter:
 
     travel_m: of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in closed
     form: as the planner reckons); compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
-    measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: its measurement
+    without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed
     """
 

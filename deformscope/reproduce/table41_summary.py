@@ -19,10 +19,10 @@ from deformscope.stages.regions.touches import MapGrid
 
 GOOD_IOU = 0.85
 PASSED_IOU = (0.8, 0.85, 0.9)
-"""How good a map is to be where planners are compared by what it took them."""
+"""Quality of a map at which planners are compared by their cost."""
 
 FOUND_IOU = 0.5
-"""A small region is found where the number of regions is right and its match overlaps it so much."""
+"""A small region is found if the number of regions is right and its match overlaps it by this share."""
 
 LOOKED_AT = (3, 4, 6, 8, 12)
 """Touches that a table reports; the thesis touched 3 or 4 times."""
@@ -42,8 +42,7 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
     stopped: share of runs whose plan ended before the budget; wrong, wrong_claimed: mean share of the surface with a
     wrong label, found and expected; unseen: probability that inclusions are there unseen, median, and unseen_missed,
     over layouts whose smallest region was not found
-    unmet_m: radius of the largest disc of another material that no touch would have met, median
-    None where there is nothing to report
+    unmet_m: radius of the largest disc of another material without a touch, median None if there is nothing to report
     """
     last = [run.at(touches) for run in runs]
     scores = [after.score for after in last]

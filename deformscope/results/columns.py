@@ -8,7 +8,7 @@ from typing import Any
 from deformscope.results.render import to_json
 
 LOW, HIGH = "_low", "_high"
-"""What follows the name of a quantity, for the ends of its interval."""
+"""Suffixes of a quantity's name, for the ends of its interval."""
 WORDS = 200
 """Letters of a text that a column takes."""
 

@@ -13,7 +13,7 @@ Rows = list[tuple[str, str]]
 
 
 class ReportedResult:
-    """A dataclass whose JSON is what it declares. A class variable `parameter` names what was fitted."""
+    """A dataclass whose JSON follows from its declarations. A class variable `parameter` names what was fitted."""
 
     __slots__ = ()
 

@@ -42,7 +42,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 PICTURE_ENDS = (("its brightest", 0.5), ("black", 0.98))
 """So much of a picture at one end, and it is saturated: a dark room is not, a lens with its cap is."""
 PICTURE_STEP = 8
-"""Of a picture each so-many-th pixel is looked at, along both sides."""
+"""Step between the checked pixels of a picture, along both sides."""
 
 Values = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
@@ -89,8 +89,9 @@ class _Stretches:
 
 @dataclass(slots=True)
 class _Watched:
-    """A device. words: of its alarms that go on, by what they are of; newest_ns: of what was looked at, by its kind, as
-    an alarm is cleared by what shows it alone; seen_ns: when each cause was last seen, silence since then left out"""
+    """A device. words: of its active alarms, by their subject; newest_ns: of the last checked item, by its kind,
+    because only items of its kind clear an alarm; seen_ns: when each cause was last seen, silence since then left
+    out"""
 
     stuck_after_s: float | None
     stretches: _Stretches | None = None
@@ -110,7 +111,7 @@ class SensorAlarms:
         self._watched = {name: _Watched(stuck_after_s.get(name)) for name in self._streams}
 
     def of(self, device: str) -> tuple[str, ...]:
-        """The alarms of a device that go on, in words that begin with `stuck` or `saturated`."""
+        """The active alarms of a device, as text that begins with `stuck` or `saturated`."""
         return tuple(self._watched[device].words.values()) if device in self._watched else ()
 
     def look(self, items: Sequence[Item]) -> list[SessionNote]:
@@ -134,14 +135,14 @@ class SensorAlarms:
 
 
 def _leave_out_silence(watched: _Watched, kind: type, first_ns: int) -> None:
-    """Nothing is cleared by time in which nothing came. first_ns: of what comes now"""
+    """Nothing is cleared by time in which nothing came. first_ns: of new items"""
     silent_ns = first_ns - watched.newest_ns.get(kind, first_ns)
     if silent_ns > CLEAR_S * 1e9:
         watched.seen_ns = {what: at_ns + silent_ns * (what[0] is kind) for what, at_ns in watched.seen_ns.items()}
 
 
 def _changes(name: str, watched: _Watched, kind: type, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
-    """kind: of what shows them; causes: in words, by what they are of"""
+    """kind: of what shows them; causes: as text, by their subject"""
     notes = []
     watched.newest_ns[kind] = now_ns
     for what, words in causes.items():

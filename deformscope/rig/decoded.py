@@ -50,7 +50,8 @@ class Redecoder(ABC):
     """Makes frames of one device's bytes, as its driver did.
 
     left_out: what of a frame its bytes do not decide; compares: the fields that they determine, besides the stamp
-    listening: what comes now is for the decoder; late_answers: what comes too late for its driver is no frame
+    listening: whether new items are for the decoder; late_answers: an answer that is too late for its driver is no
+    frame
     """
 
     left_out = ""
@@ -242,7 +243,7 @@ class _Check:
                 yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
 
     def _settle(self) -> None:
-        """Compare what came at one moment. Frames of a device with corrected stamps come before their bytes."""
+        """Compare the items of one moment. Frames of a device with corrected stamps come before their bytes."""
         recorded, decoded, self._decoded = [], self._decoded, []
         while self._recorded and self._recorded[0].stamp.arrived_ns <= self._now_ns:
             recorded.append(self._recorded.popleft())

@@ -30,7 +30,7 @@ class TareDrift:
         self.tare()
 
     def tare(self) -> None:
-        """It was tared: what comes from now on is compared with the second that follows."""
+        """It was tared: later readings are compared with the second that follows."""
         self.unit = ""
         self.now: Axes = np.zeros(0)
         self.loaded = False

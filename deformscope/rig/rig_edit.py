@@ -46,7 +46,7 @@ def edited(text: str, values: Values) -> str:
 
 
 def _set(lines: list[str], section: str, key: str, value: str) -> None:
-    """Put `key = value` in the place of what there is, else at the end of its section, else into a new section."""
+    """Put `key = value` in the place of an existing value, else at the end of its section, else into a new section."""
     header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]\s*(#.*)?$")
     start = next((index for index, line in enumerate(lines) if header.match(line)), None)
     if start is None:

@@ -47,7 +47,7 @@ class RigDevice:
     name: as its frames and recordings call it; config: its driver's own configuration
     double: run a simulated device in its place
     trusted: whether a vendor's library that the configuration names is loaded from wherever it is
-    late_ns: how late it is, by `calibrate time` [ns]: its stamps are put back by so much
+    late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps
     """
 
     name: str
@@ -137,7 +137,7 @@ class Tool:
 
 
 USUAL_THICKNESS_M = 0.05
-"""What a surface is looked for at, where its thickness is not stated."""
+"""Height at which a surface without a stated thickness is sought."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ class SurfaceSection:
 
     @property
     def top_m(self) -> float:
-        """Where the surface is looked for, above the table [m]."""
+        """Height at which the surface is sought, above the table [m]."""
         return USUAL_THICKNESS_M if self.thickness_m is None else self.thickness_m
 
 
@@ -309,7 +309,8 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
 
 
 def _read_regular(path: Path) -> bytes:
-    """A file's bytes; raises InputError for what has no end, such as a device or a pipe, and for what is too large."""
+    """A file's bytes; raises InputError for sources without an end, such as a device or a pipe, and for too large
+    files."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):

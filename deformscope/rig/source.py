@@ -25,8 +25,8 @@ HEALTH_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RigMember:
-    """A device to be opened. device: closed yet; simulated: a double replaces it; late_ns: its stamps are put back by
-    so much, as calibrated"""
+    """A device to be opened. device: closed yet; simulated: a double replaces it; late_ns: calibrated delay, subtracted
+    from its stamps"""
 
     name: str
     driver: Driver
@@ -54,7 +54,7 @@ class RigSource:
     raw: also the bytes of every wire; clock: that the devices stamp by
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
-    latest_ns: by how much the stamps of the latest device are put back; start_ns: of the session, so much before they
+    latest_ns: by how much the stamps of the latest device are put back; start_ns: of the session, this long before them
     open: no frame is older
     """
 
@@ -128,7 +128,7 @@ class RigSource:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more can come of any device: files at their end, links given up."""
+        """Whether no device can give any more items: files at their end, links given up."""
         return bool(self._opened) and all(opened.readings.ended for opened in self._opened)
 
     @property
@@ -170,7 +170,7 @@ class RigSource:
                 opened.failure = " ".join(str(error).split()) or type(error).__name__
 
     def rest(self) -> list[Item]:
-        """What the queues hold, in order of time, without waiting and without a look at anyone's health."""
+        """Remaining items of the queues, in order of time, without waiting and without health."""
         items: list[Item] = []
         for opened in self._opened:
             items += self._take_from(opened)

@@ -71,11 +71,11 @@ class SqueezeSection:
     open_deg: of the proximal axes in the pre-shape; None = 20 deg before the contact that the container's width gives
     distal_deg: of the distal axes throughout; None = so that the fingertips are upright at that contact
     thumb_deg: proximal and distal angle at which the thumb is parked
-    onset_counts: the sum of a fingertip's texels is so much above what it was in the air: contact
-    onset_frames: so many frames one after the other
+    onset_counts: rise of the sum of a fingertip's texels above its value in the air that means contact
+    onset_frames: in this number of successive frames
     still_deg, still_s: the closing axes stay within still_deg for still_s under the constant current: steady state
     hold_s: duration of the current after that, for the relaxation
-    over_squeeze_m: the fingertips may come closer by so much after the first contact
+    over_squeeze_m: limit on the fingertips' closing after the first contact
     contact_timeout_s, still_timeout_s: to the first contact, and from there to the steady state
     hand_silent_s, tactile_silent_s: limits on silence that stop the hand. They are five periods of the hand's 25 Hz,
     and nearly four of pads that give 11 frames a second at worst; longer ones are for a busy machine

@@ -21,8 +21,7 @@ TRY = (
 def system_library(path: Path) -> Path:
     """Where a library really is, without links.
 
-    Raises InputError unless that is in one of the system's folders, and nobody but the administrator could have put it
-    there.
+    Raises InputError unless that is in one of the system's folders, and only the administrator could have put it there.
     """
     try:
         real = path.resolve()

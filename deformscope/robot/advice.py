@@ -1,4 +1,4 @@
-"""What a person should see to after the robot has stopped, before it is started again."""
+"""Advice for a person after a stop of the robot, before it is started again."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     TouchEnding.NO_CONTACT: "the surface's height: the camera's pose in the rig file, and the sample's place",
     TouchEnding.NOT_REACHED: _PLACE,
 }
-"""What to look at, by the supervisor's fault or the touch's ending."""
+"""Advice, by the supervisor's fault or the touch's ending."""
 
 _PADS = "the tactile controller's supply and cable: deformscope doctor RIG reads it"
 OF_HAND: dict[Fault | TouchEnding, str] = {
@@ -93,6 +93,6 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
 
 
 def advice(cause: Fault | TouchEnding, *, hand: bool = False) -> str:
-    """What a person should look at, by the supervisor's fault or the touch's ending; empty where there is nothing to
-    see to. hand: the arm carries one"""
+    """Advice for a person, by the supervisor's fault or the touch's ending; empty without a need. hand: the arm carries
+    one"""
     return (ADVICE | OF_HAND if hand else ADVICE).get(cause, "the robot and what lies around it")

@@ -1,4 +1,4 @@
-"""A table of checks, each with what was expected and what came, and what to do about those that have not passed."""
+"""A table of checks, each with its requirement and its finding, and the remedy of failed ones."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A condition for moving. name: what was looked at; wanted, came: expectation and finding as text"""
+    """A condition for moving. name: the checked item; wanted, came: expectation and finding as text"""
 
     name: str
     passed: bool

@@ -17,9 +17,9 @@ from deformscope_drivers.arm.kinematics import FloatArray
 ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Low and high corner [m]."""
 APART_M = 0.15
-"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Longer than a
-wrist's links, shorter than a forearm. With a smaller value, neighbours would always count as touching; with a larger
-one, a wrist folded onto its forearm would be missed."""
+"""Parts of an arm that are joined by a shorter piece of it than this cannot collide: their joint is between them.
+Longer than a wrist's links, shorter than a forearm. With a smaller value, neighbours would always count as touching;
+with a larger one, a wrist folded onto its forearm would be missed."""
 FROM_ELBOW = 2
 """Links from the base that may be near the table: pedestal and shoulder are mounted on it."""
 
@@ -65,7 +65,7 @@ class ArmClearance:
         return float((inside - radius_m).min())
 
     def to_itself_m(self, T_base_links: FloatArray) -> float:
-        """Distance between the nearest two parts that could meet [m]; below 0 they overlap; inf where none could.
+        """Distance between the nearest two parts that may collide [m]; below 0 they overlap; inf if none may.
         T_base_links: (n + 1, 4, 4)"""
         if not len(self._pairs):
             return float("inf")

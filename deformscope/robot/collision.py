@@ -23,14 +23,15 @@ IN_A_ROW = 2
 """Readings that differ, all beyond the limit, are a collision: one alone may be an outlier."""
 
 LEARNS_S, LOOKS_S = 0.8, 0.1
-"""What currents were for so long says what they are to be in the time after it. A longer fit leaves the arm unwatched
-for longer after a change of motion (0.9 s in all); a shorter one makes the line, and so the limit, less certain. A
-longer detection window finds a collision later, a shorter one uses fewer readings."""
+"""Window of currents that predicts the following ones. A longer fit leaves the arm unwatched for longer after a change
+of motion (0.9 s in all); a shorter one makes the line, and so the limit, less certain. A longer detection window finds
+a collision later, a shorter one uses fewer readings."""
 LEAST_READINGS = 20
 """Fewer readings of that time are not enough: 20 readings give the noise's standard deviation within 16 %, one over the
 root of twice their number."""
 STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
-"""Joints go on as they went within so much, and so much of a second's way: else friction and inertia change too."""
+"""Joints have the same motion within this speed, and this share of a second's travel: else friction and inertia change
+too."""
 CURRENT_NOISE = 7.0
 """Deviations of their noise by which currents are off in a collision. With 7, a dead sensor lets doubles of 5, 20 and
 100 N/mm press with 8.2, 13.0 and 7.6 N (`docs/results/safety.md`). A smaller value stops for ripple, a larger one presses

@@ -23,10 +23,10 @@ BEGUN_N = 0.3
 """Above this [N] a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
 HELD_PERIODS = 40
 """Control periods for which a push is held, 0.4 s: the median of the second half counts, once the finger has come to
-its force. Of a shorter one a knock would do; for a longer one people let go too early."""
+its force. A knock would satisfy a shorter one; people release before a longer one ends."""
 PATIENCE_S, PUSHES = 60.0, 3
-"""For a person to press [s], and how many pushes are looked at, before the check fails and the arm stays where it is.
-More only wait for longer."""
+"""Time for a person's press [s], and number of evaluated pushes, before the check fails and the arm does not move. More
+only wait for longer."""
 FINGER = (
     f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (500 g on a kitchen "
     "scale), and hold it for a second. This arm has no joint torques: its force sensor is its only guard."
@@ -37,7 +37,7 @@ WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N
 def press_by_finger(
     robot: Robot, press: Callable[[FloatArray], None] | None = None, say: Callable[[str], None] = lambda words: None
 ) -> Check:
-    """Whether the force sensor measures a push from below as it was asked for, in size and direction; nothing moves.
+    """Whether the force sensor measures the requested push from below, in size and direction; nothing moves.
 
     press: in a laboratory, a finger that presses with (3,) [N, surface frame]; None = a person, whom `say` instructs A
     force above the soft stop is acknowledged at the end. Raises RobotStopped above the hard stop.
@@ -76,7 +76,7 @@ def _felt_n(robot: Robot) -> FloatArray:
 
 
 def _judged(force_n: FloatArray, soft_n: float) -> tuple[bool, str]:
-    """Whether a push (3,) [N, surface frame] has the size and direction asked for, and both in words."""
+    """Whether a push (3,) [N, surface frame] has the requested size and direction, and both as text."""
     size_n = float(np.linalg.norm(force_n))
     astray_deg = math.degrees(math.acos(np.clip(force_n[2] / size_n, -1.0, 1.0)))
     right = LEAST_N <= size_n <= soft_n and astray_deg <= ASTRAY_DEG

@@ -24,8 +24,8 @@ PADS_HZ = 11.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingertipReading:
-    """force_n: (1, 3) sum of each finger's arrays [N], one finger per axis; counts: the controller's time, which goes
-    on although arrays in the air may all say 0"""
+    """force_n: (1, 3) sum of each finger's arrays [N], one finger per axis; counts: the controller's time, which
+    advances although arrays in the air may all read 0"""
 
     stamp: Stamp
     force_n: FloatArray

@@ -1,4 +1,4 @@
-"""An arm that nothing guards but the force at its tip: how fast it may meet something, and how far it may miss it.
+"""An arm whose only guard is the force at its tip: its speed before contact, and how far it may miss the surface.
 
 An arm with joint torques notices a contact that its force sensor does not show; this one presses on. The approach is
 slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness times speed
@@ -21,16 +21,16 @@ ARM_CYCLES = 3.0
 another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`); a larger value makes every touch
 slower."""
 SLOWEST_M_S = 1e-3
-"""The tip comes down no more slowly than this: 3 cm take half a minute. Where it would have to, the preflight refuses
-(`tip: force at contact`); slower makes a touch that nobody waits for."""
+"""The tip comes down no more slowly than this: 3 cm take half a minute. If it would have to, the preflight refuses
+(`tip: force at contact`); a slower touch would take too long."""
 CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
 """Share of the hard stop that a contact may reach where it is expected, and higher up. Larger leaves less for a delay
 that is longer than reckoned; smaller makes every touch slower. Measured with them: 14.1 N of 15 N where a surface was
 45 mm too high and axes lagged by another 60 ms (`docs/results/safety.md`)."""
 MISS_M = 0.005
-"""So far below the seen surface, beyond the camera's doubt, the tip is sent where it has met nothing [m]. An arm whose
-sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/results/safety.md`); a smaller value
-misses a surface whose height was overestimated."""
+"""Distance below the observed surface, beyond the camera's uncertainty, to which the tip is sent without a contact [m].
+An arm whose sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/results/safety.md`); a
+smaller value misses a surface whose height was overestimated."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 """If the fastest joint would reach a singularity within this angle, as the smallest singular value falls, all joints
 slow down in proportion, to this share at least. So a path through it continues, and ends in time (`travel.SLACK`)."""
 AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
-"""So far on the smallest singular value is looked at, up to SINGULAR_DEG: it may fall faster later than it does now.
+"""Angle over which the smallest singular value is extrapolated, up to SINGULAR_DEG: it may fall faster later than now.
 Between fewer of them a fall is noticed late; each more is a forward kinematics in every control period."""
 OFF_COURSE_M_S = 1e-3
 """Absolute part of a velocity that may be lost or turned away, besides the share `OFF_COURSE`. Corrections at rest are

@@ -42,8 +42,8 @@ TOLERANCES: dict[str, Any] = {
     "rotation_tolerance_rad": 1e-3,
     "margin_deg": PLAN_MARGIN_DEG,
 }
-"""Of planned poses: a third of what counts as reached (`travel.REACHED_M`, `travel.REACHED_RAD`). Larger, the joint
-angles planned with are not those that the arm comes to; smaller costs iterations."""
+"""Accuracy of planned poses: a third of the accuracy of reached ones (`travel.REACHED_M`, `travel.REACHED_RAD`).
+Larger, the joint angles planned with are not those that the arm comes to; smaller costs iterations."""
 WAY_M = 0.01
 """Distance between the places of a route that are checked [m]: at half a metre from a joint it is a turn of 1 deg.
 Larger may step over a limit or a singularity between two; smaller takes longer in proportion."""
@@ -188,8 +188,7 @@ def follow(
     bool: many routes at once cost little more than one.
 
     start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
-    configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
-    a singularity is near, its damping keeps the arm on its way (`commands.OFF_COURSE`).
+    configuration that the arm is in.
     meanwhile: called every few milliseconds
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))

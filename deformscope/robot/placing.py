@@ -44,11 +44,11 @@ TRIES = 40
 """Grasps that are drawn at most: with one of ten within reach a drawing fails once in 70 times."""
 STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
 """Largest distance of the hand from its placement, largest turn (half a centimetre at the fingertips), and largest
-distance of each joint from the start of a planned path. More, and the ways that were looked at are not those it takes;
-less, and an arm that settles counts as moved."""
+distance of each joint from the start of a planned path. A larger one permits other paths than the checked ones; with a
+smaller one a settling arm counts as moved."""
 BEGINS_AT_IT = "as the arm begins too near the container"
 STEP_DEG = 2.0
-"""Between the joint angles that are looked at on a way: 2 cm of an arm half a metre long."""
+"""Spacing of the checked joint angles on a path: 2 cm of an arm half a metre long."""
 
 
 def _counted(refused: Sequence[str]) -> list[str]:
@@ -173,8 +173,8 @@ def withdraw(robot: Robot, plan: GraspPlan, phase: Callable[[str], None]) -> Non
 
 APPROACH_M_S = 0.02
 """Speed limit within `FREE_M` of the container, as for a tip in the last 3 cm: arrays that report 11 times a second
-then advance 2 mm between two frames. Slower, an approach of 12 cm takes longer than 6 s; faster, a container that is
-met topples."""
+then advance 2 mm between two frames. With a lower one, an approach of 12 cm takes longer than 6 s; with a higher one, a
+container that is hit topples."""
 
 
 def strayed(robot: Robot, plan: GraspPlan) -> str:

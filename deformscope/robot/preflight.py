@@ -1,4 +1,4 @@
-"""What must be right before the robot moves: a table of checks, each with what was expected and what came."""
+"""Requirements before the robot moves: a table of checks, each with its requirement and its finding."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ ZERO_N = 0.6
 """Greatest load in free air [N]: what a sensor may have drifted since it was zeroed (no figure of it is published).
 Larger, a tip that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
 NOISE_N = 0.05
-"""Greatest deviation of a reading in free air [N]: half of what counts as contact (`TouchPlan.contact_force_n`).
-With a larger one, noise would count as contact; a smaller one refuses usable sensors."""
+"""Greatest deviation of a reading in free air [N]: half of the contact's threshold (`TouchPlan.contact_force_n`). With
+a larger one, noise would count as contact; a smaller one refuses usable sensors."""
 STILL_DEG = 0.05
-"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. Smaller, the resolution
-of the reported joints counts as motion; larger, an arm that somebody moves slowly is zeroed."""
+"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. With a smaller one, the
+resolution of the reported joints counts as motion; with a larger one, an arm that a person moves slowly is tared."""
 LATE_MS = 20.0
 """Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Larger, forces grow for
 longer before the arm is stopped; smaller, a computer with other work is refused."""
@@ -64,7 +64,7 @@ detects a stuck axis later."""
 FORCE_TURNED = "[tool] R_tip_force"
 """Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
-"""A collision's limit is so many deviations of the torques' noise at least."""
+"""A collision's limit is at least this number of standard deviations of the torques' noise."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
 """Greatest age of a reading by device [s], or two of its periods if longer: within the supervisor's limit on silence
 (`Limits`), and three periods of a camera at 30 Hz. Larger, a device passes that is stopped for silence at once;
@@ -83,10 +83,10 @@ def check(
 ) -> Preflight:
     """Check a robot at rest for half a second, and its planned motion.
 
-    plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
-    it is; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera" (default: as their
-    configurations say); lift_m: the plans are so far above the surface; described: what hand and cables look like
-    Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
+    plans: the touches, or those at the corners of where it may touch; calibrated: the required calibrations, by name,
+    and whether they are done; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera"
+    (default: as their configurations say); lift_m: the plans are so far above the surface; described: what hand and
+    cables look like Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
     """
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]

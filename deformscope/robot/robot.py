@@ -107,9 +107,10 @@ class Robot:
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 
     commanded: speed of the tip's centre [m/s] of every period
-    reason_to_stand: asked in each period in which it is to move: a reason not to, empty = none
+    reason_to_stand: called in each period with motion: a reason against it, empty = none
     rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
-    share: of the tip's velocity asked for last that was sent: less near joint limits and singularities; nan for joints
+    share: sent part of the tip's velocity that was requested last: less near joint limits and singularities; nan for
+    joints
     """
 
     def __init__(
@@ -210,8 +211,7 @@ class Robot:
 
         Raises MotionHeld where `reason_to_stand` gave one: it was sent nothing, and stood for the period. Raises
         RobotStopped, now and after every later call until the supervisor's `acknowledge`, when the robot must stop. The
-        arm is then halted and its waiting points are erased. What makes the robot back off is the caller's to carry
-        out.
+        arm is then halted and its waiting points are erased. The caller carries out a back-off.
         """
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
@@ -266,7 +266,7 @@ class Robot:
         self.supervisor.stop(Fault.ASKED, reason, self._clock())
 
     def stand_by(self, duration_s: float) -> None:
-        """Stand still and let time pass, stopped or not: for a recording that shows what came after. The verdict is
+        """Rest and let time pass, stopped or not: for a recording that shows the time after. The verdict is
         unchanged."""
         end_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < end_ns:
@@ -319,8 +319,8 @@ class Robot:
         self.supervisor.start(self._clock())
 
     def rest(self) -> None:
-        """Close the devices' queues until `start`, while something is computed or a person asked: they would overflow,
-        and count losses."""
+        """Close the devices' queues until `start`, during a computation or a question: they would overflow, and count
+        losses."""
         for queue in (self._forces, self._states, self._pictures):
             if queue is not None:
                 queue.close()

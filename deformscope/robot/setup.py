@@ -40,7 +40,7 @@ ROLES = ("arm", "wrench", "depth")
 CAMERA_HZ = 30.0
 """What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
 FEWEST_PERIODS = 1.5
-"""Of a device's own period: a limit on its silence is at least so long, as a reading that comes late is no fault."""
+"""Number of a device's own periods that its limit on silence has at least, because a late reading is no fault."""
 T_BASE_SURFACE = transform(np.eye(3), (-0.30, -0.55, 0.0))
 """(4, 4) surface frame to the arm's base frame [m] by default: the arm is 0.15 m beyond the middle of the long edge at
 y = 0.4 m, and the far corners are 0.63 m from its axis."""
@@ -77,7 +77,8 @@ class Setup:
 
     open_source: opens all devices; names: of arm, force sensor and camera among them
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
-    calibrated: what has to be known before the arm moves, by name, and whether it is; ages: of what was measured
+    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: of what was
+    measured
     simulated: nothing real moves; truth: what is simulated, None where that is not known
     runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
     zeroed: the force sensor's zero is taken as the devices open

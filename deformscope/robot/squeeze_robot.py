@@ -44,7 +44,7 @@ hand's default of 100 deg/s2 it would be 60 ms."""
 PRESHAPE_DEG_S = 40.0
 """Of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
 MISSED_DEG = 2.0
-"""An axis that ends so far from its pre-shape met something: four times the precision of its angles."""
+"""An axis that ends this far from its pre-shape has hit something: four times the precision of its angles."""
 SETTLE_READINGS = 13
 """A hand may report the states from before a command for half a second (IPA): 13 readings at 25 Hz."""
 PRESHAPE_MARGIN_S = 4.0
@@ -77,7 +77,7 @@ class SqueezeStopped(Exception):
 class SqueezeRobot:
     """Opened devices and a supervisor; `cycle` is one control period.
 
-    hand_readings, tactile_frames: what came in the last period, oldest first
+    hand_readings, tactile_frames: items of the last period, oldest first
     on_cycle: called in every period, before it is judged: whoever watches may ask to stop
     """
 
@@ -119,7 +119,7 @@ class SqueezeRobot:
     def cycle(self, closing_deg_s: float | None = None) -> None:
         """Close at a speed (None = unchanged), let a control period pass, read the devices, and have them judged.
 
-        Raises SqueezeStopped where the hand must not go on: it was stopped then.
+        Raises SqueezeStopped when the hand must stop: it was stopped then.
         """
         if closing_deg_s is not None:
             velocity = [0.0] * AXIS_COUNT
@@ -139,7 +139,7 @@ class SqueezeRobot:
             raise SqueezeStopped(verdict)
 
     def stand_by(self, duration_s: float) -> None:
-        """Let time pass, stopped or not: for a recording that shows what came after."""
+        """Let time pass, stopped or not: for a recording that shows the time after."""
         until_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < until_ns:
             self._wait_until(min(now_ns + SQUEEZE_PERIOD_NS, until_ns))
@@ -167,8 +167,8 @@ class SqueezeRobot:
         self.command(lambda: self._move(self.shape.open_deg))
 
     def release(self) -> None:
-        """Open the fingers after a stop: what they hold is not to be pressed any longer. Raises SqueezeStopped where
-        the hand does not."""
+        """Open the fingers after a stop: they must not press their content any longer. Raises SqueezeStopped where the
+        hand does not."""
         self.supervisor = SqueezeSupervisor(self.squeeze, self._fingers, self._clock(), closing=False)
         self.preshape()
 

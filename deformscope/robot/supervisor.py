@@ -1,4 +1,4 @@
-"""Whether the arm may go on: limits of forces, speeds, joints and space, and the age of what its devices report.
+"""Whether the arm may continue: limits of forces, speeds, joints and space, and the age of its devices' reports.
 
 `BACK_OFF` and `STOP` hold until `acknowledge`, and the worse of the two wins (`latch`).
 """
@@ -22,7 +22,7 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vecto
 
 
 class Fault(StrEnum):
-    """Why it must not go on."""
+    """Why it must stop."""
 
     NONE = "none"
     FORCE_SOFT = "force above the soft stop"
@@ -69,8 +69,8 @@ class Limits:
     speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
     tilt_deg: between the rotation of the arm's end as measured and as commanded: 5 deg carry a stick of 10 cm 9 mm
     joint_margin_deg: no joint comes nearer to the end of its range
-    table_m, itself_m: elbow and wrist come no nearer to the table's top, and no parts of the arm to one another that
-    could meet (`clearance.ArmClearance`)
+    table_m, itself_m: least distance of elbow and wrist from the table's top, and between parts of the arm that may
+    collide (`clearance.ArmClearance`)
     arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
     collision_nm: largest difference of a joint's torque from its mean of the last seconds, besides the effect of the
     force on the tip; more is a collision (`collision.CollisionWatch`), 0 = torques are ignored
@@ -81,8 +81,8 @@ class Limits:
     arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
     excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
-    camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
-    so many times after its first is a frozen camera (noise makes two real ones differ)
+    camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
+    repeats of a picture that mean a frozen camera (noise makes two real ones differ)
     """
 
     soft_force_n: float = 8.0
@@ -149,7 +149,7 @@ like speed; over more, a fast arm is noticed later."""
 APPROACH_DEG_S = 0.5
 """A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
-"""A judgement so long after the last one, two control periods, came late (`LatchingSupervisor`)."""
+"""A judgement this long after the last one, two control periods, was late (`LatchingSupervisor`)."""
 TIP_DECAY = 0.995
 """Share of a force on the tip that explains joint torques still at a reading 1 ms later: torques are read in turn, up
 to 0.2 s after (`reading.TURN_NS`)."""
@@ -173,8 +173,8 @@ class Supervisor(LatchingSupervisor[Fault]):
         clearance: of the chain from table and itself; None = it is not watched
         by_hand: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
 
-        axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = not known,
-        and only all of them together are looked at
+        axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = unknown, and
+        only all of them together are checked
         """
         super().__init__(Fault.NONE, LATE_NS)
         self.limits = limits
@@ -230,7 +230,7 @@ class Supervisor(LatchingSupervisor[Fault]):
     ) -> SafetyDecision:
         """What to do now.
 
-        commanded_m_s: the speed asked for since the last call; commanded_rotation: (3, 3) of the arm's end in the base
+        commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) of the arm's end in the base
         frame, None = any; camera_needed: its pictures matter now, so that it must not be silent or frozen
         """
         self._begin(seen.now_ns)

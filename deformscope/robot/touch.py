@@ -71,9 +71,9 @@ class TouchPlan:
     standoff_m: of the tip above the point before and after; travel_height_m: z of the tip's centre when it crosses
     slow_within_m: nearer to the point than this, the approach is slow; miss_m: so far below the point it is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
-    contact_force_n: along the normal means contact; dwell_s: still for so long; dwell_at_most_s: dwell no longer
+    contact_force_n: along the normal means contact; dwell_s: duration at rest; dwell_at_most_s: dwell no longer
     tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
-    passing_m: so near above the point the tip goes on, without coming to rest where it is sent
+    passing_m: distance above the point at which the tip continues, without coming to rest there
     slow_back: until contact is lost it goes back as slowly as it came, for the energy that the foam gives back
     braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
     rigid_n_m: stiffness that a contact is taken to have before it is known
@@ -208,7 +208,7 @@ STILL_S = 0.3
 """Time over which force and place must hold [s], and over whose last their means are taken. Shorter, a dent that still
 creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/results/maps.md`)."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
-"""What may vary meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
+"""Allowed variation meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
 reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch until it may dwell no
 longer; larger, creep counts as still, and as depth."""
 PAUSE_PERIODS = 3
@@ -218,9 +218,10 @@ NEAR_M = 2e-4
 """So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
 """Time limit of a press without its force [s]: the greatest depth of 15 mm takes 1.5 s at 10 mm/s, the rest is for soft
-foam, which is loaded slowly. Shorter ends touches of soft things; longer goes on where the force is never reached."""
+foam, which is loaded slowly. A shorter one ends touches of soft foam; a longer one continues where the force is never
+reached."""
 AVERAGED_NS = 3_000_000
-"""Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
+"""Forces within this time of an arm's state are averaged for it: symmetric in time, so that nothing lags."""
 
 
 class TouchStateMachine:
@@ -411,10 +412,10 @@ def run_touch(
 ) -> TouchRecord:
     """Travel above the place, take the tare, touch, and come back above it.
 
-    still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
-    alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises for what
-    happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody
-    acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
+    still_seen: whether the observer of the dent (a camera) sees no change; called during the dwell, when the camera
+    must be alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises
+    for faults of the robot: `ending`, `fault` and `reason` report them, and the supervisor's verdict holds until a
+    person acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
     return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
 
@@ -641,7 +642,7 @@ def take_tare(robot: Robot) -> FloatArray:
             taken += [sample for sample in seen.forces if sample.usable]
     forces_n = np.array([sample.force_n for sample in taken]).reshape(-1, 3)
     if len(forces_n) < 20:
-        raise NotThere("20 usable forces in 0.3 s", f"{len(forces_n)}", "look at the force sensor")
+        raise NotThere("20 usable forces in 0.3 s", f"{len(forces_n)}", "check the force sensor")
     halves = np.array_split(forces_n, 2)
     varies_n = float(np.max(np.abs(halves[0].mean(axis=0) - halves[1].mean(axis=0))))
     noise_n = forces_n.std(axis=0)

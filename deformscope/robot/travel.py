@@ -38,10 +38,11 @@ PASSED_M, PASSED_RAD = 3e-3, 0.05
 """Within these a point in between counts as passed. Wider cuts corners, which is why ways lead higher by this
 (`find_way`); closer, the arm slows down at each of them."""
 SAG_M = 0.01
-"""Joint by joint the tip may sink by so much below the height at which it crosses, since such a way is no straight
-line. More, and it may meet what lies on the surface; less, and more places are left out because no way leads there."""
+"""Joint by joint the tip may go this far below the height at which it crosses, because such a path is not straight.
+With a larger one, it may hit objects on the surface; with a smaller one, more places are left out because no path leads
+there."""
 SLACK = 3.0
-"""A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
+"""Time limit of a path as a multiple of its planned time, plus two seconds."""
 
 
 class NotThere(InputError):
@@ -60,7 +61,7 @@ def move_tip(
 ) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    passing: it goes on from there, so that near is enough; near_m: else so near; braking_per_s: as of `TouchPlan`
+    passing: it continues from there, so that near is enough; near_m: else this near; braking_per_s: as of `TouchPlan`
     Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
@@ -94,7 +95,7 @@ def move_to(
 
 
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
-    """To joint angles (n,), all arriving together; where from and by what way is not looked at: only through free air.
+    """To joint angles (n,), all arriving together; start and path are not checked: only through free air.
 
     Raises as `move_tip` does.
     """
@@ -129,9 +130,9 @@ def to_above(
 
     Straight where the arm can follow. The first time, and where a straight path leads near a joint's limit or a
     singularity, joint by joint: other joint angles for the same pose are then sought.
-    height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]; passing_m: so near the place is near enough; braking_per_s: as of `TouchPlan`.
-    Raises NotThere where neither is possible: before it moves, or high above where it was.
+    height_m: z of the tip's centre while it crosses; deepest_m: (3,) end of a following straight path [m, surface
+    frame]; passing_m: distance from the place that is near enough; braking_per_s: as of `TouchPlan`. Raises NotThere
+    where neither is possible: before it moves, or high above where it was.
     """
     way = find_way(
         robot.arm.chain,

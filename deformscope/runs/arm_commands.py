@@ -137,8 +137,8 @@ def go(
 
 
 def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys: Keys | None = None) -> FloatArray:
-    """Move the tip by keys until somebody leaves; (3,) where its centre then is, surface frame [m]. keys: default:
-    those of the terminal"""
+    """Move the tip by keys until the person leaves; (3,) the final place of its centre, surface frame [m]. keys:
+    default: those of the terminal"""
 
     def work(robot: Robot, setup: Setup) -> None:
         say(HELP)
@@ -178,9 +178,9 @@ def _moved(
     work: Callable[[Robot, Setup], None],
     leave_out: tuple[str, ...],
 ) -> FloatArray:
-    """Open the devices, look at all that matters, ask, and let something move the robot, which is halted in the end.
+    """Open the devices, run the checks, ask, and carry out the motion of a robot, which is halted in the end.
 
-    Where devices have threads of their own, the robot has one too: what they give is recorded in this one.
+    For devices with threads, the robot has one too: their items are recorded in this one.
     """
     setup = setup_of(config.rig, ExploreOptions(), None, trusted=config.trust_rig).setup
     with (

@@ -65,12 +65,13 @@ from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]
-"""A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
+"""A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and a pair file's other
+arrays."""
 
 FLOW_S_PER_PX = 5e-7
-"""Flow both ways from a frame to the next in steady motion takes about so long on two cores [s/px]."""
+"""Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
 FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
-"""Frames of a long sequence are followed for so long, but no fewer than these; in jumps up to 7 times that."""
+"""Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
 LAYERS_S, MOST_PARTICLES = 6e-6, 11_000
 """Time of a fit of layers for each cluster size and particle to the power 4 / 3 [s], and its default number of
 particles."""
@@ -108,7 +109,7 @@ class CalibrationResult(SourceResult):
 
     @property
     def reasons(self) -> tuple[Doubt, ...]:
-        """Why the parameter is to be doubted, and what it holds for; those that lower the verdict first."""
+        """Why the parameter is doubtful, and its range of validity; reasons that lower the verdict first."""
         return self.estimate.reasons
 
     def __repr__(self) -> str:
@@ -146,7 +147,7 @@ class CalibrationResult(SourceResult):
     def tables(self) -> tuple[Table, ...]:
         parameter, rows = self.estimate.parameter, self.source_rows()
         if self.recording is not None and self.recording.path is not None:
-            rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
+            rows.append(("to show it", f"{rerun_command()} {self.recording.path}"))
         title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
         first, *others = estimate_tables(self.estimate, title)
         tables = [Table([*first.rows, *rows], caption=first.caption), *others]
@@ -275,7 +276,7 @@ def calibrate_images(
     progress: Progress | None,
     note: Note,
 ) -> CalibrationResult:
-    """Fit a sequence of files, or of the images (H, W[, 3]) given, and record it where asked. images: how they become
+    """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
     particles; select: as `run_images` takes it"""
     sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None

@@ -73,7 +73,7 @@ def settings_section(settings: Mapping[str, object]) -> Section:
 
 
 def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:
-    """What made a result, and how to make it again."""
+    """The provenance of a result, and the command that reproduces it."""
     rows: list[tuple[str, str]] = [
         ("made", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))
     ]

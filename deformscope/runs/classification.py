@@ -259,7 +259,7 @@ def table_from(
     merge: Mapping[str, Sequence[str]] | None = None,
     duplicates: Literal["refuse", "drop"] = "refuse",
 ) -> LabelledTable:
-    """A table out of what may hold one, as it is evaluated."""
+    """A table from any supported source, in the form that is evaluated."""
     if isinstance(source, LabelledTable):
         table = source
     elif isinstance(source, str | Path):

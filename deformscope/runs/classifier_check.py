@@ -1,4 +1,4 @@
-"""What comes of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
+"""Evaluation of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
 
 from __future__ import annotations
 
@@ -102,11 +102,11 @@ def format_promise(check: ModelCheck) -> str:
     better = check.score.accuracy.value > check.expected[1]
     verdict = "kept" if check.kept else "NOT kept, it does better" if better else "NOT kept"
     promised = "{:.1%} ({:.1%} to {:.1%})".format(check.promised.value, *check.promised.interval)
-    return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of so many trials".format(*check.expected)
+    return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of this number of trials".format(*check.expected)
 
 
 def format_calibration(check: ModelCheck) -> str:
-    """Whether the posteriors mean what they say."""
+    """Whether the posteriors are calibrated."""
     verdict = "inside" if check.calibration_kept else "NOT inside"
     return (
         f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: "

@@ -1,4 +1,4 @@
-"""What there is to do with a rig before it explores, in order, and what comes next (`deformscope doctor RIG`)."""
+"""The steps of a rig before it explores, in order, and the next one (`deformscope doctor RIG`)."""
 
 from __future__ import annotations
 
@@ -84,4 +84,4 @@ WHY = {
 }
 """What is measured, and what for or with."""
 MINUTES = {"tip": 8, "place": 6, "camera": 15, "force": 5, "arm": 5, "time": 1}
-"""Half a minute for a push, a minute for a pose that is steered to. Estimated: nobody has done it on a real arm."""
+"""Half a minute for a push, a minute for a pose that is steered to. Estimated: never measured on a real arm."""

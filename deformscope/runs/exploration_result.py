@@ -43,7 +43,7 @@ NOT_KNOWN = "not known"
 
 @dataclass(frozen=True, slots=True)
 class LayerThickness:
-    """Of the layer that stands for the foam: thickness and its deviation [m], and by what it is known."""
+    """The layer that represents the foam: thickness and its deviation [m], and its source."""
 
     thickness_m: float | None = field(metadata=reported(unit="m"))
     sd_m: float | None = field(metadata=reported(unit="m"))
@@ -61,7 +61,7 @@ class TruthScore:
 
 @dataclass(frozen=True, slots=True)
 class TouchOutcome:
-    """A touch, and what became of the exploration with it.
+    """A touch, and its effect on the exploration.
 
     ended_s: since the session began; iou: of the map after it; failed: what failed on it, in words
     asked_for: by a person, on the page
@@ -85,7 +85,7 @@ class ExplorationResult(LibraryResult):
     seconds: computing, of the slowest touch, by the robot's clock and on this computer
     supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move
     arm_stands: whether it could be stopped; losses: of each device that lost something; fault: why it was stopped
-    simulated: the scene; laboratory: its settings; recorded: somebody's robot touched before, and nothing was commanded
+    simulated: the scene; laboratory: its settings; recorded: another robot touched before, and nothing was commanded
     """
 
     scenario: str = field(metadata=reported())
@@ -211,7 +211,7 @@ class ExplorationResult(LibraryResult):
 
     @property
     def verdict_text(self) -> str:
-        """The verdict with its probability, and what else is likely."""
+        """The verdict with its probability, and other probable ones."""
         if self.estimate is None:
             return "none: no touch gave a map"
         kind = format_regions(self.estimate)
@@ -220,7 +220,8 @@ class ExplorationResult(LibraryResult):
         return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:
-        """What else is likely, where the verdict is in doubt; what stiffness says, where the regions are beta's."""
+        """The other probable verdict, if the verdict is uncertain; the verdict by stiffness, if the regions are
+        beta's."""
         by_beta = self.regions_by == "beta"
         given = "" if by_beta else str(self.region_count or "gradual")
         share, count = max((share, count) for count, share in (self.probability or {}).items() if count != given)
@@ -282,7 +283,7 @@ class ExplorationResult(LibraryResult):
         return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
 
     def _missed_rows(self) -> Rows:
-        """What may be there that no touch has met."""
+        """Possible inclusions and regions without a touch."""
         if (missed := self.missed) is None:
             return []
         x, y = 100.0 * missed.untouched_at_m

@@ -46,7 +46,7 @@ INCLUSION_FORCE_N = 5.0
 
 @dataclass
 class ExplorationEnd:
-    """Why and when an exploration ended; filled in as it goes on.
+    """Why and when an exploration ended; completed during the run.
 
     error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
     arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
@@ -240,7 +240,7 @@ def _run(
 
 
 def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
-    """What came of it, where there is a page, which may outlive the exploration."""
+    """Print the outcome, if there is a page, which may outlive the exploration."""
     if recorder.page is None:
         return
     rows = explored.rows()

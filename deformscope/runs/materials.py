@@ -125,7 +125,7 @@ class MaterialJob:
 class MaterialResult(SourceResult):
     """What `calibrate axes`, `field`, `yield` or `viscous` found.
 
-    estimate: the numbers; found: what they were compared with
+    estimate: the numbers; found: the compared motion
     """
 
     found: MaterialFit
@@ -191,7 +191,7 @@ def calibrate_material(
 
 
 def job_of(config: MaterialOptions) -> MaterialJob:
-    """The same without the sources, and what is left behind. What is None takes the job's default."""
+    """The same without the sources and output files. What is None takes the job's default."""
     groups = (config.output, config.fit, getattr(config, "unloading", None), config)
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
@@ -371,7 +371,7 @@ def kept_force(recording: Replay) -> PressForce | None:
 def replay_material(
     recording: Replay, source: Source, output: OutputOptions, *, progress: Progress | None = None
 ) -> tuple[list[MaterialEstimate], MaterialResult]:
-    """What a recording says, and the same fitted again to what it keeps. source: its images"""
+    """The recorded result, and a new fit to the recorded data. source: its images"""
     settings = dict(recording.settings)
     try:
         job = msgspec.convert(settings.pop("material"), MaterialJob)

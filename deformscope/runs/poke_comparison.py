@@ -1,4 +1,4 @@
-"""Pokes that were not fitted: predicted by the model, and by what else a user might take, against what was measured.
+"""Pokes that were not fitted: predicted by the model, and by its alternatives, compared with the measurement.
 
 The others have the model's information, the force at its first poke. They are a rigid body, an elastic half-space in
 closed form, and linear finite elements of the same slab.

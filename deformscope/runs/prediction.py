@@ -118,7 +118,7 @@ def _beyond(found: Prediction) -> list[tuple[str, str]]:
 
 
 def comparison_table(name: str, found: PokeComparison) -> Table:
-    """How the model and what else one might take did on a measured poke."""
+    """Errors of the model and its alternatives on a measured poke."""
     rows = []
     for one in found.scores:
         force = "no force" if one.force is None else f"force {one.force:.3g} N"
@@ -158,14 +158,14 @@ def predicted(model: FittedModel, text: PokeText, points_m: FloatArray | None, d
 
 
 def fitted_model(model: ModelSource) -> FittedModel:
-    """The model in what may hold one."""
+    """The model of any supported source."""
     if isinstance(model, CalibrationResult):
         return model.model()
     return model if isinstance(model, FittedModel) else load_model(Path(model))
 
 
 def poke_of(text: PokeText, model: FittedModel) -> Poke:
-    """A poke with what it left out taken from the model."""
+    """A poke with missing values from the model."""
     if text.tip is None and model.tip is None:
         raise InputError("a tip, because the model has none", "none", "tip=flat size=0.02x0.02")
     slips = model.tip.slips if model.tip is not None else True

@@ -1,4 +1,4 @@
-"""A recording as a report: figures of the thesis's chapters 2 to 4 from what it holds, and what it lacks."""
+"""A recording as a report: figures of the thesis's chapters 2 to 4 from its content, and a list of missing ones."""
 
 from __future__ import annotations
 

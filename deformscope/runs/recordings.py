@@ -22,7 +22,7 @@ from deformscope.runs.result import LibraryResult
 
 
 class OpenRecording(LibraryResult):
-    """A recording of ours: settings, frames and results, read when they are asked for.
+    """A recording of ours: settings, frames and results, read on demand.
 
     path: of the file; its bytes were compared with its ledger when it was opened
     """

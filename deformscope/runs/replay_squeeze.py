@@ -61,8 +61,8 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
 
 
 def _by_frame(results: list[Any]) -> dict[tuple[int, int], Any]:
-    """Results by their frame, or by their order, and their count before it; the median of several is the last. What
-    came after the hand had opened was recorded, but no longer looked at: recorded results may be fewer at the end."""
+    """Results by their frame, or by their order, and their count before it; the median of several is the last. Items
+    after the hand had opened were recorded, but not evaluated: recorded results may be fewer at the end."""
     counted: defaultdict[int, Iterator[int]] = defaultdict(count)
     of = [getattr(one, "index", order) for order, one in enumerate(results)]
     return {(frame, next(counted[frame])): one for frame, one in zip(of, results, strict=True)}

@@ -180,7 +180,7 @@ def _at_terminal(asked: Interruption) -> Assistant:
 
 
 def _go_on(asked: Interruption) -> None:
-    """Raises InputError where somebody asked to end."""
+    """Raises InputError if a person has requested the end."""
     if asked.is_set():
         raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
 

@@ -119,8 +119,8 @@ class WatchedRobot(Protocol):
 
 
 class Watch:
-    """Called in every control period: ends it when somebody asks, and shows what the robot does. robot: once there is
-    one; arm_stopped: whether the arm could be stopped, in the end"""
+    """Called in every control period: ends the run on request, and shows the robot's state. robot: once there is one;
+    arm_stopped: whether the arm could be stopped, in the end"""
 
     def __init__(self, asked: Interruption, *shows: Callable[[str], None]) -> None:
         """asked: set when a person requests the end; shows: where one line goes that the next replaces"""
@@ -175,10 +175,10 @@ def permitted(
     """Within an experiment: check everything, print the table of checks, and ask before a real arm moves. Before that
     ask for a finger on the tip, if the force there is the only guard.
 
-    calibrated: what has to be, by name, and whether it is; yes: do not ask
+    calibrated: the required calibrations, by name, and whether they are done; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
-    What was checked is checked again after the question, which may have waited for long. Raises InputError where a
-    check fails, or nobody says yes, and ExplorationStopped where it is answered by Ctrl-C.
+    What was checked is checked again after the question, which may have waited for long. Raises InputError if a check
+    fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C.
     """
     from deformscope.experiments.touching_robot import CheckFirst
     from deformscope.session import ask
@@ -214,10 +214,10 @@ def permitted(
 def agree(
     asked: Interruption, page: RobotPage | None, what: str, *, enter_when: str = "", or_ended: bool = False
 ) -> RigExperiment[None]:
-    """Within an experiment: wait until somebody lets the robot move, at its page where it has one, or at the terminal.
+    """Within an experiment: wait until a person permits the motion, at the page if there is one, or at the terminal.
 
-    what: will move; enter_when: the terminal's Enter is enough then, in words
-    Otherwise it raises InputError unless somebody says yes. or_ended: nor where somebody ends the run
+    what: will move; enter_when: condition, as text, after which the terminal's Enter is enough Otherwise it raises
+    InputError unless a person says yes. or_ended: nor if a person ends the run
     """
     operator = RunOperator(asked, None if page is None else page.is_agreed)
     first = ""
@@ -233,10 +233,10 @@ def agree(
 def leave_arm(
     stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
 ) -> NoReturn:
-    """As `leave`, after so many touches."""
+    """As `leave`, after a number of touches."""
     from deformscope.robot.supervisor import Fault
 
-    stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: look at it, use its emergency stop"
+    stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: check it, use its emergency stop"
     state = f" after {touched} touch{'es' * (touched != 1)}; {stands}"
     ended = stop is None or stop.kind == Fault.ASKED
     leave(stop, state, asked, recording, "an exploration that ends normally", "explore again", ended=ended)
@@ -254,7 +254,7 @@ def leave(
 ) -> NoReturn:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
 
-    state: progress of the run, and whether the robot is at rest; ended: somebody asked for it
+    state: progress of the run, and whether the robot is at rest; ended: a person requested it
     """
     import signal
 

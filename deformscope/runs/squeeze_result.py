@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SqueezeResult(LibraryResult):
-    """What came of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
+    """Outcome of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
 
-    content: what was asked for or, in the laboratory, drawn; stop: why it ended before its steady state
+    content: the requested one or, in the laboratory, the random one; stop: why it ended before its steady state
     start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
     placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
     on its way back

@@ -46,7 +46,7 @@ recordings of lab:containers."""
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SqueezeOutcome:
-    """What a squeeze left. asked: who ended it, where somebody did"""
+    """What a squeeze left. asked: the person who ended it, if any"""
 
     result: SqueezeResult
     asked: Interruption
@@ -224,8 +224,8 @@ def _run(
 def _permitted(
     config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None
 ) -> RigExperiment[None]:
-    """Within the experiment: ask before a real hand moves, and where it begins paused. Raises InputError unless
-    somebody says yes."""
+    """Within the experiment: ask before a real hand moves, and where it begins paused. Raises InputError unless a
+    person says yes."""
     current_a = setup.squeeze.current_a
     moves = f"open, turn its fingers towards each other and, once it is placed, close with {current_a:g} A at most"
     if not setup.simulated:
@@ -239,7 +239,7 @@ def _permitted(
 def _arm_permitted(
     config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None, preflight: Preflight
 ) -> RigExperiment[bool]:
-    """Within the experiment: print the table of checks, and ask before a real arm moves; whether somebody was asked.
+    """Within the experiment: print the table of checks, and ask before a real arm moves; whether a person was asked.
     Raises InputError unless they say yes."""
     say(preflight.table())
     asks = not setup.simulated and not config.yes and preflight.passed
@@ -323,7 +323,7 @@ def _trials_before(dataset: SqueezeDataset | None, container: str, session: str)
 def _finished(
     entry: TrialEntry, found: Squeezed, ended: dict[str, Any], dataset: SqueezeDataset | None, path: Path | None
 ) -> TrialEntry:
-    """The entry with what came of the squeeze."""
+    """The entry with the outcome of the squeeze."""
     recording = ""
     if path is not None and dataset is not None:
         inside = path.is_relative_to(dataset.folder)
@@ -349,7 +349,7 @@ def _format_size(setup: SqueezeSetup) -> str:
 
 
 def leave(squeezed: SqueezeOutcome) -> None:
-    """Where it was stopped, raises InputError with the reason and what to see to, SystemExit if somebody ended it."""
+    """After a stop, raises InputError with the reason and the advice, SystemExit if a person ended it."""
     result = squeezed.result
     stop = result.stop or result.withdrawal
     if stop is None:

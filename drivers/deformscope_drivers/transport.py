@@ -1,8 +1,8 @@
 """Transports to a device: serial ports, sockets and CAN buses.
 
 A transport carries bytes. It decodes nothing; it says at once when the link is gone.
-Ports and buses are named by rig files, which come from anywhere: pyserial and python-can know more kinds than are
-accepted here, some of which write files (`spy://`) or load classes (`alt://`).
+Rig files, which may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted
+here, some of which write files (`spy://`) or load classes (`alt://`).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Transport(ABC):
 
     @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        """What has come, at once when there is something; empty after the time, or when woken. Raises LinkLost."""
+        """Received bytes, immediately if there are any; empty after the time, or when woken. Raises LinkLost."""
 
     @abstractmethod
     def write(self, data: bytes) -> None:
@@ -71,7 +71,7 @@ class Transport(ABC):
         """End a `read` that waits, where the transport can."""
 
     def drain(self, first_s: float, quiet_s: float, limit_bytes: int = 1 << 20) -> bytes:
-        """Read what comes: wait `first_s` for the first byte, then go on until nothing came for `quiet_s`, or until
+        """Read incoming bytes: wait `first_s` for the first one, then continue until none came for `quiet_s`, or until
         that many bytes have come."""
         found = self.read(first_s)
         while found and len(found) < limit_bytes and (more := self.read(quiet_s)):

@@ -168,7 +168,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     assert found["fault"] is None
     assert found["max_force_n"] == 0.0
     assert found["arm_stands"]
-    assert "dry run: the first touch, 10 cm above (35, 15) cm, met nothing; the tip stayed 9." in said
+    assert "dry run: the first touch, 10 cm above (35, 15) cm, made no contact; the tip stayed 9." in said
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err
 
 

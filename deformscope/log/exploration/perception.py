@@ -4,7 +4,7 @@ display/perception/frames/...    world, surface, camera, arm_base, tool: a trans
 display/perception/pixels        labels of the newest depth image that something was computed from
 display/perception/surface/...   the surface under the newest touch, coloured by its deviation, and tactile points
 display/perception/error         error over beta
-display/perception/maps/...      each map as an image on the surface, with what it shows as `value`
+display/perception/maps/... each map as an image on the surface, with its values as `value`
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def log_pixels(now: ResultBatch, perception: LookPerception | TouchPerception) -
 
 
 def log_under_touch(now: ResultBatch, perception: TouchPerception) -> None:
-    """The surface under the touch, and the error over beta; of what there is none, nothing."""
+    """The surface under the touch, and the error over beta; missing ones are left out."""
     now.show_png(ERROR, pictures.error_png, perception)
     if (under := perception.surface) is None:
         now.show(UNDER, rr.Clear(recursive=True))

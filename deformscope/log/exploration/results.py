@@ -5,7 +5,7 @@ picture then. `touch` is 0 before the first touch, then the number of its touch 
 touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
-    exploration/forecast|decision         likewise: what a person asked for on the page, and decided
+    exploration/forecast|decision likewise: a person's requests on the page, and decisions
     exploration/input/...                 which frames they are computed from, or measurements where there are none
     exploration/phase                     likewise, and the state that a timeline shows
     exploration/failed|stopped            likewise, and why as a line of text
@@ -18,7 +18,7 @@ touch measured is at the frame of its dent. `deformscope.recording.items` reads 
     exploration/perception/look|touch     with --detail full: what lies between frames and estimates
     exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
-    display/lumps/map|missed|summary      where inclusions are sought: which were found, what may be missed, in words
+    display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, fu
 
 
 def _log_no_forecast(now: ResultBatch, result: object) -> None:
-    """Nothing is asked for any more."""
+    """No forecast is requested any more."""
     log_forecast(now, None)
 
 

@@ -102,7 +102,7 @@ def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
 
 
 def log_forecast(now: ResultBatch, forecast: TouchForecast | None) -> None:
-    """The touch that was asked for: its way down, an arrow as long as its force, what is expected; None = none."""
+    """The requested touch: its path down, an arrow as long as its force, the forecast; None = none."""
     if forecast is None:
         now.show(f"{ASKED}/way", rr.LineStrips3D([]))
         now.show(f"{ASKED}/normal", rr.Arrows3D(vectors=[]))

@@ -1,4 +1,4 @@
-"""What a person sees of a rig: pictures above, plots and the devices' health below, and only what is there."""
+"""The view of a rig: pictures above, plots and the devices' health below, for existing devices alone."""
 
 from __future__ import annotations
 

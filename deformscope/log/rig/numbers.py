@@ -42,7 +42,7 @@ def _series(stream: Stream) -> Iterator[tuple[str, list[str], Sequence[Rgb]]]:
 
 
 def _channels(stream: Stream) -> list[tuple[str, ...]]:
-    """What follows a quantity in the path: a force sensor has one series a channel."""
+    """Suffix of a quantity in the path: a force sensor has one series per channel."""
     return [(str(channel),) for channel in range(stream.channels)] if stream.kind == "wrench" else [()]
 
 

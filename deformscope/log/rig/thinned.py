@@ -1,6 +1,6 @@
-"""What a person can see of a rig's items: few enough for a page that a slow machine draws.
+"""Visible part of a rig's items: few enough for a page that a slow machine draws.
 
-A recording keeps every item; a viewer that is fed while it goes on gets these.
+A recording keeps every item; a live viewer receives these.
 """
 
 from __future__ import annotations

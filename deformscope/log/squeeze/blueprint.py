@@ -1,4 +1,4 @@
-"""What a person sees of a squeeze in one window: the pads and the container, what changed, and what is in it."""
+"""The view of a squeeze in one window: the pads and the container, changes, and the classification of its content."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: Float
 
 
 def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
-    """The container where it was found, in space and over the image; what became of it in words."""
+    """The container at its measured place, in space and over the image; its change as text."""
     changed = seen.change is not None and seen.change.changed
     color = BAD if changed else LOOKS[seen.when]
     level = "WARN" if changed or seen.fit is None else "INFO"
@@ -63,7 +63,7 @@ def log_placement(now: ResultBatch, placed: HandPlacement) -> None:
 
 
 def place_views(streams: Sequence[Stream], camera: str) -> rrb.Container:
-    """The arm, the container and the grasps in space; the container over the image; what happened in words."""
+    """The arm, the container and the grasps in space; the container over the image; events as text."""
     arms = [stream for stream in streams if stream.kind == "arm"]
     simulated = " (SIMULATED)" if any(arm.simulated for arm in arms) else ""
     shown = [f"+ /{root('display/arm', arm.device)}/**" for arm in arms if arm.urdf is not None]

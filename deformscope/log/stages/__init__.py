@@ -3,7 +3,7 @@
 A result is at the time, and at the place on `frame`, of the newest frame that it was computed from.
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
-    display/stage/NAME/...       what a person looks at: marks over the image, pictures, the verdict in words
+    display/stage/NAME/... views: marks over the image, pictures, the verdict as text
     display/stage/plot/...       numbers over time: lag [ms], beta, theta, force [N], area [cm2]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind

@@ -34,7 +34,7 @@ NEXT: dict[Phase, frozenset[Phase]] = {
     "adjusting": frozenset({"stopped"}),
     "stopped": frozenset(),
 }
-"""What may follow each phase."""
+"""The possible next phases of each."""
 REMARKS = 50
 """Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
@@ -42,7 +42,7 @@ CONFIRM_S = 10.0
 UNSEEN_S = 30.0
 """A page that is busy draws it that late at most."""
 BEAT_S = 0.3
-"""What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
+"""Default time after a page's last heartbeat at which motions stop that it confirmed."""
 
 GONE = "no motion waits for this confirmation: it has expired, or another was requested"
 
@@ -51,7 +51,7 @@ class PageRun(Protocol):
     """What carries out the commands of pages."""
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """Carry it out, or begin with it, at once; what came of it, in words. From the server's thread, which must not
+        """Carry it out, or begin with it, immediately; the outcome, as text. From the server's thread, which must not
         wait: what takes longer than some milliseconds has begun, and its end becomes a remark."""
 
 
@@ -96,7 +96,7 @@ class PageSession:
         self._secondary = run
 
     def show_secondary(self, commands: tuple[str, ...], **changes: Any) -> None:
-        """Beside those of what goes on, these can be asked for until it has stopped. changes: as `show`"""
+        """In addition to those of the main session, these are possible until it has stopped. changes: as `show`"""
         with self._lock:
             if self._state.phase != "stopped":
                 self._secondary_commands = commands
@@ -157,7 +157,7 @@ class PageSession:
         self._drop_after(UNSEEN_S, number, seen=False)
 
     def _drop_after(self, wait_s: float, number: int, *, seen: bool) -> None:
-        """Let it be where nobody has answered by then. seen: as it is to be at that time, else another waits for it"""
+        """Cancel it without an answer by then. seen: as it is to be at that time, else another waits for it"""
 
         def expire() -> None:
             pending = self._state.pending
@@ -180,7 +180,7 @@ class PageSession:
 
     def absent(self) -> str:
         """Why no page steers at this moment: empty while the controlling page is connected and visible, and reports
-        often enough. From any thread, and at once: asked in each control period."""
+        often enough. From any thread, and immediately: called in each control period."""
         state = self._state
         if not state.controls:
             return "no page has the controls"

@@ -31,7 +31,7 @@ INCLUSION_CONTRAST = 2.0
 """How many times the apparent stiffness of what is around it, or how many times less."""
 
 INCLUSION_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
-"""Radii for which it is reported what may have been missed."""
+"""Radii of the reported detection limit."""
 
 CENTRE_CELL_M = 0.02
 
@@ -74,7 +74,7 @@ class UnseenInclusions:
 def detection_limit(
     posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = INCLUSION_RADII_M
 ) -> DetectionLimit:
-    """What may have been missed. made_m: (n, 2) where it was touched, also where that gave nothing [m]"""
+    """Computes the detection limit. made_m: (n, 2) where it was touched, also where that gave nothing [m]"""
     size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
     circle = np.minimum(centres, size - centres).min(axis=1)
     if len(made_m):

@@ -203,7 +203,7 @@ class MapRegion:
 
     @property
     def loss_text(self) -> str:
-        """What it loses of a touch's energy; empty where it was not mapped."""
+        """Its energy loss in a touch; empty if it was not mapped."""
         return "" if self.loss is None else f"loses {format_value(self, 'loss')}"
 
     @property
@@ -322,7 +322,7 @@ class DetectionLimit:
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
     lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of these
     exists, undetected by the touches; it was `prior` before any touch
-    contrast: they are so many times as stiff, or as soft, as what is around them
+    contrast: ratio of their stiffness to that of their surroundings, or the inverse
     deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
     """
 
@@ -406,7 +406,7 @@ class InclusionsResult:
     @property
     @derived(key="words")
     def rows(self) -> list[tuple[str, str]]:
-        """Every inclusion that was found, and what may be missed, as names and values."""
+        """Every found inclusion, and the detection limit, as names and values."""
         rows = []
         for number in range(len(self)):
             x, y = 100.0 * self.centre_m[number]
@@ -484,7 +484,7 @@ class TouchForecast:
 
 @dataclass(frozen=True, slots=True)
 class SteeringDecision:
-    """What a person decided about the next touch, where it was not left to the plan.
+    """A person's decision about the next touch, if it was not left to the plan.
 
     kind: veto = not at xy_m, touch = at xy_m instead, held = it was broken off before it measured anything
     xy_m: (2,) [m]; touch: how many were made before; reason: in words
@@ -498,7 +498,7 @@ class SteeringDecision:
 
 @dataclass(frozen=True, slots=True)
 class StageFailure:
-    """A stage failed on one touch: the exploration goes on without what it would have given.
+    """A stage failed on one touch: the exploration continues without its result.
 
     stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: from 1, 0 = before the first

@@ -215,7 +215,7 @@ class FoundInclusion:
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: of
     90 % [m]; stiff: rather than soft; probability: that there is one
-    deep: that it is (DEEP_M); log_shift: what it adds to log stiffness right above it
+    deep: that it is (DEEP_M); log_shift: its effect on log stiffness right above it
     posterior: (j,) over the guesses
     """
 
@@ -353,7 +353,7 @@ class InclusionState:
 class InclusionPosterior:
     """Posterior of inclusions given touches of a surface; each touch makes a new posterior.
 
-    touches; found: inclusions, in the order in which they explain most; state: of what is left
+    touches; found: inclusions, in the order in which they explain most; state: of the remaining part
     """
 
     def __init__(self, grid: MapGrid, prior: InclusionPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
@@ -556,8 +556,8 @@ class InclusionPosterior:
         return weights @ self.state.left.read, spare
 
     def kriging(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p, t) weights that touches have for one at places (p, 2), and (p,) variance of what is left: of a scatter
-        as it is known."""
+        """(p, t) weights of touches for one at places (p, 2), and (p,) remaining variance: of a scatter with known
+        parameters."""
         background, places = self.state.background, self.places_m
         scatter2 = background.scatter**2
         if not len(places):

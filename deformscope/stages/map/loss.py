@@ -35,7 +35,7 @@ def loss_sample(xy_m: FloatArray, creep: CreepFit | None, *, rigid: bool) -> Sti
     if rigid:
         return StiffnessSample(xy_m, float(np.log(LEAST_LOSS)), RIGID_LOSS_SD)
     if creep is None or creep.loss is None or creep.loss_interval is None:
-        raise InputError("a touch whose force returned to zero", "one without", "look at its creep")
+        raise InputError("a touch whose force returned to zero", "one without", "check its creep")
     low, high = creep.loss_interval
     loss = max(creep.loss, LEAST_LOSS)
     return StiffnessSample(xy_m, float(np.log(loss)), max((high - low) / (2.0 * Z_90 * loss), 1e-3))

@@ -47,7 +47,7 @@ class TouchSurface:
 @dataclass(frozen=True, slots=True)
 class LookPerception:
     """What the surface before any touch was computed from. masks: None of a robot that gives points, not images
-    learned: by its process, from so many points without outliers"""
+    learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None
     learned: Hyperparameters
@@ -56,7 +56,7 @@ class LookPerception:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchPerception:
-    """What the estimate of a touch was computed from, and what it taught; each None where there is none.
+    """Input of a touch's estimate, and its training data; each None if missing.
 
     number: from 0; masks: of its depth images, but for those that showed nothing of the surface; surface: under it
     error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one

@@ -40,7 +40,7 @@ CONTENDERS = 100
 """Places, those most informative about the map per second, for which the gain in labels is worked out."""
 
 INCLUSION_M = 0.06
-"""Radius of the smallest inclusions that are sought unless others are asked for."""
+"""Default radius of the smallest inclusions that are sought."""
 
 LARGER = (1.0, 1.4, 2.0)
 """Inclusions that are sought, in units of the smallest."""
@@ -70,15 +70,15 @@ class FieldKernel:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
+    """planner; fill: touches that fill the space before regions are planned; cell_m: of the places considered
     border_m, apart_m: least distance from the border and from earlier touches, except for `regions`, which may repeat
     one
     touch_s, speed_m_s: costs of touch and route
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: touches in all
-    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability that one is there unseen, from
-    which on enough is known of them. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
+    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected one below which
+    the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     missed: where inclusions alone are sought: probability of a missed one, below which enough is known
     (`inclusion_plan`)
     """
@@ -109,7 +109,7 @@ class PlanOptions:
 class TouchChoice:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
-    target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
+    target_m: (2,) the best place [m], None if there is none; stop: why no further touch is useful, None to continue
     gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right label)
     missed: what the touches so far may have missed
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
@@ -393,7 +393,7 @@ def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: floa
     if unit == "mean variance":
         return f"spreads the touches over the surface, where the map is least certain; takes {cost_s:.0f} s"
     if posterior.probability["1"] > 0.5:
-        found = "one material so far: looks for a spot of another"
+        found = "one material so far: seeks a spot of another"
         return f"{found}; expected to correct {gain:.1%} of the map, takes {cost_s:.0f} s"
     shares = ", ".join(f"{name} ({share:.0%})" for name, share in posterior.probability.items() if share >= 0.05)
     return f"expected to correct {gain:.1%} of the map, takes {cost_s:.0f} s; regions so far: {shares}"

@@ -58,8 +58,8 @@ class SparseProcess:
     """A process conditioned on n points through inducing points.
 
     places: (n, 2) [m]; value: (n,) above the mean; noise: (n,) its deviation at each point
-    low, high: (2,) the box [m] within which it will be asked; elbo: lower bound of the log marginal likelihood, equal
-    to it where the inducing points suffice
+    low, high: (2,) the box [m] within which it will be evaluated; elbo: lower bound of the log marginal likelihood,
+    equal to it where the inducing points suffice
     """
 
     def __init__(

@@ -34,7 +34,7 @@ FINE_SIGMA_W_M = 0.5
 measurement: 3 touches for 21 of 24 tuning seeds, 4 for the others (0.6 m: 2 for 5 of them; 0.45 m: 4 to 6 for 23)."""
 
 FIRST_SHARE = (0.25, 0.5)
-"""The place that is touched first unless another is asked for, in shares of the surface: one is preset (Thesis 4.5)."""
+"""Default place of the first touch, in shares of the surface: one is preset (Thesis 4.5)."""
 
 APART = 0.1
 """Touches whose betas are farther apart have an isopleth between them: ten steps of the sweep of Algorithm 3."""

@@ -389,7 +389,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func
     def with_null(rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, target: squares.rows):
-        """The fit, whose terms that the cluster leaves undetermined follow what it is pulled to."""
+        """The fit, whose undetermined terms follow their target."""
         if rest.has_null != 0:
             null_t = transforms.own(rest.null_t, cluster, rest.stride, step)
             affine_t = transforms.add(affine_t, one, times_null(null_t, target))

@@ -27,7 +27,7 @@ THREADS = {"cpu": 1, "cuda": 256}
 """Threads of a block, which take one part of a sum over particles; the parts are added in order."""
 
 PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
-"""Lanes' worths of a part, until there are so many parts: on a GPU some blocks for each multiprocessor."""
+"""Lanes per part, until this number of parts: on a GPU some blocks for each multiprocessor."""
 
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
@@ -40,13 +40,13 @@ PREDICTED = 1e-2
 """To what share the linear equations at rest are solved, for a state to begin from."""
 
 STAY = 256
-"""Evaluations that a kernel that stays does before it comes back to be looked at."""
+"""Evaluations of a persistent kernel before it returns for a check."""
 
 TURN = 8
 """Evaluations of a search for beta in one launch; most searches need no more."""
 
 REPLAYS = {"cpu": 1, "cuda": 8}
-"""Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
+"""Iterations between checks which candidates still run: on a GPU, a check waits for the device."""
 
 TELL_EVERY_S = 0.2
 """Seconds between calls of `progress`."""
@@ -56,7 +56,7 @@ TELL_EVERY_S = 0.2
 class Ended:
     """How the candidates ended, (B,) each; norm and error in particle spacings.
 
-    smoothed: evaluations in the preconditioner's finest level; unaided: went on without it
+    smoothed: evaluations in the preconditioner's finest level; unaided: continued without it
     out_of_time: still ran when the time was over
     """
 
@@ -472,8 +472,8 @@ class Anderson(Iteration):
         return self._iterate(self._launch_goals, tolerance, max_iterations)
 
     def solve(self, relative: float, max_iterations: int) -> bool:
-        """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
-        to `relative` of the right-hand side.
+        """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether the residual
+        reached `relative` of the right-hand side.
         """
         self._watch()
         set_first(self.state.floor, 0.0)

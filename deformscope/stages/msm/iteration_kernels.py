@@ -1,8 +1,8 @@
 """Warp kernels of Newton's steps with conjugate gradients: one for each part of an iteration, and kernels that stay.
 
 They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
-taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: what has ended gets steps of
-0, and a group in which all have ended is skipped.
+taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: finished ones have steps of 0, and
+a group in which all have ended is skipped.
 
 Kernels that stay do all passes of a step, and all steps, or many evaluations of a relaxation, in one launch. A block of
 threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU that
@@ -33,7 +33,7 @@ PATIENCE = 20
 """Newton steps near rounding without half the best residual so far, after which a candidate has stalled."""
 
 SHARP = 1e-2
-"""To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
+"""Share to which a solve reduces its residual before its smallest curvature counts as the smallest."""
 
 
 @functools.cache
@@ -58,7 +58,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     class Span:
         """How particles lie in a field, and their metric N_i m_i (0 where held), in which the goal map is symmetric.
 
-        blocks: lanes' worths in a group; parts: a sum over a group is taken in so many, each by `threads` of a block
+        blocks: lanes' worths in a group; parts: a sum over a group has this number of parts, each by `threads` of a
+        block
         """
 
         abreast: int

@@ -27,7 +27,8 @@ SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
 """Widest window that is summed at each cell separately, and the run of a sliding sum over wider ones."""
 
 SLIDE_FROM = 500_000
-"""Cells from which on a GPU slides over wide windows: in smaller bodies too few threads would be left to slide."""
+"""Number of cells from which a GPU slides over wide windows: in smaller bodies too few threads would be left to
+slide."""
 
 RESIDENT_CELLS = 8192
 """Largest number of cells for which one block of a GPU's threads computes a whole body."""

@@ -35,7 +35,7 @@ def motion_for(scalar: Any) -> Any:
 
     @wp.struct
     class StepMotion:
-        """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
+        """Additions of time stepping: alpha, the share of the last motion that continues, and a push each step."""
 
         stepping: int
         alpha: scalar

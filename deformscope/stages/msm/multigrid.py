@@ -57,7 +57,7 @@ LONGEST = 24
 """Cells along an axis of the coarsest level, whose equations take as many steps, at most."""
 
 PATIENCE = 150
-"""Directions of one solve after which it goes on without the preconditioner."""
+"""Number of directions of one solve after which it continues without the preconditioner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +278,7 @@ class Multigrid:
         return bool(len(np.unique(pieces.reshape(-1)[body.cell[~rest.free]])) == count)
 
     def _transfers(self, fine: _Level, coarse: _Level) -> tuple[Launch, Launch, Launch]:
-        """Between two levels: what is left to the coarse one, its correction back, and displacements to it."""
+        """Between two levels: the residual for the coarse one, its correction back, and displacements to it."""
         device, rest = self.layout.device, coarse.rest
         to_fine = block_diag(rest.weights, format="csr")
 
@@ -334,7 +334,8 @@ class Multigrid:
         return bool(self.plain.numpy()[: self.layout.candidates].all())
 
     def used(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
-        """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was;
+        """(B,) evaluations in the finest level, and which candidates continued without it. linearised: how often each
+        was;
         predicted: (B,) once more"""
         size = self.layout.candidates
         evaluations = linearised.numpy()[:size] + predicted + 2 * DEGREE * self.applied.numpy()[:size]
@@ -384,7 +385,7 @@ class Multigrid:
             keep, gain, rho = after * rho, 2.0 * after / half, after
 
     def _step(self, level: _Level, running: Field, keep: float, gain: float, *, begins: bool = False) -> None:
-        """Goes on along `keep` of the last direction and `gain` of what is left."""
+        """Continues along `keep` of the last direction and `gain` of the residual."""
         inputs = [level.span, self._flags(level, running), int(begins), keep, gain, level.shrink, level.right]
         inputs += [level.changed, level.z, level.left, level.direction]
         dim = (level.layout.groups, level.layout.blocks)

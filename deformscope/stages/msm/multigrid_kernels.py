@@ -124,7 +124,7 @@ def smoother_for(dim: int, width: int) -> Any:
         left: numbers,
         direction: numbers,
     ):
-        """Goes on along the next direction; what is left is not yet that after it. With `begins` from z = 0."""
+        """Continues along the next direction; the residual is not yet that after it. With `begins` from z = 0."""
         group, block = wp.tid()
         if running[group] != 0:
             at = span.front + group * span.group + block * wp.static(width)

@@ -24,7 +24,7 @@ TipShape = Literal["flat", "disc", "sphere"]
 TIP_SHAPES: tuple[TipShape, ...] = ("flat", "disc", "sphere")
 
 SETTLED = 1e-3
-"""Share of the depth, or of the force asked for, to which contact is solved."""
+"""Accuracy of contact, as a share of the depth, or of the requested force."""
 
 MOST_ROUNDS, MOST_SLIDES = 40, 60
 

@@ -25,7 +25,7 @@ RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
 NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 
 NEWTON_STEPS, TRIALS = 11, 3
-"""At most so many steps at one theta, each tried in full, in half and in quarter."""
+"""Largest number of steps at one theta, each tried in full, in half and in quarter."""
 
 ATTEMPTS = 4
 """Times that a state balanced by a rotation which is not the best one is left for another."""
@@ -335,7 +335,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def defect(a: square, r: square, e: square, m: Sums):
-        """What is to vanish: Y + R U + e N - A, and the turning part of R^T (K + e V) + W."""
+        """The residual: Y + R U + e N - A, and the turning part of R^T (K + e V) + W."""
         return pack(m.y + r * m.u + e * m.n - a, axial(wp.transpose(r) * (m.k + e * m.v) + m.w))
 
     @wp.func

@@ -65,7 +65,7 @@ class Relaxed:
     diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
     to be thrown away
     smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
-    unaided: (B,) the preconditioner did not help: plain conjugate gradients went on
+    unaided: (B,) the preconditioner did not help: plain conjugate gradients continued
     out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are what was reached
     """
 
@@ -125,7 +125,7 @@ class Moving:
         self._kept: dict[Any, Any] = {}
 
     def kept(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """What `make` gave when it was first asked for with this key."""
+        """The stored result of `make` for this key."""
         if key not in self._kept:
             if len(self._kept) >= KEPT_CALLS:
                 self._kept.clear()
@@ -350,8 +350,8 @@ class Msm:
         solved in its own few unknowns.
 
         A symmetric start stays symmetric, as in time stepping: a strut pressed along its axis stays straight where it
-        would buckle. With eq. 3.17 and strong compression a static state can have clusters turned inside out: look at
-        the picture, or use volume="project".
+        would buckle. With eq. 3.17 and strong compression a static state can have clusters turned inside out: check the
+        picture, or use volume="project".
 
         held_position: (n, d) or (B, n, d); theta: a number or (B,)
         beta: a number, (B,), (B, C) for each cluster, or `AxisBeta` (linear basis, theta = 0)
@@ -361,7 +361,7 @@ class Msm:
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
         candidates that eq. 3.17 keeps from converging have a second beginning, at the state without conservation
         progress: called with (candidates done, candidates) now and then, also within one long solve
-        limit_s: after so long, looked for every few iterations, candidates that still run end as `out_of_time`
+        limit_s: after this time, checked every few iterations, candidates that still run end as `out_of_time`
         """
         if isinstance(beta, AxisBeta):
             found: Relaxed = self._along(beta, theta).relax(

@@ -26,7 +26,7 @@ EXPONENT_SD = 0.08
 """Layers, large strain and foams that are not linear move the exponent by about this."""
 
 LOADED = 0.05
-"""Share of the reference force from which on samples are fitted: below, force noise hides the law."""
+"""Share of the reference force from which samples are fitted: below, force noise hides the law."""
 
 LEAST_SAMPLES = 6
 Z_90 = 1.6449
@@ -66,10 +66,10 @@ class ContactFit:
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and standard
     deviation. The latter combines `own_log_sd`, the error of this touch alone, with errors that all touches of a
     session share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
-    at_force_n: the set force, also where the approach ended before it: the law says what it would have come to, so that
-    all touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the
-    approach, which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and
-    log_stiffness are off by; peak_force_n: along the normal, tare taken off
+    at_force_n: the set force, also if the approach ended before it: the law is extrapolated to it, so that all touches
+    compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which
+    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and log_stiffness are
+    off by; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
     samples: that were fitted
     peak_rate_n_per_s, peak_rate_interval_n_per_s: as of `peak_rate`
@@ -115,7 +115,7 @@ def fit_approach(
     least_share: float = LOADED,
     gain_sd: float = 0.0,
 ) -> ContactFit:
-    """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
+    """Fit the law to an approach, from before contact to the peak of the force; later samples are left out.
 
     time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
     one frame; normal: (3,) out of the surface; tip: its shape, which gives the prior mean of p
@@ -123,7 +123,7 @@ def fit_approach(
     extrapolated to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
-    exponent_sd: of the prior of p; least_share: of the set force, from which on samples are fitted
+    exponent_sd: of the prior of p; least_share: of the set force, from which samples are fitted
     gain_sd: of log stiffness, for the sake of the force sensor's gain
 
     The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +

@@ -52,10 +52,10 @@ CreepBehaviour = Literal["elastic", "viscous", "plastic", "slipping", "unidentif
 ELASTIC_MOST = 0.03
 """Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
 KEPT_LEAST = 0.06
-"""Share of a dent that stays for good from which on a foam counts as plastic: below, the law's error may look so."""
+"""Permanent share of a dent from which a foam counts as plastic: below, the law's error may look the same."""
 SURE = 0.95
 SEVERAL = 0.8
-"""Probability of more than one branch from which on a foam may have faster ones than the approach."""
+"""Probability of more than one branch from which a foam may have faster ones than the approach."""
 REFERENCE_SPEED_M_S = 0.01
 """Stiffness is converted to that of an approach at this speed, so that touches compare."""
 RAMP_STEPS = 60

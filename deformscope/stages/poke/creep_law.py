@@ -44,7 +44,7 @@ LOG_TIMES, TIMES = (np.log(0.002), np.log(4000.0)), 100
 @dataclass(frozen=True, slots=True)
 class CreepSamples:
     """time_s, z_m, force_n: (m,) from the first sample to the end of the hold, which is averaged; count: (m,) how many
-    each is the mean of; first: from which on they are fitted; loading: up to which they lead to the set force"""
+    each is the mean of; first: index of the first fitted one; loading: up to which they lead to the set force"""
 
     time_s: FloatArray
     z_m: FloatArray
@@ -178,7 +178,7 @@ class CreepLaw:
     def _law_off(
         self, parameters: FloatArray, spectrum: Spectrum, log_felt: FloatArray, random: np.random.Generator
     ) -> FloatArray:
-        """(d,) draws of what the law is off by at a log force (d,), given what it is off by in the samples."""
+        """(d,) draws of the law's error at a log force (d,), given its errors in the samples."""
         shared = (_off_together(log_felt, self._log_felt) * self._dent_m) @ self._whitens.T
         mean = (shared * self._off(parameters, spectrum)).sum(axis=1)
         variance = _off_variance(log_felt) - (shared**2).sum(axis=1)

@@ -40,7 +40,7 @@ BEYOND = 1.25
 """A depth, or depth over tip width, this many times the largest fitted is extrapolated to."""
 
 DEEP = 0.3
-"""Share of the thickness from which on a poke is beyond what a linear law is good for, whatever was fitted."""
+"""Share of the thickness from which a poke is beyond the range of a linear law, for any fit."""
 
 ALONG_AXIS = float(np.cos(np.radians(10.0)))
 """A push within 10 degrees of an axis is taken as along it."""
@@ -102,7 +102,7 @@ class FittedModel:
 
     @property
     def material_depth(self) -> float:
-        """How much material a poke meets along its direction [m]."""
+        """Thickness of material under a poke along its direction [m]."""
         return float(np.ptp(self.rest @ self.toward)) if self.thickness is None else self.thickness
 
     def beyond(self, depth: float, tip: Tip) -> tuple[str, ...]:
@@ -117,7 +117,7 @@ class FittedModel:
         return tuple(found)
 
     def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> MetStiffness | None:
-        """k [N/m] of a lattice of this spacing that a poke meets; None where no force was measured.
+        """k [N/m] of a lattice of this spacing under a poke; None without a measured force.
 
         A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
         extra: deviation of log stiffness for other reasons than the place
@@ -153,7 +153,7 @@ class FittedModel:
 
 @dataclass(frozen=True, slots=True)
 class MetStiffness:
-    """What a poke meets: median and 90 % interval [N/m]."""
+    """Stiffness under a poke: median and 90 % interval [N/m]."""
 
     value: float
     interval: tuple[float, float]

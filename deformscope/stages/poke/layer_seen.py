@@ -36,7 +36,7 @@ class TableSeen:
 @dataclass(frozen=True, slots=True)
 class KnownLayer:
     """thickness_m: of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
-    table_m: height of what the foam lies on; uneven: whether the surface's shape is looked at
+    table_m: height of what the foam lies on; uneven: whether the surface's shape is used
     """
 
     thickness_m: float | None
@@ -58,7 +58,7 @@ def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen |
 def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
     """What is known of foam whose surface is so high (n,) [m] where it may be touched.
 
-    stated_m: its thickness, where somebody said it: the foam then lies at z = 0; relief: whether its shape is looked at
+    stated_m: its stated thickness, if any: the foam then lies at z = 0; relief: whether its shape is used
     """
     mean_m, range_m = float(height_m.mean()), float(np.ptp(height_m))
     if stated_m is not None:

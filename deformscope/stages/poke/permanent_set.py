@@ -1,12 +1,12 @@
-"""What a touch leaves of its dent for good: what is left when the tip lets go, beyond what relaxation explains.
+"""Permanent set of a touch: the remaining dent at the release, beyond relaxation.
 
 A ball that goes back leaves a viscoelastic foam where
 
     H(t) = integral of E(t - s) d'(s) ds = 0        (Ting 1966),
 
-its dent d being shallower than it was by what has relaxed. While force is left, F^(1/p) is about linear in H; the line
-through the retract, extrapolated to F = 0, gives the H of the release. For foam with a permanent share s of every dent
-it is s times the part of the approach in H; for all other foam it is 0.
+its dent d being shallower by the relaxed part. While force is left, F^(1/p) is about linear in H; the line through the
+retract, extrapolated to F = 0, gives the H of the release. For foam with a permanent share s of every dent it is s
+times the part of the approach in H; for all other foam it is 0.
 """
 
 from __future__ import annotations

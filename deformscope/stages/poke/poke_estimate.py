@@ -230,7 +230,7 @@ def conclude(
 class Profile:
     """Residuals, errors and reactions over beta, theta as fitted.
 
-    stretched: (g,) values of -log(1 - beta), rising, over what may be likely; beta: (g,) the same as beta
+    stretched: (g,) values of -log(1 - beta), rising, over the probable range; beta: (g,) the same as beta
     residual: for each poke (g, n, 3) near it [m]; errors: (g, q) mean distance over each poke [m]; aee: (g,)
     reaction: (g, q) per unit of k [m]
     """

@@ -29,7 +29,7 @@ from deformscope.stages.poke.dent_residual import DentResidual, SurfaceLeft, res
 from deformscope.stages.poke.layers import FlatEdge, Layers, MeasuredSurface, below
 
 FIRST_SIZES, SIZES = (3, 4), (2, 7)
-"""Cluster sizes tried first, and the smallest and largest that are tried at all, where none is asked for."""
+"""Default cluster sizes that are tried first, and the smallest and largest of all."""
 
 CELLS_ACROSS_TIP = 4
 """Lattice cells across the tip by default, and at least for predictions of a narrower tip. With fewer, the force of a

@@ -3,7 +3,7 @@
 While a contact sticks, the force across grows with the motion across, dT = k (F / d) dx. A ball on an elastic body is
 about STICK times as stiff across as along (Mindlin 1949: 2 (1 - v) / (2 - v) of the tangent, with F / d the secant). A
 sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it follows that while the tip still
-moves: it slides. Both are weighed over k, mu and tilt; how far it slid is what it moved beyond the limit.
+moves: it slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TILT_SD = 0.05
 FRICTION = np.geomspace(0.03, 2.0, 40)
 STICKS = STICK + STICK_SD * np.linspace(-2.0, 2.0, 9)
 PIECES = 40
-"""Means of so many parts of the touch are compared."""
+"""Number of parts of the touch whose means are compared."""
 STICK_OFF = 0.1
 """Of the force across, what that law is off by."""
 START_SD = 0.02

@@ -1,4 +1,4 @@
-"""Stiffness over a surface, from what a few pokes met, as a distribution: every surface that may have met them so.
+"""Stiffness over a surface, from a few pokes, as a distribution over all surfaces that may have caused them.
 
 The posterior over regions (`deformscope.stages.regions`), which maps an exploration, has these hypotheses: one
 material, several with any borders between pokes that differ, or a gradual change. The stiffness at a place is the
@@ -69,13 +69,13 @@ EXCLUDED = 1e-6
 """Probability below which a hypothesis is taken as excluded by the pokes together."""
 
 MOST_REGIONS = 3
-"""It means as many or more: pokes are fewer than touches of an exploration, and their number is not asked for."""
+"""It means this number or more: pokes are fewer than touches of an exploration, and their number is not fixed."""
 
 PARTICLES, MAPS, CELL_M = 1000, 300, 0.02
 """With 300 particles few were left for pokes that scatter by 3 % or less. On tuning seeds force errors on stiff discs
 were 29 % instead of 20 %, in one material 7 % instead of 3.5 %."""
 ERROR = TouchErrorModel(gain_sd=0.0)
-"""All pokes are of one session: what they share, forces predicted for it share too."""
+"""All pokes are of one session: they share errors with the forces predicted for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +245,7 @@ class StiffnessField:
 
     @property
     def _scale(self) -> float:
-        """The priors on shapes are of a surface of about 0.6 m: this one is taken as if it were so large."""
+        """The priors on shapes are of a surface of about 0.6 m: this one is scaled to it."""
         extent = float(np.ptp(self.places, axis=0).max())
         return PRIOR_EXTENT_M / max(extent, FEWEST_CONTACTS * self.contact_m)
 

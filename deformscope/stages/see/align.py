@@ -86,12 +86,12 @@ def align(points: FloatArray, solids: Sequence[PosedSolid]) -> Alignment | None:
 
 
 def _evenly(points: FloatArray, most: int) -> FloatArray:
-    """At most so many of the points (n, 3), evenly spaced in their order."""
+    """At most this number of the points (n, 3), evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(np.int64)]
 
 
 def _step(points: FloatArray, foot: FloatArray, normal: FloatArray, T_so_far: FloatArray) -> tuple[FloatArray, float]:
-    """(4, 4) how points (n, 3) move onto planes through feet; rms of what they were off, robustly [m]."""
+    """(4, 4) motion of points (n, 3) onto planes through feet; robust rms of their residuals [m]."""
     middle = points.mean(axis=0)
     off = np.einsum("ij,ij->i", normal, points - foot)
     weight = np.minimum(1.0, ROBUST_M / np.maximum(np.abs(off), 1e-12))

@@ -21,7 +21,7 @@ from deformscope.stages.see.flow import FlowField, grey
 HeldGroup = Literal["top", "bottom", "left", "right", "border", "contact"]
 
 LONG_SIDE_PARTICLES = 15
-"""Particles along the longer side of the region when neither shape nor spacing is asked for."""
+"""Default number of particles along the longer side of the region."""
 
 SMALLEST_SPACING_PX = 2.0
 

@@ -57,7 +57,7 @@ class SeenBoard:
 @dataclass(frozen=True, slots=True, eq=False)
 class LensEstimate:
     """focal_px, center_px: (2,); distortion: (5,) OpenCV's k1, k2, p1, p2, k3
-    half_px: (4,) half intervals of fx, fy, cx, cy; left_over_px: root mean square of what is left over"""
+    half_px: (4,) half intervals of fx, fy, cx, cy; left_over_px: root mean square of the residuals"""
 
     focal_px: FloatArray
     center_px: FloatArray

@@ -1,4 +1,4 @@
-"""How a force sensor sits on the stick, from pushes along known axes; what it reads in free air; what hangs on it.
+"""Orientation of a force sensor on the stick, from pushes along known axes; its readings in free air; its load.
 
 Axes are those of the tip's frame: z along the stick, outwards. A push is the force of the tip on the world: pressing
 the tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
@@ -20,13 +20,13 @@ PUSHED = ErrorPrior(np.radians(6.0))
 FREE = ErrorPrior(0.01)
 """Deviation of a mean force in free air [N]."""
 PRESSED = ErrorPrior(0.02)
-"""Deviation of a load that a scale shows while somebody holds it [N]: 2 g."""
+"""Standard deviation of a scale's load while a person holds it [N]: 2 g."""
 LEAST_N = 0.5
 LEAST_LOAD_N = 1.0
 LEAST_ANGLE_RAD = np.radians(30.0)
 """Between the lines of two pushes across the stick: nearer ones do not say whether the sensor's axes are mirrored."""
 ASIDE_RAD = np.radians(35.0)
-"""A push by so much off every axis of the sensor that it could be is none along the axis asked for."""
+"""Angle of a push to every possible axis of the sensor from which it is refused."""
 BLOCK_S = 1.0
 """Noise of a filtered sensor is independent over this."""
 LEAST_TURN = 0.15
@@ -96,7 +96,7 @@ def _widest(angles: FloatArray) -> float:
 
 
 def _turned(seen: FloatArray, aimed: FloatArray) -> tuple[float, FloatArray]:
-    """The angle that brings directions (n,) to others (n,), and what is left over (n,) [rad]."""
+    """The angle that turns directions (n,) to others (n,), and the residuals (n,) [rad]."""
     between = np.exp(1j * (aimed - seen))
     turn = float(np.angle(between.mean()))
     return turn, np.asarray(np.angle(between * np.exp(-1j * turn)))
@@ -115,7 +115,7 @@ class ForceGain:
 def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSED) -> ForceGain:
     """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N].
 
-    Raises InputError for a load too small to say it, and for forces that no sensor of so many newtons gives.
+    Raises InputError for a load that is too small, and for forces outside a sensor's possible gain.
     """
     felt_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
     if not (load_n >= LEAST_LOAD_N and len(felt_n)):

@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.stages.setup.transform import LEVEL, ErrorPrior, TransformEstimate, fitted, moved, rigid, transform_of
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-"""Of the rectangle, in the order in which they are asked for: origin, end of x, end of y, the far one."""
+"""Corners of the rectangle, in the order of the requests: origin, end of x, end of y, the far one."""
 CORNER_NAMES = ("origin", "end of x", "end of y", "far corner")
 TOUCHED = ErrorPrior(0.001)
 """Deviation of a corner found by eye and touched by a round tip [m]."""

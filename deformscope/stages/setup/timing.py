@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 from deformscope.stages.setup.transform import LEVEL
 
 REACH_S = 0.5
-"""Offsets that are looked at, either way."""
+"""Evaluated offsets, in both directions."""
 COARSE_S, STEP_S = 2e-3, 2.5e-4
 """Between offsets: of all, and of those FINE_S around the best."""
 FINE_S, NEAR_S = 0.04, 0.1
@@ -27,7 +27,7 @@ LEAST_PEAK = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeOffset:
-    """offset_s: y comes so much later than x; low_s, high_s: its interval; share: of y's variance that x explains
+    """offset_s: delay of y relative to x; low_s, high_s: its interval; share: of y's variance that x explains
     offsets_s, density: (n,) the posterior over the grid [1/s]"""
 
     offset_s: float
@@ -105,7 +105,7 @@ def _peak(signal: FloatArray) -> float:
 
 
 def _independent(when: FloatArray, seen: FloatArray, offset: float, x_time_s: FloatArray, x: FloatArray) -> float:
-    """How many independent readings what is left over is worth, by how alike neighbours are."""
+    """Effective number of independent residuals, by the correlation of neighbours."""
     model = np.interp(when - offset, x_time_s, x)
     design = np.column_stack([model, np.ones(len(model))])
     left_over = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]

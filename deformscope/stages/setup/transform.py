@@ -28,7 +28,7 @@ LEVEL = 0.9
 class ErrorPrior:
     """Prior of a measurement's variance: scaled inverse chi-square.
 
-    sd: its centre, in units of the residuals; weight: so many measurements' worth, 0 = nothing is known
+    sd: its centre, in units of the residuals; weight: in numbers of measurements, 0 = no prior
     """
 
     sd: float
@@ -129,7 +129,7 @@ def fitted(residual: Callable[[FloatArray], FloatArray], start: npt.ArrayLike, p
 
 
 def judged(value: FloatArray, inverse: FloatArray, left_over: FloatArray, prior: ErrorPrior) -> LeastSquares:
-    """A solution (p,) with the inverse of its normal matrix (p, p), and what is left over (n,)."""
+    """A solution (p,) with the inverse of its normal matrix (p, p), and the residuals (n,)."""
     count = len(left_over) - len(value)
     squares, dof = float(left_over @ left_over), prior.weight + count
     variance = (prior.weight * prior.sd**2 + squares) / dof

@@ -21,7 +21,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 LEAST = float(np.log(1e-9))
 """The logarithm of the smallest posterior."""
 NEIGHBOURS = {3: 3, 5: 5}
-"""Neighbours for so many classes (Thesis 2.5.3)."""
+"""Neighbours by the number of classes (Thesis 2.5.3)."""
 NEIGHBOURS_TRIED: tuple[int, ...] = (1, 3, 5, 7, 9)
 """For any other number of classes: the one that is right most often on training points, each left out in turn."""
 LINEAR_COMPONENTS = 200
@@ -249,7 +249,8 @@ def columns_of(name: Name, kept: int) -> int | None:
 
 
 def usable(name: Name, raw: int) -> bool:
-    """Whether a classifier of that name is for so many columns: a raw covariance is no estimate of thousands."""
+    """Whether a classifier of that name supports this number of columns: a raw covariance is no estimate of
+    thousands."""
     return name != "qda-raw" or raw <= LINEAR_COMPONENTS
 
 

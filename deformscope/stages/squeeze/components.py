@@ -20,7 +20,7 @@ FLAT = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """What makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
+    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
 
     used: BoolArray
     mean: FloatArray
@@ -49,7 +49,7 @@ class Space:
 
     train: (n, d), test: (m, d) with d up to the rank of the training side. Distances between a test point and training
     points differ from those between the standardised features by the same amount for all of them
-    kept: so many components hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
+    kept: number of components that hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
     """
 
     train: FloatArray

@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.stages.see.cloud import Intrinsics
 
 SIDES = 256
-"""Of the prism that stands for a cylinder: so many that its facets do not look like a grip on rotation."""
+"""Sides of the prism that represents a cylinder: enough that its facets give no hold against rotation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class ContainerModel:
 
 @dataclass(frozen=True, slots=True)
 class ModelView:
-    """What each of the pixels asked for sees of a container. depth_m: along the camera's axis [m], nan outside it
+    """View of a container in each of the requested pixels. depth_m: along the camera's axis [m], nan outside it
     outward: (..., 3) unit normals of its surface in its own frame; rotation: (3, 3) from there to the camera's frame
     """
 

@@ -91,8 +91,8 @@ class CurvePoint:
 
 @dataclass(frozen=True, slots=True)
 class TimePoint:
-    """What is known after so much of the squeeze. accuracy: of all trials; stopped: share of trials in which one class
-    has reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
+    """Results at a time of the squeeze. accuracy: of all trials; stopped: share of trials in which one class has
+    reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
 
     time_s: float = field(metadata=reported())
     accuracy: Estimated = field(metadata=reported(interval_key="interval"))
@@ -103,7 +103,7 @@ class TimePoint:
 @dataclass(frozen=True, slots=True)
 class Evaluation:
     """All that was found. table: what was evaluated; protocol: the strictest one, to which comparisons, curve and steps
-    belong; skipped: what was left out, and why
+    belong; skipped: parts left out, and why
     copies: rows that nearly equal one of another group; without_copies: `best` of the others alone, None = no copies or
     too few trials without them"""
 

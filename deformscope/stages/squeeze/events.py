@@ -18,14 +18,14 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 
 PERIODS = 2.0
-"""An event is known to so many sample periods."""
+"""Accuracy of an event in sample periods."""
 BASELINE_FRAMES = 6
 """The first frames, in the air, are the baseline."""
 DEVIATIONS = 6.0
 """Of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
 AT_REST = 1.0 / 3.0
 """Share of `still_deg`: axes at rest came to rest when they were within this of their final angle. `still_deg` itself
-is what they turn in a period or two while they still close."""
+is their rotation in a period or two while they still close."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class SqueezeEvents:
     """First contact and steady state, on the host's clock [ns], each with the interval in which it was.
 
     first_ns: midway between the last frame without contact and the first with it, by any of the fingers
-    steady_ns: of the first reading from which on the closing axes stood still; 0 = it did not happen
+    steady_ns: of the first reading of the closing axes' rest; 0 = it did not happen
     finger_ns: (fingers,) first contact of each, 0 = none
     first_interval_ns, steady_interval_ns: (low, high), two sample periods wide at least
     tactile_period_s, hand_period_s: median of the sample periods; onset_counts: the sums' threshold over the baseline
@@ -101,8 +101,8 @@ class OnsetDetector:
 
 
 class StillDetector:
-    """Feed the closing axes' angles once they move. `steady_ns` is set after enough time at rest, to the reading from
-    which on they were within `AT_REST` of the tolerance of their final angle."""
+    """Feed the closing axes' angles once they move. `steady_ns` is set after enough time at rest, to the first reading
+    within `AT_REST` of the tolerance of their final angle."""
 
     def __init__(self, rule: EventRule) -> None:
         self._rule = rule

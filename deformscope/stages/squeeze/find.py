@@ -27,12 +27,12 @@ ABOVE_M = 0.015
 """What is lower over the table is table: several deviations of a depth camera's noise at 1 m. Higher, flat containers
 are not seen; lower, noise of the table joins pieces."""
 CELL_M, CELL_POINTS = 0.01, 3
-"""Cells seen from above that count as occupied with so many points: pixels are 2 mm apart at 1 m. A coarser one merges
+"""Least number of points of an occupied cell seen from above: pixels are 2 mm apart at 1 m. A coarser one merges
 objects a centimetre apart; a finer one splits a side at grazing angles."""
 LEAST_POINTS, LEAST_HEIGHT_M = 300, 0.04
 """Of a piece that may be a container: half of what one of 4 cm x 5 cm has at 1 m."""
 TOP_M = 0.008
-"""Within so much of the top a point may belong to it: five deviations of depth at 1 m."""
+"""Distance below the top within which a point may belong to it: five deviations of depth at 1 m."""
 MOST_POINTS = 4000
 """Fitted to at most: more change nothing that counts, and cost time in proportion."""
 SOFT_M = 0.003
@@ -88,8 +88,8 @@ class ContainerFit:
 
 @dataclass(frozen=True, slots=True)
 class ContainerShift:
-    """A container against what it was before. kind: stands, moved, toppled, gone (no upright one is found any more) or
-    hidden (unknown); `reason` has the cause
+    """A container compared with its earlier state. kind: stands, moved, toppled, gone (no upright one is found any
+    more) or hidden (unknown); `reason` has the cause
 
     moved_m: of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: of its axis
     """
@@ -163,7 +163,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
 
 
 def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerShift:
-    """What became of a container. after: as it is found now, or why it was not"""
+    """Change of a container. after: as it is found now, or why it was not"""
     if isinstance(after, ContainerHidden) and after.top_m < LOWER * before.size_m[2]:  # it lies, its sides not seen
         reason = f"the object there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
         return ContainerShift("gone", reason=reason)
@@ -240,7 +240,7 @@ def _fitted(
 
 
 def _rms(off: FloatArray) -> float:
-    """Of all but the worst tenth, as if they were Gaussian."""
+    """Of all but the worst tenth, as for Gaussian errors."""
     kept = np.sort(np.abs(off))[: max(1, int(0.9 * len(off)))]
     return float(np.sqrt(np.mean(kept**2))) * 1.24
 

@@ -1,4 +1,4 @@
-"""Posteriors that mean what they say, and several modalities together: late fusion (Thesis 2.6, future work).
+"""Calibrated posteriors, and several modalities together: late fusion (Thesis 2.6, future work).
 
 Everything is fitted on the training side alone: the classifier of a modality, its posteriors' calibration, and the
 reliability of each modality for each class. The posteriors that this is learned from are of points left out.
@@ -93,7 +93,7 @@ def fit_pool(
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A classifier of a modality. name: which; columns: so many components it takes, None = all"""
+    """A classifier of a modality. name: which; columns: number of components that it takes, None = all"""
 
     name: Name
     columns: int | None

@@ -23,7 +23,7 @@ class Estimated:
 
 
 def wilson(share: float, count: float, level: float) -> Interval:
-    """Interval of a share that was seen in so many independent trials (Wilson 1927)."""
+    """Interval of a share that was observed in a number of independent trials (Wilson 1927)."""
     if count <= 0:
         return 0.0, 1.0
     z2 = float(scipy.stats.norm.ppf(0.5 + level / 2)) ** 2
@@ -69,8 +69,8 @@ def over_splits(values: FloatArray, ratio: float, level: float, worth: float = n
 
 
 def share_of(values: FloatArray, worth: float, level: float) -> Estimated:
-    """The mean of shares (J,) over splits, as of so many independent trials (`trials_worth`): both ends of the interval
-    rise with the number of right answers."""
+    """The mean of shares (J,) over splits, as of an effective number of independent trials (`trials_worth`): both ends
+    of the interval rise with the number of right answers."""
     mean = float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
     return Estimated(mean, wilson(mean, worth, level))
 

@@ -25,7 +25,7 @@ DRAWS = 4000
 
 
 TIMES_S = (0.2, 0.5, 1.0)
-"""Since first contact: when what a model says meanwhile is looked at."""
+"""Times since first contact at which a model's posteriors are evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +50,10 @@ class ModelCheck:
     """labels: the model's C contents; score: of all its modalities; alone: of each modality alone
 
     promised: accuracy with its interval that the model carries, None = none
-    expected: within what the accuracy of so many independent trials lies, were the promise right
+    expected: interval of the accuracy of this number of independent trials, if the promise is right
     inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
-    times: while the squeeze goes on and in the end, where table and model have steps
+    times: during the squeeze and in the end, if table and model have steps
     trained: number of the trials that trained the model: these do not test it
     """
 
@@ -70,8 +70,8 @@ class ModelCheck:
     @property
     @derived(key="promise_kept")
     def kept(self) -> bool | None:
-        """Whether the accuracy is one that is expected of so many trials, were the promise right; None without one, and
-        where trials trained the model."""
+        """Whether the accuracy is within the interval of this number of trials, if the promise is right; None without
+        one, and if trials trained the model."""
         return (
             None
             if self.expected is None or self.trained

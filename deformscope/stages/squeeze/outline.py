@@ -9,7 +9,7 @@ from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel
 
 SHARP_COSINE = 0.85
-"""Faces whose normals agree by less meet in an edge that is seen."""
+"""Faces whose normals differ by more meet in a visible edge."""
 
 
 def outline_px(model: ContainerModel, camera: Intrinsics, T_camera_container: FloatArray) -> FloatArray:

@@ -31,7 +31,8 @@ CLOSED_M = 0.03
 SURE = 5.0
 """Limits in standard deviations of noise, and of the walls' bulge, beyond which a pixel is not the wall."""
 OUTLINE_PX = 2
-"""Within so many pixels of an outline, of the model or of the hand, a camera may see either side, or what is between
+"""Distance in pixels from an outline, of the model or of the hand, within which a camera may see either side, or a
+value between
 them: outlines are seen within 1.5 px (`track.EDGE_NOISE_PX`)."""
 LOCAL_PX = 5
 """Side of the window whose median a pixel is compared with."""

@@ -15,7 +15,8 @@ class ContainerSighting:
     """The container in depth images that were taken together.
 
     index: the newest image's place in its stream; images: of all of them; arm_ns, hand_ns: of the states by which the
-    robot was left out, on the devices' clock; when: before, asked (once a person was), placed, or after (the squeeze)
+    robot was left out, on the devices' clock; when: before, asked (after a person was asked), placed, or after (the
+    squeeze)
     near: it was sought close to where it was before, also where the robot hides a part of it
     fit: None where it was not found, and `refused` says why; change: against before
     edges_px: (n, 2, 2) ends of the found container's edges in the image

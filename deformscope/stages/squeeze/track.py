@@ -35,25 +35,25 @@ EDGE_EVERY_PX = 3
 """Of the outline."""
 EDGE_REACH_PX = 12
 EDGE_RUN_PX = 3
-"""So many pixels in a row are the container's, then so many are not: a single missing pixel is no edge."""
+"""Number of successive pixels of the container, and then of others, at an edge: a single missing pixel is none."""
 JUMP_M = 0.025
 """Beyond the outline depth is larger by more than that; a table under the container is not."""
 COARSE_M = 0.0015
-"""After a smaller motion all pixels are looked at, and the outline."""
+"""After a smaller motion all pixels are used, and the outline."""
 SETTLED_M = 0.0002
 RESTLESS_M = 0.0005
-"""After a smaller motion there is no more to gain; pixels that come and go may keep a pose moving by so much."""
+"""After a smaller motion the pose has converged; pixels that come and go may move a pose by this."""
 OBSERVED_M = 0.001
 """A direction of motion with a smaller deviation is observed."""
 FLATTEST = 0.2
 """Least cosine between a ray and the normal where a pixel counts."""
 THIN = (slice(None, None, 2), slice(None, None, 2))
-"""Of the pixels looked at in the end, so many are compared."""
+"""Number of the final pixels that are compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackOptions:
-    """reach_m: from how far the surface is drawn to the data [m]; steps: at most so many
+    """reach_m: from how far the surface is drawn to the data [m]; steps: largest number
     least_pixels: of the container seen; least_agreeing: least share of them within the noise for a good track
     farthest_m, farthest_deg: from the rest pose; jump_m: from the start, rotation times the lever added
     """

@@ -156,7 +156,7 @@ class SqueezeFeatures:
 class ContentPosterior:
     """What a model takes the content for.
 
-    since_s: since the first contact [s]; modality: what it is computed from; labels; probability: (k,) of each
+    since_s: since the first contact [s]; modality: its input; labels; probability: (k,) of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
     vision_index: of the image whose change of depth it also is of, None = none
     """

@@ -35,7 +35,7 @@ USB_3_MBIT_S = 5000
 
 
 def list_by_librealsense(library: str = "pyrealsense2") -> list[ListedRealsense] | None:
-    """The cameras that librealsense sees, asked in a process of its own; None where it is not installed."""
+    """The cameras that librealsense lists in a child process; None if it is not installed."""
     try:
         return ask_hosted(report_cameras, library, timeout_s=LIST_TIMEOUT_S) or []
     except LibraryMissing:

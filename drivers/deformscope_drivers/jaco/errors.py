@@ -36,7 +36,7 @@ _COMM_LAYER = (
 class VendorError(CommandRefused):
     """The vendor's library answered with a code that is not success.
 
-    code: the number; symbol: its name in the vendor's header; meaning: what it says; remedy: what to try
+    code: the number; symbol: its name in the vendor's header; meaning: explanation of the code; remedy: what to try
     """
 
     code: int

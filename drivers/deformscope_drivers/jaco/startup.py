@@ -60,7 +60,7 @@ class JacoIdentity:
 
 
 def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], None]) -> JacoIdentity:
-    """Initialise the library, choose the arm, and take control of it; nothing moves unless the fingers are asked to.
+    """Initialise the library, choose the arm, and take control of it; nothing moves without a command to the fingers.
 
     pause: waits that many seconds. Raises the named exception of whatever goes wrong.
     """
@@ -92,8 +92,8 @@ def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], 
 def check_pose(functions: Functions, chain: Chain) -> None:
     """Raise SettingsRefused unless the arm reports its hand where its model's kinematics have it.
 
-    Everything else takes the hand's pose from the joint angles. An arm of another model than it says, or one with a
-    tool's offset stored in it, would move and touch beside where it should.
+    Everything else takes the hand's pose from the joint angles. An arm of another model than it reports, or one with a
+    stored tool offset, would move and touch at wrong places.
     """
     angles = read(functions, "GetAngularPosition", AngularPosition)
     pose = cartesian_values(read(functions, "GetCartesianPosition", CartesianPosition).Coordinates)

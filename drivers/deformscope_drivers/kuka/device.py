@@ -1,9 +1,9 @@
 """A KUKA through RSI: each of the controller's cycles is answered at once, with the correction for that cycle.
 
-Corrections are relative: an answer of zeros lets the arm stand, so nothing waits in it that would have to be erased.
-A velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
-after. A missing answer lets the arm stand only where the controller is set up so (HOLDON="0"): opening tries it, with a
-correction of PROBE_DEG after which answers are left out, and refuses any other controller.
+Corrections are relative: an answer of zeros leaves the arm at rest, so no waiting points would have to be erased. A
+velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
+after. A missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it,
+with a correction of PROBE_DEG after which answers are left out, and refuses any other controller.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from deformscope_drivers.kuka.port import UdpPort
 from deformscope_drivers.transport import Transport
 
 SILENCE_S = 0.5
-"""A controller that sends nothing for so long has ended RSI."""
+"""Silence of a controller after which RSI has ended."""
 RATES_OVER_NS = 40_000_000
 POSE_MM, POSE_DEG = 5.0, 2.0
 CYCLES_SEEN = 5
 ZEROS_AT_CLOSE = 3
 """Answers of zeros before the port is closed: the controller may miss two of them."""
 REST_ANSWERS = 50
-"""Of these, so many in a row have to be in time as an arm is stopped. Not a time: this process may be held up."""
+"""Number of successive ones that must be in time while an arm is stopped. Not a time: this process may be held up."""
 PROBE_DEG, PROBE_LEFT_OUT, PROBE_SETTLES_S = 0.01, 2, 0.5
 """At opening: a correction of every axis, how many answers are then left out, and when the axes have settled. A
 correction that is held moves an axis by three times as much. Chosen: ten times what AIPos shows at rest."""
@@ -106,8 +106,8 @@ class Kuka(Arm[ArmState]):
         self._do(lambda: self._rest(1), 2 * SILENCE_S)
 
     def _rest(self, zeros: int) -> None:
-        """Answer with zeros until so many in a row are out that the controller did not count as late. Raises
-        NotStopped, or LinkLost where it asks no more."""
+        """Answer with zeros until a number of successive answers were sent that the controller did not count as late.
+        Raises NotStopped, or LinkLost where it asks no more."""
         self._resting = True
         try:
             for _ in range(REST_ANSWERS):
@@ -167,7 +167,7 @@ class Kuka(Arm[ArmState]):
         self._ipoc, self._late_before, self._heard_ns = message.ipoc, message.late, self._clock()
 
     def _check_missing(self) -> None:
-        """That one answer moves the axes once, and that they stand while answers are missing."""
+        """That one answer moves the axes once, and that they rest while answers are missing."""
         moved_deg = self._zero
         for _ in range(PROBES):
             moved_deg = self._probe_deg()
@@ -271,7 +271,7 @@ class Kuka(Arm[ArmState]):
         return (self._state(message, now_ns),)
 
     def _correction_deg(self, joints_deg: tuple[float, ...], now_ns: int) -> FloatArray:
-        """(6,) for one cycle: velocity times cycle, never more than an axis may; zero where nobody vouches for one."""
+        """(6,) for one cycle: velocity times cycle, within an axis's limit; zero without a valid velocity."""
         with self._commanded:
             streamed = self._streamed
             if streamed is not None and now_ns > streamed.expires_ns:

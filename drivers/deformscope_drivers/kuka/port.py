@@ -75,7 +75,7 @@ class UdpPort(Transport):
 
 
 def free_port() -> int:
-    """A port of this host that nobody has."""
+    """An unused port of this host."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
         tried.bind((LOOPBACK, 0))
         return int(tried.getsockname()[1])

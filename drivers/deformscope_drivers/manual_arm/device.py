@@ -1,6 +1,6 @@
 """An arm that a person places: it is where they have confirmed that it is, and reports that until they say otherwise.
 
-Nothing is measured here: `place` is what a person vouches for, as they read it from a scale. No command moves it.
+Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class ManualArm(Arm[ArmState]):
         raise self._no_commands("an arm that moves on commands")
 
     def stop(self) -> None:
-        """Nothing to stop: the arm stands by itself. Raises NotConnected where it is not open."""
+        """Nothing to stop: the arm does not move without a person. Raises NotConnected where it is not open."""
         self._require_open()
 
     def halt(self, reason: str) -> None:

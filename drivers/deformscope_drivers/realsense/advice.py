@@ -17,9 +17,9 @@ _DENIED = ("status_access", "permission denied", "operation not permitted", "err
 def meaning(error: Exception, expected: str, where: str) -> DeviceError:
     """The error of a device's that an error of the library's is.
 
-    librealsense words them by what failed below it: `xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or
-    resource busy` and `failed to set power state` of a camera that another program streams from (issues 1828, 12382,
-    6555), `RS2_USB_STATUS_ACCESS` without udev rules (issue 4951; realsense-ros 1408).
+    librealsense words them by the failure below it: `xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or
+    resource busy` and `failed to set power state` for a camera that another program uses (issues 1828, 12382, 6555).
+    Without udev rules it is `RS2_USB_STATUS_ACCESS` (issue 4951; realsense-ros 1408).
     """
     words = " ".join(str(error).split())
     lower = words.lower()

@@ -38,14 +38,14 @@ class Controller(IntEnum):
 
 
 class VelocityProfile(IntEnum):
-    """How the speed of a pose move goes over its time; `selgrip` and `grip` know SIN_SQUARE only."""
+    """Speed of a pose move over its time; `selgrip` and `grip` have SIN_SQUARE only."""
 
     SIN_SQUARE = 0
     RAMP = 1
 
 
 class Grasp(IntEnum):
-    """The grasps that the firmware knows."""
+    """The grasps of the firmware."""
 
     CENTRICAL = 0
     PARALLEL = 1

@@ -1,8 +1,8 @@
 """Access to a camera: OpenCV over Video4Linux (V4L2), behind an interface as small as a test's fake can be.
 
-OpenCV waits for an image without end, or 10 s, unless a timeout is set: `waitAny` waits as long as it is asked to.
-Only the first image after opening is waited for inside OpenCV; `OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT` bounds that [s],
-and is set to 2 where the user has not set it. The kernel's own calls (opening, setting) cannot be bounded from here.
+OpenCV waits for an image without end, or 10 s, unless a timeout is set: `waitAny` waits for its given time. Only the
+first image after opening is waited for inside OpenCV; `OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT` bounds that [s], and is set
+to 2 unless the user has set it. The kernel's own calls (opening, setting) cannot be bounded from here.
 Sources: OpenCV's documentation and its cap_v4l.cpp; V4L2's documents for the units of controls.
 """
 

@@ -47,10 +47,10 @@ class Playback(Device[ColorImage]):
     """Pictures of a file, as from a camera.
 
     fps: pictures a second; None = as the file says, else 30
-    real_time: at that rate, as a camera would, so that a slow reader loses some; False = as fast as the readers take
-    them, and no reader loses any: nothing moves before one reads, and `next` goes on by one picture
-    loop: begin again at the end; otherwise the readers come to their end
-    A picture's device_ticks are its time in the file [us], which goes on from round to round.
+    real_time: at that rate, as a camera would, so that a slow reader loses some. False = as fast as the readers take
+    them, and no reader loses any. No picture is read before a reader starts, and `next` advances by one picture
+    loop: begin again at the end; otherwise the readers end A picture's device_ticks are its time in the file [us],
+    which continues from round to round.
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
