@@ -264,7 +264,8 @@ def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup
         camera = rig.camera.device if kind == "depth" else ""
         found = [one.device for one in streams if one.kind == kind and camera in ("", one.device)]
         if len(found) != 1:
-            raise InputError(f"one {kind} device in the recording", ", ".join(found) or "none", where=path)
+            came, hint = ", ".join(found) or "none", "in the map of its import"
+            raise InputError(f"one {kind} device in the recording", came, hint, path)
         names += found
     T_base_surface = np.array(rig.surface.T_arm_surface, dtype=np.float64)
     T_surface_camera = np.linalg.inv(T_base_surface) @ np.array(rig.camera.T_arm_camera)
