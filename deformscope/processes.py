@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -24,6 +25,13 @@ RENEW_S = 0.5
 """Long waits of the main thread are renewed so often: a signal that arrives just before a wait begins does not end it,
 and its handler runs only once the wait is over."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def release_memory() -> None:
+    """Give the system back what the process has freed. glibc keeps it, and large arrays that come and go with small ones
+    between them let it grow without end. Nothing happens with another C library."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @contextlib.contextmanager

@@ -90,7 +90,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("plain", "recording", "rig", "robot", "runs", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
+    "bench": ("arrays", "bench_cases", "errors", "plain", "processes", "version", *STAGES),
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
