@@ -28,8 +28,8 @@ BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def release_memory() -> None:
-    """Give the system back what the process has freed. glibc keeps it, and large arrays that come and go with small ones
-    between them let it grow without end. Nothing happens with another C library."""
+    """Give the system back what the process has freed. glibc keeps it, and grows without end where large arrays come
+    and go between small ones that stay. Nothing happens with another C library."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 

@@ -63,7 +63,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rows": ("arrays", "frames", "images", "results", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
     "recording": (
-        *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),
+        *("arrays", "errors", "file_io", "frames", "images", "log", "page.server", "plain", "results", "rows"),
+        *("session", *STAGES),
     ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     # What others recorded, as frames.

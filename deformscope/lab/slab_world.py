@@ -36,7 +36,6 @@ from deformscope.errors import InputError
 from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import Scene
 from deformscope.lab.slab import RigidTip
-from deformscope.processes import release_memory
 from deformscope_drivers.arm.kinematics import cross
 
 FINE = 0.15
@@ -185,9 +184,7 @@ class SlabWorld:
             if kept == tip and (np.abs(patch.xy_m - xy_m) <= drift_m + 1e-9).all():
                 return patch
         fine = _fine_m(tip)
-        if len(self._patches) == MOST_PATCHES:
-            del self._patches[0]  # before the next is made
-            release_memory()
+        self._patches = self._patches[-MOST_PATCHES + 1 :]  # before the next is made
         patch = self._made(xy_m, _half_m(tip) + MARGIN * fine, fine)
         self._patches.append((tip, patch))
         return patch
