@@ -74,8 +74,11 @@ class CaptureStream(Counted):
             torques = len(first.counts) > force.size  # type: ignore[union-attr]
             self._known = Stream(stream.device, stream.kind, stream.driver, channels=len(force), torques=torques)
 
-    def describe(self, known: Stream | None) -> Stream:
+    def describe(self) -> Stream:
         return self._known
+
+    def behind_s(self, reader: Reader) -> None:
+        """Bytes have no stamps but when they came."""
 
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""

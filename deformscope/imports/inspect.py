@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.frames import Stream
 from deformscope.images import read_image
 from deformscope.imports.captures import Counted
 from deformscope.imports.frame_builder import CLOUDS, DEPTH_ENCODINGS, KINDS, STANDARD
@@ -149,6 +150,5 @@ def _own(one: Found, kind: Any, found: list[Found], about: Manifest) -> MappedSt
         there = {each.topic.name for each in found}
         base = about.device_topics.get(device, f"/{device}")
         topics += [name for name in (f"{base}/color/compressed", f"{base}/depth/image") if name in there]
-    known = about.stream(device)
-    pads = () if known is None else known.pads
-    return MappedStream(device=device, kind=kind, topics=tuple(topics), pads=pads, nan="keep")
+    known = about.stream(device, Stream(device, kind, ""))
+    return MappedStream(device=device, kind=kind, topics=tuple(topics), pads=known.pads, nan="keep")

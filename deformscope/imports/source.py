@@ -6,7 +6,7 @@ import heapq
 import itertools
 import math
 import operator
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +51,7 @@ class ImportSource(ItemSource):
             one.device: CaptureStream(one, configs[one.device], reader) if one.driver else _Stream(one, reader)
             for one in asked.streams
         }
-        streams = tuple(one.describe(reader.about.stream(name)) for name, one in self._made.items())
+        streams = tuple(reader.about.stream(name, one.describe()) for name, one in self._made.items())
         self._check_first(reader)
         super().__init__(self._read(reader), streams, asked.start_ns)
         if self._next is None:
@@ -102,24 +102,24 @@ class ImportSource(ItemSource):
         if empty := [one for one in self._made.values() if not one.count]:
             came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
             raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
-        spans = {one: (one.first_ns, one.last_ns) for one in self._made.values() if one.stream.offset_s is None}
-        for (one, (first, last)), (other, (begin, end)) in itertools.combinations(spans.items(), 2):
-            if (apart_s := max(begin - last, first - end) / 1e9) > APART_S:
-                latest = max((one, other), key=lambda each: abs(each.first_ns - self.start_ns))
-                raise _of_another_clock(latest, one if latest is other else other, apart_s)
+        same = {name: one for name, one in self._made.items() if one.stream.offset_s is None}
+        for (name, one), (other, its) in itertools.combinations(same.items(), 2):
+            if (apart_s := max(its.first_ns - one.last_ns, one.first_ns - its.last_ns) / 1e9) > APART_S:
+                first_ns = {name: abs(one.first_ns - self.start_ns), other: abs(its.first_ns - self.start_ns)}
+                raise self._of_another_clock(first_ns, apart_s)
 
     def _check_first(self, reader: Reader) -> None:
         """Compare first stamps with when they were recorded, of streams whose clock the map says nothing of."""
-        behind_s = {
-            one: behind
-            for one in self._made.values()
-            if isinstance(one, _Stream) and one.stream.offset_s is None and (behind := one.behind_s(reader)) is not None
-        }
-        least, most = (pick(behind_s, key=behind_s.__getitem__, default=None) for pick in (min, max))
-        if least is None or most is None or (apart_s := behind_s[most] - behind_s[least]) <= CLOCKS_APART_S:
-            return
-        worst = max((least, most), key=lambda one: abs(behind_s[one]))
-        raise _of_another_clock(worst, least if worst is most else most, apart_s)
+        every = ((name, one.behind_s(reader)) for name, one in self._made.items() if one.stream.offset_s is None)
+        found = sorted((behind, name) for name, behind in every if behind is not None)
+        if found and (apart_s := found[-1][0] - found[0][0]) > CLOCKS_APART_S:
+            raise self._of_another_clock({name: abs(behind) for behind, name in (found[0], found[-1])}, apart_s)
+
+    def _of_another_clock(self, away: Mapping[str, float], apart_s: float) -> InputError:
+        """away: how far two streams are from the beginning, or from when they were recorded"""
+        one, other = sorted(away, key=away.__getitem__)
+        came = f"stamps {apart_s:.4g} s from those of {one}"
+        return self._made[other].stream.missing("offset_s", "how its clock differs", came)
 
 
 class _Stream(Counted):
@@ -155,15 +155,11 @@ class _Stream(Counted):
         if foreign and stream.time in ("header", "log", ASKED):
             raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
 
-    def describe(self, known: Stream | None) -> Stream:
-        if known is not None:
-            return known
-        forces = len(columns_of("force_n", self._builder.columns))
-        torques = bool(columns_of("torque_nm", self._builder.columns))
-        pads = self.stream.pads
-        return Stream(
-            self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
-        )
+    def describe(self) -> Stream:
+        """What it is where an export does not say it."""
+        forces, torques = (columns_of(one, self._builder.columns) for one in ("force_n", "torque_nm"))
+        channels, about = max(len(forces) // 3, 1), self.stream
+        return Stream(about.device, about.kind, DRIVER, pads=about.pads, channels=channels, torques=bool(torques))
 
     def behind_s(self, reader: Reader) -> float | None:
         """By how much its first stamp is behind when it was recorded [s]; None where a source does not say that."""
@@ -277,11 +273,6 @@ class _Stream(Counted):
                 T, oldest_ns = T_parent_at @ T, min(oldest_ns, since_ns)
         if at == parent:
             self._pose, self._pose_ns = T, oldest_ns
-
-
-def _of_another_clock(one: _Stream | CaptureStream, other: _Stream | CaptureStream, apart_s: float) -> InputError:
-    came = f"stamps {apart_s:.4g} s from those of {other.stream.device}"
-    return one.stream.missing("offset_s", "how its clock differs", came)
 
 
 def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:

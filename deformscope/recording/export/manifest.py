@@ -39,13 +39,12 @@ class Manifest(msgspec.Struct, frozen=True):
     topics: dict[str, str] = {}
     device_topics: dict[str, str] = {}
 
-    def stream(self, device: str) -> Stream | None:
-        """What is known of a device, None = nothing. Raises InputError for what none is."""
+    def stream(self, device: str, otherwise: Stream) -> Stream:
+        """What is known of a device, or what it is otherwise. Raises InputError for what none is."""
+        if device not in self.devices:
+            return otherwise
         try:
-            said = {**self.devices[device], "device": device, "driver": DRIVER}
-            return msgspec.convert(said, Stream)
-        except KeyError:
-            return None
+            return msgspec.convert({**self.devices[device], "device": device, "driver": DRIVER}, Stream)
         except msgspec.ValidationError as error:
             raise InputError(f"{device} as deformscope describes devices", str(error)) from error
 
