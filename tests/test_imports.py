@@ -63,7 +63,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rows": ("arrays", "frames", "images", "results", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
     "recording": (
-        *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),
+        *("arrays", "errors", "file_io", "frames", "images", "log", "page.server", "plain", "results", "rows"),
+        *("session", *STAGES),
     ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     # What others recorded, as frames.
@@ -90,7 +91,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("plain", "recording", "rig", "robot", "runs", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
+    "bench": ("arrays", "bench_cases", "errors", "plain", "processes", "version", *STAGES),
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),

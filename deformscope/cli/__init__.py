@@ -236,7 +236,8 @@ def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequ
     except InputError as error:
         return _fail(str(error), EXIT_INPUT)
     except Exception as error:
-        return _fail(_explain(error), EXIT_UNEXPECTED)
+        refused = isinstance(error, OSError) and error.strerror and not _missing_library(error)
+        return _fail(_explain(error), EXIT_INPUT if refused else EXIT_UNEXPECTED)
 
 
 # Finding the command -------------------------------------------------------------------------------------------------

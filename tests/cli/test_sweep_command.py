@@ -389,6 +389,6 @@ def test_a_full_disk_ends_it_in_one_line(pairs: Path, tmp_path: Path) -> None:
     ran = subprocess.run(
         command, env=paths_of_tests(), capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False
     )
-    assert ran.returncode == 1
+    assert ran.returncode == 2
     assert [line for line in ran.stderr.splitlines() if "error" in line] == [ran.stderr.splitlines()[-1]]
     assert "the system refused" in ran.stderr
