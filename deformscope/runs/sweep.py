@@ -26,7 +26,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-import deformscope
 import deformscope_drivers
 from deformscope.config.executor import ExecutorOptions
 from deformscope.errors import InputError, printable
@@ -150,7 +149,7 @@ def sweep_on(
     """
     make_folder(out)
     began, computed, skipped = time.monotonic(), 0, 0
-    code = contents_of(Path(str(one.__file__)).parent for one in (deformscope, deformscope_drivers))
+    code = contents_of([Path(__file__).parents[1], Path(deformscope_drivers.__file__).parent])
     plan: list[tuple[str, int, str]] = []
     with Journal(out / JOURNAL, "the tasks of a sweep", "another folder after --out") as journal:
         known, contents = _known(journal)
