@@ -42,12 +42,8 @@ def make_table(rows: Iterable[Mapping[str, Any]], types: Mapping[str, pa.DataTyp
             batches.append(_batch(held))
             held = []
     batches.append(_batch(held))
-    try:
-        return pa.concat_tables(batches, promote_options="permissive")
-    except (pa.ArrowTypeError, pa.ArrowInvalid):
-        names = {name for batch in batches for name in batch.schema.names}
-        mixed = {name for name in names if not _are_of_one_kind([one.schema for one in batches], name)}
-        return pa.concat_tables([_as_text(batch, mixed) for batch in batches], promote_options="permissive")
+    names = dict.fromkeys(name for batch in batches for name in batch.schema.names)
+    return pa.table({name: _column([_part(batch, name) for batch in batches]) for name in names})
 
 
 def _batch(rows: list[Mapping[str, Any]]) -> pa.Table:
@@ -66,20 +62,15 @@ def _text(values: list[Any]) -> pa.Array:
     return pa.array([one if one is None or isinstance(one, str) else json.dumps(one) for one in values], pa.string())
 
 
-def _are_of_one_kind(schemas: list[pa.Schema], name: str) -> bool:
-    """Whether a column's types have one that holds the values of all."""
-    fields = [pa.schema([one.field(name)]) for one in schemas if name in one.names]
+def _part(batch: pa.Table, name: str) -> pa.ChunkedArray:
+    return batch[name] if name in batch.schema.names else pa.chunked_array([pa.nulls(batch.num_rows)])
+
+
+def _column(parts: list[pa.ChunkedArray]) -> pa.ChunkedArray:
     try:
-        pa.unify_schemas(fields, promote_options="permissive")
+        return pa.concat_tables([pa.table({"": one}) for one in parts], promote_options="permissive").column(0)
     except (pa.ArrowTypeError, pa.ArrowInvalid):
-        return False
-    return True
-
-
-def _as_text(table: pa.Table, names: set[str]) -> pa.Table:
-    for name in names & set(table.schema.names):
-        table = table.set_column(table.schema.get_field_index(name), name, _text(table[name].to_pylist()))
-    return table
+        return pa.chunked_array([_text(one.to_pylist()) for one in parts])
 
 
 def write_table(table: pa.Table, path: Path) -> None:

@@ -150,7 +150,7 @@ def sweep_on(
     make_folder(out)
     began, computed, skipped = time.monotonic(), 0, 0
     code = contents_of([Path(__file__).parents[1], Path(deformscope_drivers.__file__).parent])
-    plan: list[tuple[str, int, str]] = []
+    plan: list[tuple[str, str]] = []
     with Journal(out / JOURNAL, "the tasks of a sweep", "another folder after --out") as journal:
         known, contents = _known(journal)
 
@@ -158,11 +158,11 @@ def sweep_on(
             nonlocal skipped
             for given in sources:
                 source = str(Path(given).resolve()) if Path(given).exists() else str(given)  # wherever a worker runs
-                about = contents.of(source)
+                about = _about(source, contents)
                 content = [*code, about["content"], content_of(ledger_path(Path(source)))]
-                for number, variation in enumerate(variations):
+                for variation in variations:
                     key = hashlib.sha256(json.dumps([*content, variation.identity]).encode()).hexdigest()[:32]
-                    plan.append((source, number, key))
+                    plan.append((source, key))
                     if key in known:
                         skipped += 1
                     else:
@@ -186,7 +186,7 @@ def sweep_on(
                     if progress is not None:
                         progress("sweeping", skipped + computed, total)
         finally:  # also what is there where it is broken off
-            found = SweepResult(out, _results(journal, plan, variations), computed, time.monotonic() - began)
+            found = SweepResult(out, _results(journal, plan), computed, time.monotonic() - began)
             write_table(found.table, out / RESULTS)
             (out / OVERVIEW).write_text(_overview(found), encoding="utf-8")
     return found
@@ -221,35 +221,26 @@ def _sent(source: Path) -> dict[str, bytes]:
         return {}
 
 
-class _Contents:
-    """Of files: those whose size and time stay as they were are not read again."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[str, int, int], str] = {}
-
-    def add(self, line: Mapping[str, Any]) -> None:
-        self._known[line["source"], line["size"], line["mtime_ns"]] = line["content"]
-
-    def of(self, source: str) -> dict[str, Any]:
-        """What the journal keeps of a source."""
-        path = resolve(source)
-        size, mtime_ns = (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else (-1, -1)
-        known = self._known.get((source, size, mtime_ns), "") if size >= 0 else ""
-        content = known or content_of(path) or f"unreadable: {source}"
-        return {"source": source, "size": size, "mtime_ns": mtime_ns, "content": content}
+def _about(source: str, contents: Mapping[tuple[str, int, int], str]) -> dict[str, Any]:
+    """What the journal keeps of a source. contents: of files whose size and time tell that they are the same"""
+    path = resolve(source)
+    size, mtime_ns = (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else (-1, -1)
+    known = contents.get((source, size, mtime_ns)) if size >= 0 else None
+    content = known or content_of(path) or f"unreadable: {source}"
+    return {"source": source, "size": size, "mtime_ns": mtime_ns, "content": content}
 
 
-def _known(journal: Journal) -> tuple[set[str], _Contents]:
-    done, contents = set[str](), _Contents()
+def _known(journal: Journal) -> tuple[set[str], dict[tuple[str, int, int], str]]:
+    """Tasks that are done, and the contents of files, by name, size and time."""
+    done, contents = set[str](), dict[tuple[str, int, int], str]()
     for line in journal.lines():
         try:
-            contents.add(line)
+            contents[line["source"], line["size"], line["mtime_ns"]] = line["content"]
             if "result" in line:
                 done.add(line["key"])
         except (TypeError, KeyError) as error:
-            raise InputError(
-                "the tasks of a sweep", "another file", "another folder after --out", journal.path
-            ) from error
+            hint = "another folder after --out"
+            raise InputError("the tasks of a sweep", "another file", hint, journal.path) from error
     return done, contents
 
 
@@ -259,9 +250,9 @@ def _line(outcome: TaskOutcome[SweepTask, Any]) -> dict[str, Any]:
     return line if outcome.error is not None else line | {"result": outcome.value}
 
 
-def _results(journal: Journal, plan: Sequence[tuple[str, int, str]], variations: Sequence[Variation]) -> pa.Table:
-    """A row for each task of the plan of which something is known, in the plan's order."""
-    wanted, at = {key for _, _, key in plan}, dict[str, int]()
+def _results(journal: Journal, plan: Sequence[tuple[str, str]]) -> pa.Table:
+    """A row for each task of the plan, source and key, of which something is known, in the plan's order."""
+    wanted, at = {key for _, key in plan}, dict[str, int]()
 
     def rows() -> Iterator[dict[str, Any]]:
         count = 0
@@ -278,9 +269,9 @@ def _results(journal: Journal, plan: Sequence[tuple[str, int, str]], variations:
                 yield {**row, **cells, **row}  # what a result calls as the sweep does is in the journal alone
 
     table = make_table(rows(), TYPES)
-    there = [one for one in plan if one[2] in at]
-    table = table.take(pa.array([at[key] for _, _, key in there], pa.int64()))
-    sources = pa.array([printable(source) for source, _, _ in there], pa.string())
+    there = [one for one in plan if one[1] in at]
+    table = table.take(pa.array([at[key] for _, key in there], pa.int64()))
+    sources = pa.array([printable(source) for source, _ in there], pa.string())
     return table.set_column(table.schema.get_field_index("source"), "source", sources)
 
 

@@ -152,7 +152,7 @@ def test_a_recording_without_contact_or_without_poses_is_one_line() -> None:
     def without(kind: type) -> Change:
         return lambda frame, at_s: None if isinstance(frame, kind) else frame
 
-    with pytest.raises(InputError, match="no approach: wrench feels less"):
+    with pytest.raises(InputError, match="no approach: wrench measures less"):
         found_in(lambda frame, at_s: frame if at_s < contact_s() - 0.1 else None)
     with pytest.raises(InputError, match="no force of wrench"):
         found_in(without(WrenchFrame))
