@@ -19,7 +19,7 @@ DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
 HOWTO = sorted((DOCS / "howto").glob("*.md"))
 EXPLANATION = sorted((DOCS / "explanation").glob("*.md"))
-DEVELOPERS = sorted((DOCS / "developers").glob("add-*.md"))
+DEVELOPERS = [*sorted((DOCS / "developers").glob("add-*.md")), DOCS / "developers" / "engine.md"]
 BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
 LONGEST, SHARE = 25, 0.95
 """Words of a sentence, and the share of sentences with as many at most."""
