@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 HELP_COLUMNS = "100"
 OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:drivers|recordings|studies)/[\w./-]+)")
+ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
 FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
 
 
@@ -46,9 +47,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files outside `docs/` lead to their copies."""
+    """Let links to files outside `docs/` lead to their copies, and blocks of code have their file's name as title."""
     above = "../" * page.file.src_uri.count("/")
-    return OUTSIDE.sub(rf"]({above}files/\1", markdown)
+    titled = ABOUT.sub(lambda one: one[1] if one[2] == "skip" else f'{one[1]} title="{one[2]}"', markdown)
+    return OUTSIDE.sub(rf"]({above}files/\1", titled)
 
 
 # Commands ------------------------------------------------------------------------------------------------------------
