@@ -3,17 +3,20 @@
     python tools/reference_pages.py commands     # print one page
 
 Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
-keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Files outside
-`docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
+keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Notebooks are
+shown with the outputs that they hold. Files outside `docs/` that pages link (`../drivers/README.md`, pictures) are
+copied into the site.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import importlib
 import inspect
 import io
+import json
 import os
 import pkgutil
 import re
@@ -34,12 +37,26 @@ ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
 FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
 
 
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Have the notebooks below the tutorials."""
+    shown = [{_title_of(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
+    for section in config.nav or () if shown else ():
+        if "Tutorials" in section:
+            section["Tutorials"].append({"Notebooks": shown})
+    return config
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made here, and the files outside `docs/` that pages link."""
     from mkdocs.structure.files import File
 
     for name, make in PAGES.items():
         files.append(File.generated(config, f"reference/{name}.md", content=make()))
+    for path in notebooks():
+        page, pictures = notebook_page(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=page))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
     linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
     for path in sorted(linked):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
@@ -270,6 +287,39 @@ def python() -> str:
             home = getattr(deformscope, name).__module__
             parts.append(f"::: {home}.{name}")
     return "\n\n".join(parts) + "\n"
+
+
+# Notebooks ------------------------------------------------------------------------------------------------------------
+
+
+def notebooks() -> list[Path]:
+    """In the order of their names."""
+    return sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
+    """A notebook as Markdown, and its pictures by their names."""
+    parts, pictures = [f"[{path.name}]({path.name}) is this page as a notebook."], dict[str, bytes]()
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(f"```python\n{source}\n```" if cell["cell_type"] == "code" else source)
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures)}.png"
+                pictures[name] = base64.b64decode("".join(data["image/png"]))
+                parts.append(f"![What the cell draws]({name})")
+            elif "text/html" in data:  # without an empty line, which would end it
+                parts.append("\n".join(line for line in "".join(data["text/html"]).splitlines() if line.strip()))
+            elif shown := "".join(output.get("text", data.get("text/plain", ""))).rstrip():
+                parts.append(f"```text\n{shown}\n```")
+    return "\n\n".join([*parts[1:2], parts[0], *parts[2:]]) + "\n", pictures
+
+
+def _title_of(path: Path) -> str:
+    """The heading of a notebook, else its name."""
+    heading = re.search(r"^# (.+)$", notebook_page(path)[0], re.MULTILINE)
+    return heading[1] if heading else path.stem
 
 
 # Markdown -------------------------------------------------------------------------------------------------------------
