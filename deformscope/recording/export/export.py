@@ -93,8 +93,10 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
         images: list[ExportedImages] = []
         match asked.to:
             case "images":
-                images = export_images(tables, counts, names, draft, note)
-                files = [ExportedFile(one.device, _inside(one.folder, draft), one.count) for one in images]
+                places = dict.fromkeys(counts, ".") if len(counts) == 1 else names
+                export_images(tables, {one: draft / place for one, place in places.items()}, note)
+                images = [ExportedImages(*one, asked.folder / places[one], number) for one, number in counts.items()]
+                files = [ExportedFile(one[0], places[one], number) for one, number in counts.items()]
             case "video":
                 cameras = {device for device, _ in counts}
                 chosen = {entity: one for entity, one in chosen.items() if one.device in cameras}
@@ -114,9 +116,6 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
         about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
         text = json.dumps(plain(about), indent=2, allow_nan=False)
         (draft / MANIFESTS[not asked.manifest]).write_text(f"{text}\n", encoding="utf-8")
-    images = [
-        ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
-    ]
     return Exported(asked.folder, files, images)
 
 
