@@ -90,13 +90,15 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
     for device, what in counts:
         names[device, what] = _unused([f"{device}-{what}" if what == "color" else device], names.values())
     with _draft(asked.folder, overwrite=asked.overwrite) as draft:
-        images: list[ExportedImages] = []
+        images, files = list[ExportedImages](), list[ExportedFile]()
         match asked.to:
             case "images":
                 places = dict.fromkeys(counts, ".") if len(counts) == 1 else names
                 export_images(tables, {one: draft / place for one, place in places.items()}, note)
-                images = [ExportedImages(*one, asked.folder / places[one], number) for one, number in counts.items()]
-                files = [ExportedFile(one[0], places[one], number) for one, number in counts.items()]
+                for (device, what), number in counts.items():
+                    place = places[device, what]
+                    files.append(ExportedFile(device, place, number))
+                    images.append(ExportedImages(device=device, what=what, folder=asked.folder / place, count=number))
             case "video":
                 cameras = {device for device, _ in counts}
                 chosen = {entity: one for entity, one in chosen.items() if one.device in cameras}
