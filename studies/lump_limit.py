@@ -4,7 +4,7 @@
 
 An oracle with the scatter's deviation and length, and the inclusion's size, depth, contrast and place: 20 touches
 spread evenly and 10 around the inclusion, each where it adds most. It then needs readings that are FOUND times as
-probable with the lump as without one or with one elsewhere. Nobody who has to seek it finds more.
+probable with the lump as without one or with one elsewhere. No detector that has to search finds more.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class PlacedRun:
 
 @dataclass(slots=True)
 class _Disturbance:
-    """Somebody moves or topples the container once. struck: how"""
+    """A person moves or topples the container once. struck: how"""
 
     trial: PlacedTrial
     random: np.random.Generator

@@ -111,7 +111,7 @@ def live_stages(
     """The experiment that passes items to stages, and yields their `StageResult`s; returns the counts.
 
     executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
-    every batch with what stages note, and says when it is over; lossless: colour images are recorded as they are
+    every batch with what stages note, and says when it is over; lossless: colour images are recorded without losses
     watch: sees every result; clock: the host's, or that of recorded items [ns]
     """
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]

@@ -1,6 +1,6 @@
 """What a rig's set-up is measured from: places where the arm was held, pushes, taps and views of a board.
 
-A person follows each request, then frames are taken for a moment, and the next request follows. No robot commands
+A person follows each request, frames are recorded for a moment, and the next request follows. No robot commands
 anything here: the arm is moved by its joystick, by `deformscope arm jog`, or in the laboratory.
 """
 

@@ -236,7 +236,7 @@ class TouchingRobot:
                 thread.join()
 
     def _held(self) -> bool:
-        """Stand still for a control period; whether that went well."""
+        """Rest for a control period; returns whether that succeeded."""
         try:
             with self._stopping():
                 self._robot.cycle()

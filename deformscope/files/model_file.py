@@ -3,7 +3,7 @@
     format            "deformscope model 1"
     told              JSON text: body, law, rivals, tip, errors, provenance
     rest, toward, fixed, places, stiffness, left_out, rival_stiffness; shape and cell where the particles have a lattice
-    residual (2, k)   outward and upward, where pokes have in common what the law leaves beside a tip
+    residual (2, k) outward and upward, the law's residual around a tip, common to all pokes
 
 Nothing in it is executed when it is read (no pickle).
 """

@@ -1,6 +1,6 @@
 """A data set of squeezes: a folder of recordings, their index, and their features.
 
-    trials/ID.rrd       recordings; may be absent where only features are kept
+    trials/ID.rrd recordings; may be absent if only features are stored
     index.parquet       one row a trial: what was squeezed, when, how, and why it is left out, if it is
     features.parquet    trial, then tactile.0..., vision.0..., vision_small.0..., physical.0...; a row of null where a
                         modality is missing; `series` and `series_vision_small`: tactile features and small changes of

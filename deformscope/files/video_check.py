@@ -68,7 +68,8 @@ class VideoCheck:
             short_s = self._claimed / self._rate_hz - (self._times_s[-1] - self._times_s[0] + period_s)
             if short_s > 2.5 * period_s:
                 found.append(
-                    f"its stated duration is {self._claimed / self._rate_hz:.3g} s, {short_s:.3g} s more than it has"
+                    f"its stated duration is {self._claimed / self._rate_hz:.3g} s, {short_s:.3g} s more than "
+                    "the real one"
                 )
         return found + [f"{missing} frames are missing after {time_s:.3g} s" for time_s, missing in gaps]
 

@@ -144,7 +144,7 @@ class LiveLab:
 
     @property
     def T_surface_camera(self) -> FloatArray:
-        """(4, 4) where the camera stands [m]."""
+        """(4, 4) pose of the camera [m]."""
         return np.asarray(self.view.surface_from_camera, np.float64)
 
     @property

@@ -14,9 +14,9 @@ from deformscope.pictures.palette import Rgb, colors, readable
 TEXT: Rgb = (225, 225, 225)
 
 SIDE_LEGEND_FROM = 3.5
-"""Height over width from which the legend is beside the picture rather than below it."""
+"""Height over width from which the legend is at the picture's side rather than below it."""
 COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
-"""Size of the legend beside the picture, of its width, or below it, of its longer side."""
+"""Size of the legend at the picture's side, of its width, or below it, of its longer side."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,7 +56,7 @@ class _FileTake:
     ) -> None:
         """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
 
-        streams: of the devices as they were opened; one that reconnects may not know its kind
+        streams: of the devices as they were opened; one that reconnects may have no kind
         """
         if isinstance(items, Sequence):
             if not self.begun and items:

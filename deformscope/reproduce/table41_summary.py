@@ -89,7 +89,7 @@ def _unmet_m(run: TableRun, touches: int) -> float:
 
 
 def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
-    """Cost until the map first had this quality, even if the plan had ended before; and whether it ever had it.
+    """Cost until the map first had this quality, even if the plan had ended before; and whether it ever did.
     was: if not, it is what all touches took."""
     for after in run.after:
         if after.score.iou is not None and after.score.iou >= iou:

@@ -1,4 +1,4 @@
-"""Says of each quantity of a result, where its dataclass is, how it is reported: name, unit, format, place in the JSON.
+"""Declares for each quantity of a result, in its dataclass, its report: name, unit, format, place in the JSON.
 
 A field has it as its metadata, a property as its decorator:
 
@@ -42,7 +42,7 @@ class Quantity:
     json: from the value to what JSON has; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None where not known
-    missing: what is shown of one that is None
+    missing: text of one that is None
     older_key: by which JSON has it too
     optional: JSON lacks the key where the value is None; flat: it has what is in the value instead
     line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
@@ -95,7 +95,7 @@ def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function
 reported = _as_metadata(Quantity)
 """The metadata of a field that is reported; arguments as `Quantity` has them."""
 derived = _as_decorator(Quantity)
-"""Stands on a method, or below `@property`, that is reported as a field is; arguments as `Quantity` has them."""
+"""For a method, or below `@property`, that is reported as a field is; arguments as of `Quantity`."""
 
 
 LATER: Mapping[str, object] = {"deformscope.later": True}

@@ -30,8 +30,8 @@ from deformscope_drivers.arm.kinematics import Chain, pose_error, transform
 from deformscope_drivers.sdh.kinematics import fingertips
 
 SOFT_N, HARD_N = 1.5, 5.0
-"""Felt by a finger's arrays while the arm moves, it is backed away from, and stopped at [N]: nothing is to be touched
-on the way. Noise of arrays in the air comes to a tenth of the lower one; a higher one topples light containers."""
+"""Force on a finger's arrays during the arm's motion from which the arm backs away, and stops [N]: the path is free of
+contact. Noise of arrays in the air comes to a tenth of the lower one; a higher one topples light containers."""
 TABLE_M, AROUND_M, BESIDE_M = 0.008, 0.015, 0.003
 """Clearance between hand and table, between robot and container on the path, and between open fingers and container
 around the grasp [m]. To each, four standard deviations of the container's place are added. A larger one refuses usable

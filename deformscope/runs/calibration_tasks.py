@@ -59,7 +59,7 @@ def _place(config: PlaceConfig) -> SetupTask[Any]:
 
 
 def _camera(config: CameraConfig) -> SetupTask[Any]:
-    """Where the camera stands, and its lens."""
+    """The camera's pose and lens."""
     board = CharucoSpec(*config.board, config.square)
 
     def measure(at: Station) -> RigExperiment[MeasuredCamera]:

@@ -167,7 +167,7 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
 
 
 def _at_terminal(asked: Interruption) -> Assistant:
-    """Somebody who reads what to do, does it, and presses Enter."""
+    """A person who reads the requests, carries them out, and presses Enter."""
     if not at_terminal():
         raise InputError("a person who follows the requests", "no terminal for questions", "--measured FILE.npz")
 
@@ -186,7 +186,7 @@ def _go_on(asked: Interruption) -> None:
 
 
 def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
-    """The laboratory's person, who lets go and taps while frames pass."""
+    """The laboratory's person, who releases and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         _go_on(asked)

@@ -47,7 +47,7 @@ FEWEST = 20
 THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
 """Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
 COARSE_GRID_M, COARSE_CANDIDATES = 0.01, 50
-"""The grid, and the values of beta over `BOUNDS`, of recordings that say nothing of them."""
+"""The grid, and the values of beta over `BOUNDS`, of recordings without them."""
 
 DENTED = 0.1
 """Share of the deepest by which a place has sunk that counts as dented."""
@@ -121,12 +121,11 @@ def fit_touch(
 
     world: the surface before, a process of all points seen then: it gives the heights at rest, not the dent
     after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
-    thickness_m: of the foam [m]; sample_m: (low, high) places where the foam ends, default the world's box
-    The lattice's spacing is the patch's radius: four columns then stand in the patch whatever its size, and what a
-    coarse lattice does to beta is the same for soft and firm foam. (At 1 cm a single one would, for every patch:
-    noise-free dents of 20 to 120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at
-    most 0.1.)
-    Raises InputError for too few points around the touch.
+    thickness_m: of the foam [m]; sample_m: (low, high) edges of the foam, default the world's box The lattice's spacing
+    is the patch's radius. So the patch always has four columns, and a coarse lattice has the same effect on beta for
+    soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to 120 kPa then give 0.55
+    to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError for too few points
+    around the touch.
     """
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m

@@ -435,7 +435,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def stable(n: square, excess: scalar):
-        """Whether the goals pull the shape back while the denominator of eq. 3.17 stays as it is, for excess =
+        """Whether the goals pull the shape back while the denominator of eq. 3.17 is unchanged, for excess =
         beta (1 / denominator - 1): every eigenvalue of I - excess N above 0. Beyond, time stepping leaves the state."""
         m = identity() - n * excess
         good = wp.determinant(m) > zero and wp.trace(m) > zero

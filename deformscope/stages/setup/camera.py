@@ -1,4 +1,4 @@
-"""Where a camera stands and how its lens projects, from views of a ChArUco board that the arm carries."""
+"""Pose and projection of a camera, from views of a ChArUco board that the arm carries."""
 
 from __future__ import annotations
 
