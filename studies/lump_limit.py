@@ -1,4 +1,4 @@
-"""How many lumps touches could distinguish from foam that scatters, were everything known of it but its draw.
+"""Number of lumps that touches could distinguish from foam that scatters, with all its parameters known.
 
     limit(0.07)        # share of lumps as `lab:buried` draws them, within 30 touches, in foam that scatters by 7 %
 

@@ -27,7 +27,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class BenchPlan:
-    """What to measure.
+    """The cases to measure.
 
     device: warp's name; sizes: particles of the cubes, each n^3; repeats: rounds of every comparison, None = what fits
     quick: short rounds and less of everything; peers: other engines too; only: which cases
@@ -51,7 +51,7 @@ class BenchPlan:
 
     @property
     def longest_s(self) -> float:
-        """What is expected to take longer for one row is left out."""
+        """Cases of one row that are expected to take longer are left out."""
         return 3.0 if self.quick else 20.0
 
     def rounds(self, seconds: float, least: int = 1) -> int:

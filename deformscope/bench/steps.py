@@ -100,7 +100,7 @@ def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
 
 
 def bandwidth_bytes_s(device: str) -> float:
-    """What the device's memory reads and writes in a second, by the best of some large copies."""
+    """Bytes that the device's memory reads and writes in a second, by the best of some large copies."""
     source, target = (wp.zeros(COPIED_BYTES // 4, dtype=wp.float32, device=device) for _ in range(2))
 
     def copied() -> None:
@@ -140,7 +140,7 @@ def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> 
 
 
 def _calls(plan: BenchPlan, engine: Msm, stepping: Stepping, what: str) -> Iterator[TimingRow]:
-    """What a call of two steps takes, and copying the positions to the host."""
+    """Time of a call of two steps, and of copying the positions to the host."""
     two = Contestant(f"{what}, a call of 2 steps", OURS, plan.turn(partial(stepping.waited, 2)))
     copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
     yield from compare("call", [two, copy], plan.rounds_of_steps)

@@ -69,7 +69,7 @@ class TimingRow:
 
     @property
     def doubt(self) -> str:
-        """What speaks against the row's figure; empty where nothing does."""
+        """Reason against the row's figure; empty without one."""
         if not self.positive:
             return f"FAILED: a sample of {min(self.samples):.3g} {self.unit} is not positive"
         if self.median and self.spread is not None and self.spread > SPREAD * self.median:
@@ -118,7 +118,7 @@ class Contestant:
     note: str = ""
 
     def sample(self, timing: Timing) -> float:
-        """What the table shows of one run."""
+        """The table's text of one run."""
         if self.unit.endswith("/s"):
             return self.amount / timing.wall_s
         return timing.wall_s / self.amount * (1e3 if self.unit.startswith("ms") else 1.0)

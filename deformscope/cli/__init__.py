@@ -132,7 +132,7 @@ HEADINGS = {
     "replay": "Recordings and data sets",
     "reproduce cubes": "Studies",
 }
-"""What `deformscope --help` has above a command."""
+"""Text of `deformscope --help` above a command."""
 
 BEGIN = (
     "deformscope: how soft a thing is, and where.\n\nFor a first run, map a simulated foam: open the printed "
@@ -190,8 +190,8 @@ class _Printable(logging.Formatter):
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[list[int]]:
-    """A request to end, and a terminal that is closed, interrupt like Ctrl-C, once; yields which did. What is ignored,
-    as by nohup, stays so; a command that moves or records something attends to them itself."""
+    """A request to end, and a terminal that is closed, interrupt like Ctrl-C, once; yields which did. Ignored signals,
+    as by nohup, stay ignored; a command that moves or records something handles them itself."""
     came: list[int] = []
 
     def end(number: int, frame: FrameType | None) -> None:

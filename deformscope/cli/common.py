@@ -1,4 +1,4 @@
-"""What the commands share: where their words, tables, JSON and files go."""
+"""Common output of the commands: text, tables, JSON and files."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 def recorder_of(
     config: RecordedOptions, application: Application | None = None, *, real_time: bool = False
 ) -> Iterator[Recorder]:
-    """What a command is recorded and shown with as its flags say; remarks where the recording is.
+    """The recorder and the view of a command, by its flags; remarks on the recording's place.
 
     The flags are the recording's settings. application: None = that of findings, with views of its own for each command
     """

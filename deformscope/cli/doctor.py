@@ -109,7 +109,7 @@ def _minutes(step: RigStep) -> str:
 
 
 def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
-    """What a look finds; whatever is raised in it is a finding too, and hides none of the others."""
+    """Findings of a check; an error in it is a finding too, and hides none of the others."""
     try:
         return look()
     except (InputError, DeviceError, OSError) as error:
@@ -239,7 +239,7 @@ def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
 
 
 def _doubts(health: Health) -> list[str]:
-    """What a healthy device does not show."""
+    """Deviations from a healthy device."""
     reasons = ", ".join(f"{count} {reason}" for reason, count in health.refused.items()) or "noise"
     doubts = (
         (health.skipped_bytes, f"{health.skipped_bytes} bytes fit no frame ({reasons}): cable, ground, baud rate"),

@@ -67,7 +67,7 @@ def _refuse_existing(out: Path) -> None:
 
 
 def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
-    """What the run could not write at its end."""
+    """Data that the run could not write at its end."""
     write_outcome(
         ending,
         facts.application,

@@ -168,7 +168,7 @@ def _resumed(trials: Trials[Any, Any], options: StudyOptions) -> list[Any]:
 
 
 def _plain(value: object) -> Any:
-    """What JSON holds, but for nan and infinities, which Python's reads and writes."""
+    """Content for JSON, including nan and infinities, which Python's reads and writes."""
     return msgspec.to_builtins(value, enc_hook=_numbers)
 
 

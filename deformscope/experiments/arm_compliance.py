@@ -89,7 +89,7 @@ def touch_rigid(
 
 
 def combine_compliance(touches: list[ComplianceTouch]) -> CombinedCompliance:
-    """What the touches give together. Raises InputError without any."""
+    """Combined result of the touches. Raises InputError without any."""
     if not touches:
         raise InputError("a touch or more", "none")
     each = np.array([one.found.compliance_m_per_n for one in touches])

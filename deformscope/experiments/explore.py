@@ -124,13 +124,13 @@ class RecordedSteering(Unsteered):
 
 
 class ExploringRobot(Protocol):
-    """What looks and touches, one after the other; both raise ExplorationStopped."""
+    """A robot that looks and touches, one after the other; both raise ExplorationStopped."""
 
     def look(self) -> Any:
-        """What `ExplorationStages.look` takes."""
+        """Input of `ExplorationStages.look`."""
 
     def touch(self, command: Touch) -> Any:
-        """What `ExplorationStages.touch` takes."""
+        """Input of `ExplorationStages.touch`."""
 
 
 class AtOnce:
@@ -152,7 +152,7 @@ class AtOnce:
 
 @dataclass
 class Exploration:
-    """What was found so far, whatever ends it.
+    """Results so far, for any end.
 
     surface, touches, maps, failures: results; maps is the newest
     region_probability: of each number of regions, with `maps`
@@ -204,7 +204,7 @@ class Exploration:
         return computed.results
 
     def failed(self, touch: int) -> list[str]:
-        """What failed on a touch, from 1, in words."""
+        """Failures on a touch, from 1, as text."""
         return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
 
 

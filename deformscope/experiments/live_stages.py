@@ -75,7 +75,7 @@ class StageCounts:
 
     @property
     def lag_ms(self) -> dict[str, float] | None:
-        """How far results were behind their frame; None where there were none."""
+        """Delay of results behind their frame; None without results."""
         if not self.late_s:
             return None
         return dict(zip(("p50", "p95", "max"), (1e3 * np.percentile(self.late_s, (50, 95, 100))).tolist(), strict=True))
@@ -194,7 +194,7 @@ class _Running:
         return StageResult(self.stage.name, used, newest.stamp.host_ns, self._skipped, counts.late_s[-1], result)
 
     def costs(self) -> list[StageCost]:
-        """What the last result cost; none a second time."""
+        """Cost of the last result; none a second time."""
         costs, self._costs = self._costs, []
         return costs
 
@@ -268,7 +268,7 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
 
 
 def compute_stage(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
-    """A stage's result of live frames, and when it was there [ns]. What fails is a result too."""
+    """A stage's result of live frames, and when it was there [ns]. A failure is a result too."""
     from deformscope.experiments.device_stages import REFERENCE, compute
 
     images = packed if stage.name in REFERENCE else ()

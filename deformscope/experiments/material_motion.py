@@ -46,7 +46,7 @@ MOST_FRAMES = 8
 
 @dataclass(frozen=True, slots=True)
 class UnloadingOptions:
-    """How the end of a push is known. released: the held parts that are released; at: the loaded and the unloaded
+    """How the end of a push is determined. released: the held parts that are released; at: the loaded and the unloaded
     frame, if given; force: of the tool, where it was recorded"""
 
     released: tuple[str, ...] = ("contact",)
@@ -56,7 +56,8 @@ class UnloadingOptions:
 
 @dataclass(frozen=True, slots=True)
 class MaterialFit:
-    """What was found. comparisons: of some frames, by their index; motion: what was fitted, where it was one"""
+    """Result of a material's fit. comparisons: of some frames, by their index; motion: what was fitted, where it was
+    one"""
 
     estimate: MaterialEstimate
     comparisons: tuple[tuple[int, Comparison], ...]
@@ -104,7 +105,7 @@ def axes_of_pairs(
 
 
 def field_of_pair(seen: Observation, level: float, seed: int, device: str, progress: Progress | None) -> MaterialFit:
-    """How stiff each place is against the others."""
+    """Relative stiffness of each place."""
     estimate, comparison = fit_field(seen, level=level, seed=seed, device=device, progress=progress)
     return MaterialFit(estimate, ((0, comparison),))
 
@@ -257,7 +258,7 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
 def recovery_of_camera(
     tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions, level: float, seed: int
 ) -> MaterialFit:
-    """What a camera followed, with a force where it was recorded."""
+    """Recovery from a camera's images, with a force if it was recorded."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed)
 

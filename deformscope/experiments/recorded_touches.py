@@ -231,13 +231,13 @@ class RecordedTouches(AtOnce):
         return done
 
     def rest(self) -> list[Item]:
-        """What the devices gave after the last touch, a portion at a time."""
+        """Device items after the last touch, a portion at a time."""
         self._source.until_ns = math.inf
         return self._source.take(0.0)
 
 
 def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup, RecordedTouches]:
-    """What a recording's arm did as a setup that is explored. Raises InputError where it made no touch."""
+    """A recording's arm as a setup that is explored. Raises InputError where it made no touch."""
     replay, streams = Replay(path, trust=True), read_streams(path, trust=True)
     names: list[str] = []
     for kind in ("arm", "wrench", "depth"):
@@ -271,7 +271,7 @@ def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup
 
 
 def recorded_inputs(path: Path) -> list[Any]:
-    """What the robot gave of its look and its touches, in their order, as `ExplorationStages` takes it.
+    """The look and the touches of a recording, in their order, in the form of `ExplorationStages`.
 
     Raises InputError where a frame that one of them names is not in the recording.
     """
@@ -288,7 +288,7 @@ def frame_inputs(path: Path, named: list[Any]) -> list[Any]:
 
 
 def _frames(path: Path, named: list[Any]) -> Any:
-    """What is in the frames that are named."""
+    """Content of the named frames."""
     images, states, readings = set[int](), set[int](), set[tuple[int, int]]()
     for one in named:
         images.update(map(int, one.depth_ns))

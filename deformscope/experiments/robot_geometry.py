@@ -1,4 +1,4 @@
-"""What a robot can reach, and what its looks and touches say: of one that measures, or of one that gives frames."""
+"""Reach of a robot, and its readings of looks and touches: of one that measures, or of one that gives frames."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Touch:
 
 
 class Geometry(Protocol):
-    """What a robot can reach, and what its frames say."""
+    """Reach of a robot, and its readings."""
 
     size_m: tuple[float, float]
 

@@ -112,7 +112,7 @@ def _tracked(observer: SqueezeObserver) -> RigExperiment[None]:
 
 
 def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:
-    """What a model takes the content for, by all features."""
+    """A model's posterior of the content, by all features."""
     events = computed.events
     modalities, labels, probability = name(computed.modalities)
     return ContentPosterior((events.steady_ns - events.first_ns) / 1e9, modalities, labels, probability, -1)

@@ -126,12 +126,12 @@ class SqueezeFrames:
 
 
 def frame_ns(frame: Frame) -> int:
-    """When it came, on the host's clock [ns]."""
+    """Its arrival, on the host's clock [ns]."""
     return frame.stamp.host_ns
 
 
 class Tracking:
-    """What tracks the container (`deformscope.experiments.squeeze_live`); this one does not.
+    """The tracker of the container (`deformscope.experiments.squeeze_live`); this one does not track.
 
     found: all that was tracked; failed: why it stopped, or empty; waiting: the last of what is being computed
     """

@@ -18,7 +18,7 @@ from deformscope.session import Inline, with_costs
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, TrackedContainer
 
 BEHIND_S = 0.25
-"""Where an image waits for longer than this, all but the newest one are left out. Devices' items come every 0.1 s."""
+"""Largest delay of an image, after which all except the newest one are left out. Devices' items come every 0.1 s."""
 FRESH_S = 0.5
 """An older change of depth does not describe the present."""
 

@@ -1,4 +1,4 @@
-"""What is fitted to one touch as it was measured: its contact, its creep; and the estimate that is reported of it."""
+"""Fits to one touch as measured: its contact, its creep; and its reported estimate."""
 
 from __future__ import annotations
 
@@ -116,8 +116,8 @@ def touch_estimate(
     shape: LocalShape | None,
     tip_radius_m: float,
 ) -> TouchEstimate:
-    """What is reported of a touch. number: from 0; height_m: of the surface as it was seen there, None = not known:
-    then as low as the tip came; contact: None where it could not be fitted"""
+    """The reported estimate of a touch. number: from 0; height_m: of the surface as it was seen there, None = not
+    known: then as low as the tip came; contact: None where it could not be fitted"""
     along, force_n, nan = _along(touched), _force_along(touched), float("nan")
     lowest_m = float(touched.position_m[:, 2].min()) - tip_radius_m
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []

@@ -282,7 +282,7 @@ class TouchingRobot:
 
     @property
     def format_forces(self) -> str:
-        """What a touch presses with, in words."""
+        """Force of a touch, as text."""
         set_n, more_n = self._options.set_force_n, self.geometry.more_force_n(self._options)
         return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N if the dent is below 2 mm")
 
@@ -508,7 +508,7 @@ def _depths_m(pictures: list[DepthImage]) -> dict[int, Any]:
 
 
 def _dwells(record: TouchRecord) -> list[PhaseSpan]:
-    """When it pressed still: once, or with the set force and then with more."""
+    """Times of its dwells: one, or one with the set force and one with more."""
     return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
 
 

@@ -19,7 +19,7 @@ from deformscope.stages.msm.clusters import find_lattice
 
 T = TypeVar("T")
 Arrays = Mapping[str, npt.NDArray[Any]]
-"""What a file holds, by name."""
+"""Arrays of a file, by name."""
 
 
 DEFLATED_AT_MOST = 1100

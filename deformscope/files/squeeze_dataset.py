@@ -96,7 +96,7 @@ class SqueezeDataset:
         return (self.folder / INDEX).is_file()
 
     def recording_path(self, trial: str) -> Path:
-        """Where a trial's recording is, or will be."""
+        """Path of a trial's recording, existing or future."""
         return self.folder / TRIALS / f"{trial}.rrd"
 
     # Reading ---------------------------------------------------------------------------------------------------------
@@ -110,7 +110,7 @@ class SqueezeDataset:
             raise InputError("an index of squeezes", str(error), where=self.folder / INDEX) from error
 
     def settings(self) -> dict[str, Any]:
-        """What the features were computed with."""
+        """Settings of the features."""
         found: dict[str, Any] = self._metadata(self._read(INDEX))["settings"]
         return found
 

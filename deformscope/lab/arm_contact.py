@@ -21,7 +21,7 @@ FIRST_M = 2e-5
 
 
 class World(Protocol):
-    """What can be touched."""
+    """A world that can be touched."""
 
     def press(self, center_m: FloatArray) -> FloatArray:
         """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""

@@ -30,11 +30,11 @@ UP = np.array([0.0, 0.0, 1.0])
 LOOKS = 5
 """Number of the look at which a simulated person answers."""
 ACROSS_SD_M, ALONG_SD_M = 5e-4, 3e-5
-"""How exactly a person places a stick across, and by the scale of a slide along it. Chosen."""
+"""Accuracy of a person who places a stick laterally, and by the scale of a slide along it. Chosen."""
 
 
 class ArmBody(PushedArm, Protocol):
-    """Where a simulated arm is (`JacoDouble`)."""
+    """Pose of a simulated arm (`JacoDouble`)."""
 
     @property
     def T_base_links(self) -> FloatArray:

@@ -291,7 +291,7 @@ def ready_deg(chain: Chain, placement: Placement) -> FloatArray:
 
 
 LOW_M, HIGH_M = (-0.35, -0.50, 0.03), (0.35, 0.35, 0.70)
-"""Where the middle between the pads may go, table's frame."""
+"""Range of the middle between the pads, table's frame."""
 
 
 def workspace_of(T_base_table: FloatArray) -> Workspace:

@@ -1,4 +1,4 @@
-"""What a container's content does to its walls: gas above and within it, and a resistance behind each patch of wall.
+"""Effect of a container's content on its walls: gas above and within it, and a resistance behind each patch of wall.
 
 Gas: the rest of the closed container is air at one temperature. When the walls move inwards by a volume V, its pressure
 over the outside becomes p0 (T / T0) Vg / (Vg - V) - p0. A liquid passes it on to every wall.
@@ -32,7 +32,7 @@ from deformscope.lab.container_constants import AIR_PRESSURE_PA, BEARING_FACTOR,
 
 ITERATIONS = 12
 LEAST_PA = 1e-9
-"""What yields by less does not."""
+"""Parts with smaller yield do not."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,7 +68,7 @@ TORQUE_CLOSE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ContainerDraw:
-    """What varies from squeeze to squeeze and between instances.
+    """Variations from squeeze to squeeze and between instances.
 
     T_hand_container: (4, 4) its first pose [m]; fill: share of the height; softness: of the wall over nominal
     warming_k: since it was closed; room_k: of hand and pads over their calibration
@@ -180,7 +180,7 @@ _TEXEL_ALONG, _TEXEL_ACROSS, _TEXEL_RECESS = _texels()
 
 @dataclass(slots=True)
 class _Balance:
-    """What a step leaves. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
+    """Result of a step. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
 
     y: FloatArray
     slid_m: float

@@ -16,7 +16,7 @@ from deformscope.robot.touch import Phase
 
 
 class Injected(StrEnum):
-    """What goes wrong."""
+    """A fault."""
 
     FORCE_SILENT = "force sensor silent"
     FORCE_CABLE = "force sensor's cable out"

@@ -1,6 +1,6 @@
 """A simulated table for devices on their own clock: the host's, each device with its own thread.
 
-What a rig file with `double = true` and `[surface] scene` is explored on; the same code as moves a real arm then moves
+The simulated table of a rig file with `double = true` and `[surface] scene`; the code that moves a real arm then moves
 a simulated one. The table lives in processes of its own, as a real one does not wait for this program's threads.
 `touch_lab` is the laboratory for studies: its clock is simulated, and every run of it the same.
 """
@@ -54,7 +54,7 @@ CAMERA = DepthViewConfig(width=320, height=240, azimuth_deg=-90.0)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Table:
-    """What the processes get of the table."""
+    """The processes' description of the table."""
 
     scene: str
     seed: int
@@ -65,7 +65,7 @@ class _Table:
 
 
 class _Shared:
-    """What the processes share, each value with one writer.
+    """Values that the processes share, each with one writer.
 
     wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
     finger_n: (3,) of a person on the tip, surface frame; board: a person has fixed it to the arm
@@ -290,7 +290,7 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
 
 
 def first_message(pipe: Connection, what: str) -> Any:
-    """What a process says when it is ready. Raises InputError if it sends none, or an error."""
+    """First message of a process when it is ready. Raises InputError if it sends none, or an error."""
     with contextlib.suppress(EOFError):
         if pipe.poll(START_S):
             if isinstance(message := pipe.recv(), InputError):

@@ -40,7 +40,7 @@ TAP_N, TAP_S = 4.0, 0.04
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RandomizedRig:
-    """Where things truly are.
+    """True poses of things.
 
     placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: as the
     sensor gives them over true ones

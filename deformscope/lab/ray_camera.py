@@ -18,7 +18,7 @@ from deformscope.solid import PosedSolid
 from deformscope_drivers.depth_camera.image import Intrinsics
 
 NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
-"""What a pixel fell on."""
+"""Surface that a pixel's ray hit."""
 
 NEAREST_M = 0.01
 """Corners nearer than this to the plane of the camera are sought in all of its picture."""

@@ -42,7 +42,7 @@ CREEP_S = 1.0
 CAMERA_AZIMUTH_DEG = -90.0
 """The camera looks across the long edge at y = 0: the arm is beyond the other, and hides what is behind it."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
-"""Where the tip may go, in the base frame: above the table, and to where the arm is parked."""
+"""Range of the tip, in the base frame: above the table, and to the arm's parking place."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
@@ -163,7 +163,7 @@ class SceneLab:
         return RigSource(members, clock=self.clock, opener=self.lab.open)
 
     def _see(self, time_s: float) -> View:
-        """What the camera sees now: the slab as it is pressed, the arm in its pose."""
+        """The camera's present view: the pressed slab, the arm in its pose."""
         moved = None
         if self._contact is not None and len(self._contact.node):
             moved = self._world.displaced_m(self._contact, self.view.places_m)

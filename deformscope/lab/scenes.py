@@ -64,7 +64,7 @@ RIGID_PA = 1000.0 * initial_modulus_pa(60.0)
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a scene draws from its seed, evenly from `low` to `high`."""
+    """Random quantity of a scene, uniform from `low` to `high`."""
 
     what: str
     low: float
@@ -148,7 +148,8 @@ DRAWN: dict[str, tuple[Range, ...]] = {
     ),
     "empty": (_HARDNESS,),
 }
-"""What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
+"""Random quantities of each kind of scene. "turned" below 1 leaves the pieces' order as named from the left, else
+reverses it."""
 
 Places = Callable[[FloatArray], FloatArray]
 Labels = Callable[[FloatArray], IntArray]

@@ -1,4 +1,4 @@
-"""What a laboratory keeps from the estimator, drawn once for each session: nothing of it is in what is measured.
+"""Hidden errors of a laboratory, drawn once for each session; no measurement contains them.
 
     errors = LabErrors().draw(seed)        # LabErrors.none() is the old, clean laboratory
     errors.arm_n_per_m, errors.gain, errors.scatter(xy_m)
@@ -30,7 +30,7 @@ WAVES = 96
 
 @dataclass(frozen=True, slots=True)
 class LabErrors:
-    """What sessions differ by.
+    """Differences between sessions.
 
     arm: deviation of the arm's compliance as a share of what its calibration says; gain: deviation of the force
     sensor's; drift: deviation of what that changes by in TOUCHES_S
@@ -127,6 +127,6 @@ class SessionErrors:
         return np.asarray(slab.modulus_pa(xy_m) * np.exp(HERTZ * self.scatter(xy_m)))
 
     def plain(self) -> dict[str, Any]:
-        """What was drawn, for JSON; the scatter's field by its deviation."""
+        """The drawn values, for JSON; the scatter's field by its deviation."""
         left_out = ("wave_rad_m", "phase_rad")
         return {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in left_out}

@@ -72,7 +72,7 @@ NAMES: Final = ("hand", "pads", "camera")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerTruth:
-    """What is simulated, up to now.
+    """The simulated truth, up to now.
 
     content, container: their names; fill: share of the height; mass_kg: of all that is squeezed
     contact_ns: when a finger first pressed the wall; steady_ns: from when on the pressing joints turned less than
@@ -141,7 +141,7 @@ class SqueezedContainer:
         self.pads = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=case.seed)
 
     def truth(self) -> ContainerTruth:
-        """What is simulated, up to now."""
+        """The simulated truth, up to now."""
         return ContainerTruth(
             content=self.case.content,
             container=self.case.container,
@@ -227,7 +227,7 @@ class SqueezeLab:
         )
 
     def _made(self, case: ContainerCase) -> SqueezedContainer:
-        """What the devices are over."""
+        """Configuration of the devices."""
         return SqueezedContainer(case, self.clock, Port.TCP)
 
     @property
@@ -276,7 +276,7 @@ class SqueezeLab:
                     device.poll(0.0)
 
     def truth(self) -> ContainerTruth:
-        """What is simulated, up to now."""
+        """The simulated truth, up to now."""
         return self.simulated.truth()
 
     @property
@@ -298,7 +298,7 @@ def members(hand: Device[Any], pads: Device[Any], camera: Device[Any]) -> list[R
 
 
 def camera_config(intrinsics: Intrinsics, rate_hz: float, seed: int) -> SyntheticDepthConfig:
-    """What the camera's double adds to a view."""
+    """Errors that the camera's double adds to a view."""
     return SyntheticDepthConfig(
         name="simulated camera", rate_hz=rate_hz, missing=0.02, seed=seed, intrinsics=intrinsics
     )

@@ -308,6 +308,6 @@ class Spoiled:
 
 
 def _structure(argument: Any) -> ctypes.Structure:
-    """What a by-reference argument refers to."""
+    """Object of a by-reference argument."""
     structure: ctypes.Structure = getattr(argument, "_obj", argument)
     return structure

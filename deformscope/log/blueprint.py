@@ -1,4 +1,4 @@
-"""What is seen when a recording opens: one glance, no tabs, no empty views."""
+"""The first view of an opened recording: one glance, no tabs, no empty views."""
 
 from __future__ import annotations
 

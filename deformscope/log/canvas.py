@@ -1,4 +1,4 @@
-"""What every twin shares: colours, the picture that is drawn upon, its legend and its colour bar."""
+"""Common parts of every twin: colours, the picture below, its legend and its colour bar."""
 
 from __future__ import annotations
 

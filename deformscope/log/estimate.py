@@ -1,5 +1,5 @@
-"""What a calibration found: simulated against observed particles, their residuals, where the model is wrong, the error
-curve with the posterior, the verdict."""
+"""Results of a calibration: simulated against observed particles, their residuals, the model's error over the body, the
+error curve with the posterior, the verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an experiment with devices brings to its recorder: the views that a viewer opens with, and those of results."""
+"""The part of an experiment with devices in its recorder: the views that a viewer opens with, and those of results."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from deformscope.log.stages import prepare_stage_results
 
 
 class LiveStream:
-    """What is logged to `rec` goes out at once; items of devices are gathered, and thinned when it is flushed.
+    """Entries of `rec` are sent immediately; items of devices are gathered, and thinned when it is flushed.
 
     check: raises TimeoutError where the viewer does not answer within a time [s], another error where it is gone
     passing: gets what a viewer that comes later can do without, None = `rec` does

@@ -1,4 +1,4 @@
-"""The registry of views: what logs a result of each type, and which stages it is a result of. What is recorded brings
+"""The registry of views: what logs a result of each type, and which stages it is a result of. Every recorded type has
 one, and all are looked up here."""
 
 from __future__ import annotations

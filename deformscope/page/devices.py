@@ -1,4 +1,4 @@
-"""How a rig's devices are, on its page and at the terminal: rates, losses, drift, alarms."""
+"""Health of a rig's devices, on its page and at the terminal: rates, losses, drift, alarms."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ class PageFit:
         self._set(self._shown, self._offer_images())
 
     def _hold(self, camera: FollowedCamera) -> None:
-        """What is shown becomes files."""
+        """The shown state becomes files."""
         try:
             camera.keep()
         except Exception as problem:
@@ -267,7 +267,7 @@ class PageFit:
         }
 
     def _begun_curve(self, seen: Observation, body: Msm, model: Model) -> dict[str, Any]:
-        """What is known of it at once: while a camera is followed all of it, where that is swift; else nothing yet."""
+        """Immediate values of it: for a followed camera all of it, if that is fast; else none yet."""
         spread = np.linspace(*self.state.bounds, VALUES)
         self._curve = []
         nothing: dict[str, Any] = {"values": (), "errors": ()}
@@ -371,7 +371,7 @@ def found_of(estimate: Estimate, command: str) -> FitResult:
 
 
 def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
-    """What a page begins with."""
+    """First settings of a page."""
     images = images_of(config)
     corners = images.outline or ()
     beta = config.beta if isinstance(config, ThetaConfig) else 0.5 if config.at is None else config.at

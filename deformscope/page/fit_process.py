@@ -23,7 +23,7 @@ from deformscope.processes import END_S, RENEW_S, child_process
 from deformscope.terminal import say
 
 NICE = 5
-"""What reads devices and moves a robot goes first; what computes the flow comes after it."""
+"""Threads that read devices and move a robot have priority over the flow."""
 MOST_CHANGES = 1000
 """Number of newest pictures whose delay until display is stored."""
 
@@ -63,7 +63,7 @@ class FitProcess:
         self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
 
     def start(self) -> FitProcess:
-        """Begin. What is interrupted meanwhile can still be closed."""
+        """Begin. An interrupted start can still be closed."""
         self.thread.start()
         return self
 
@@ -142,7 +142,7 @@ class FitProcess:
                 return
 
     def _take(self, kind: str, *what: Any) -> None:
-        """What the process gives."""
+        """Results of the process."""
         match kind:
             case "want":
                 self._wanted = True

@@ -1,4 +1,4 @@
-"""What is set on the page of a fit, and the options of its command."""
+"""Settings on the page of a fit, and the options of its command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def images_with(images: ImageOptions, asked: FitSettings) -> ImageOptions:
 
 
 def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
-    """What keeps a fit from being set on a page; None = nothing."""
+    """The reason against a fit on a page; None = none."""
     pairs = [source for source in config.sources if ending_of(source) == ".npz"]
     if pairs and len(config.sources) > 1:
         return f"{len(config.sources)} files"

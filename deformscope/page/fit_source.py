@@ -48,7 +48,7 @@ class ImagesSubject:
         self.images = tuple(encode_jpeg(_eight_bits(one, low, high)) for one in both)
 
     def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
-        """What was seen with these options, and what a fit records of it. Raises InputError where there is nothing."""
+        """The observation with these options, and a fit's record of it. Raises InputError where there is nothing."""
         images = images_of(config)
         height, width = self._motion.first.shape[:2]
         mask = mask_of(config.sources, images, (height, width))
@@ -155,7 +155,7 @@ class FollowedCamera:
         return self._requested is not None and self._requested.done()
 
     def motion(self) -> CachedFlow:
-        """What was requested, once it is there. Raises what went wrong with it."""
+        """The requested motion, once it is computed. Raises what went wrong with it."""
         requested, self._requested = self._requested, None
         assert requested is not None
         assert self._pair is not None

@@ -118,7 +118,7 @@ class EpisodeNotes:
 
 
 class BackgroundWork:
-    """What takes its time, each in a thread of its own. failed: receives the error; ended: is called after each"""
+    """Slow tasks, each in its own thread. failed: receives the error; ended: is called after each"""
 
     def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
         self.busy: set[str] = set()
@@ -351,7 +351,7 @@ class PageRecorder:
             self.session.recording_began(str(take.path), **changes)
 
     def _found(self, words: str) -> None:
-        """What a fit found is said, and a note in what is recorded."""
+        """A fit's result is reported, and noted in the recording."""
         with self._lock:
             self._notes.note("note", words)
         self.session.remark(words)

@@ -47,7 +47,7 @@ class RobotPage(ABC):
         return self.session.absent() if self._by_hand else ""
 
     def show(self, doing: str) -> None:
-        """What the robot does, in words."""
+        """The robot's state, as text."""
         if self._shown is not None:
             self._shown(doing)
 

@@ -1,4 +1,4 @@
-"""What is known of contents, as PNG: the thesis's figures 2.6, 2.7 and 2.9 to 2.14, transfer, fusion, calibration."""
+"""Results on contents, as PNG: the thesis's figures 2.6, 2.7 and 2.9 to 2.14, transfer, fusion, calibration."""
 
 from __future__ import annotations
 

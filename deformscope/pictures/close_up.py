@@ -1,4 +1,4 @@
-"""What to show of a body in space: where something moved, and how much its heights must be drawn out to see it."""
+"""View of a body in space: its moved part, and the magnification of its heights."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def verdict_color(estimate: Estimate) -> str:
 
 
 def where_wrong(comparison: Comparison) -> str:
-    """Where the model is wrong, in a sentence."""
+    """Place of the model's error, in a sentence."""
     error = errors(comparison)
     if not np.isfinite(error).any():
         return "No particle was observed."

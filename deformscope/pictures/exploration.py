@@ -696,7 +696,7 @@ height_png = _picture(draw_height)
 region_comparison_png = _picture(draw_region_comparison, (0.12, 0.12, 0.84, 0.62))
 """Where the regions end: of a recorded map, and of the one that other settings, which are named, give."""
 touch_comparison_png = _picture(draw_touch_comparison, (0.16, 0.14, 0.8, 0.62))
-"""What each touch gave, with its interval: as recorded, and with other settings, which are named."""
+"""Result of each touch, with its interval: as recorded, and with other settings, which are named."""
 inclusions_png = _picture(draw_inclusions)
 """How probably each cell lies above an inclusion, those that were found, and the true ones where they are known."""
 miss_probability_png = _picture(draw_miss_probability, (0.15, 0.155, 0.8, 0.62))

@@ -1,4 +1,4 @@
-"""What was found, in words: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
+"""Results as text: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def format_stop(stop_reason: str) -> str:
 
 
 def stiffness_kind(maps: MapEstimate) -> str:
-    """What the map's stiffness is."""
+    """Kind of the map's stiffness."""
     return "apparent" if maps.levelled_m is None else f"as on a level layer {100 * maps.levelled_m:.2g} cm thick"
 
 
@@ -67,7 +67,7 @@ def format_inclusions(found: InclusionsResult) -> str:
 
 
 def format_failure(failed: StageFailure) -> str:
-    """What failed, and why."""
+    """A failure, and its reason."""
     where = f"touch {failed.touch}: " if failed.touch else ""
     return f"{where}{failed.stage} failed: {failed.reason}"
 

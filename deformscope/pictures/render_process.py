@@ -32,7 +32,7 @@ def render_process() -> Iterator[None]:
 
 
 def render(draw: Callable[P, Drawn], *given: P.args, **named: P.kwargs) -> Drawn:
-    """What `draw`, a function of a module, gives; drawn here where no process is there for it, or it has ended."""
+    """Result of `draw`, a function of a module; drawn here without a process for it, or after its end."""
     if (process := _process) is not None:
         with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):
             return process.submit(draw, *given, **named).result()

@@ -253,7 +253,7 @@ SAME = 0.02
 
 
 def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float = THESIS_STEP) -> list[str]:
-    """What figure 4.5 and the explorations show, each sentence from their numbers. step: of the sweep"""
+    """Results of figure 4.5 and the explorations, each sentence from their numbers. step: of the sweep"""
     as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
     made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
     return [*_trends(foams), made, *(_format_field(name, explored, swept_betas(step)) for name in explored[0].fields)]

@@ -77,7 +77,7 @@ class Cube:
 
 @dataclass(frozen=True, slots=True)
 class ElementTime:
-    """What the finite elements of one resolution took, mean over Poisson's ratios. unknowns: of the equations
+    """Time of the finite elements of one resolution, mean over Poisson's ratios. unknowns: of the equations
     assemble_s, solve_s: by a direct solver [s]; cg_s: by `CG_STEPS` conjugate gradients alone, as the thesis's SOFA-CG
     does [s]; cg_left: share of the right-hand side that these leave"""
 
@@ -91,7 +91,7 @@ class ElementTime:
 
 @dataclass(frozen=True, slots=True)
 class CubeResult:
-    """What was found for one cube.
+    """Result of one cube.
 
     theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
     one_cluster, overlapping: lowest error with beta fitted too; None where the comparison was left out
@@ -358,7 +358,7 @@ def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ModelTime:
-    """What MSM takes at one resolution [s]. step: one time step of one quadratic cluster; static: its static state;
+    """Time of MSM at one resolution [s]. step: one time step of one quadratic cluster; static: its static state;
     theta: theta with its interval, mean over cubes"""
 
     resolution: str

@@ -41,7 +41,7 @@ NEAR_MM = 500
 NAN = float("nan")
 
 Numbers = dict[str, float | str]
-"""What is known of one squeeze, by name."""
+"""Results of one squeeze, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class PoseError:
 
 @dataclass
 class SimulatedSqueeze:
-    """What was simulated in each control period."""
+    """The simulated truth of each control period."""
 
     when_ns: list[int] = field(default_factory=list)
     T_hand_container: list[FloatArray] = field(default_factory=list)
@@ -259,7 +259,7 @@ def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
 
 
 def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
-    """What many squeezes come to."""
+    """Statistics of many squeezes."""
     squeezed = [one for one in every if "stopped" not in one]
     rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped early")]
     for ending, frames in (

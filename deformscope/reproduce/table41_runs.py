@@ -64,7 +64,7 @@ class MapAfter:
 
 @dataclass(frozen=True, slots=True)
 class TableRun:
-    """What one exploration gave. region_count: the true one, 0 where there are no regions; stop_after: touches at the
+    """Results of one exploration. region_count: the true one, 0 where there are no regions; stop_after: touches at the
     end of the plan, None if it did not end; max_force_n: largest true contact force; seconds: that all of it took to
     compute and simulate"""
 
@@ -84,7 +84,7 @@ class TableRun:
 # Runs in a file, a line each ------------------------------------------------------------------------------------------
 
 RUNS = "runs of this version", "leave --resume out"
-"""What a journal of runs holds, and what to try where it holds something else."""
+"""Content of a journal of runs, and the remedy for other content."""
 
 
 def add_runs(journal: Journal, runs: Iterable[TableRun]) -> None:

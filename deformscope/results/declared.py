@@ -8,7 +8,7 @@ A field has it as its metadata, a property as its decorator:
     @derived("dent per force", unit="m/N")
     def dent_m_per_n(self) -> float: ...
 
-Quantities are rendered in the order in which they are declared (`deformscope.results.render`). What is not declared is
+Quantities are rendered in the order in which they are declared (`deformscope.results.render`). Undeclared values are
 not reported, only recorded.
 """
 
@@ -108,7 +108,7 @@ def came_later(field: dataclasses.Field[Any]) -> bool:
 
 
 def quantities(kind: type) -> tuple[Quantity, ...]:
-    """What is reported of a dataclass, in the order in which it is declared."""
+    """Reported quantities of a dataclass, in the order in which they are declared."""
     return _quantities(cast("Any", kind))
 
 

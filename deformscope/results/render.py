@@ -23,7 +23,7 @@ class ReportedResult:
 
 
 def to_json(result: Any) -> dict[str, Any]:
-    """What of a result goes into JSON, by key, made of what JSON has."""
+    """The part of a result in JSON, by key, made of JSON's types."""
     return cast("dict[str, Any]", plain(_by_key(result)))
 
 
@@ -128,14 +128,14 @@ def _numbers(value: Any, digits: str, scale: float = 1.0, ends: Sequence[float] 
 
 
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
-    """What matters most, in a line: all quantities that have a place in it, and are known."""
+    """The main values, in a line: all quantities that have a place in it, and are known."""
     shown = [(getattr(one, kind), one) for one in quantities(type(result))]
     known = [(form, words) for form, one in shown if form and (words := _format(result, one))]
     return ", ".join(form.format(words) for form, words in known)
 
 
 def length_scale(unit: str, metres_per_unit: float | None) -> tuple[float, str]:
-    """What a length is multiplied by to be shown, and in which unit that is."""
+    """Factor of a length's display, and its unit."""
     if unit == "m":
         return 1e3, "mm"
     return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")

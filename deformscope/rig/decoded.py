@@ -78,7 +78,7 @@ class Redecoder(ABC):
         """The driver set the device up again on a link that lasted."""
 
     def device(self) -> Any:  # noqa: B027
-        """What `to_frame` asks of a device."""
+        """Interface of a device for `to_frame`."""
 
 
 class OptoforceAgain(Redecoder):

@@ -94,7 +94,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """What the arm pokes with.
+    """The tip of the arm.
 
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
@@ -141,7 +141,7 @@ USUAL_THICKNESS_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSection:
-    """What is explored: something that lies on a table, whose corner is the origin of the surface frame.
+    """The explored surface: a sample on a table, whose corner is the origin of the surface frame.
 
     size_m: along x and y; thickness_m: above the table, whose top is at z = 0; None = measured over the table around
     it, or unknown if no table is visible: no modulus is then reported
@@ -172,7 +172,7 @@ class SurfaceSection:
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """Where the tip may go, and how hard and fast it may touch. The defaults are far below harm.
+    """Range of the tip, and limits of its force and speed. The defaults are far below harm.
 
     low_m, high_m: corners of a box in the arm's base frame [m]
     arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none

@@ -121,7 +121,7 @@ class RigSource:
 
     @property
     def streams(self) -> tuple[Stream, ...]:
-        """What is known of every device; only while open."""
+        """Descriptions of every device; only while open."""
         return tuple(
             describe(member.name, member.driver, member.device, simulated=member.simulated) for member in self._members
         )
@@ -155,7 +155,7 @@ class RigSource:
         return sorted(items, key=host_ns)
 
     def look(self) -> HealthReport:
-        """How all devices do."""
+        """Health of all devices."""
         looks = tuple((member.name, _plain(member.device.health())) for member in self._members)
         if self._alarms is not None:
             looks = tuple((name, dataclasses.replace(look, alarms=self._alarms.of(name))) for name, look in looks)

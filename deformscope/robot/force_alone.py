@@ -35,7 +35,7 @@ smaller value misses a surface whose height was overestimated."""
 
 @dataclass(frozen=True, slots=True)
 class ForceAlone:
-    """What bounds the force of an arm that has no joint torques to show a contact.
+    """Bounds of the force of an arm that has no joint torques to show a contact.
 
     stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm rests
     hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched

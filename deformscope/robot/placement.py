@@ -1,4 +1,4 @@
-"""Where the surface, the arm and its tip are to one another.
+"""Poses of the surface, the arm and its tip relative to each other.
 
 The tip's frame has its z axis along the stick, outwards: a touch along the normal n has it at -n. Its origin is the
 *centre* of the tip: of the sphere for a round tip, of the face for a flat one.

@@ -1,4 +1,4 @@
-"""How an arm brings a hand to a container: grasps drawn at random, of these one that the arm reaches on a free way.
+"""Placing a hand at a container: random grasps, and of these one that the arm reaches on a free path.
 
 Frames: the table's frame (z = 0 on it, upwards) is the surface frame of `Placement`. Its tip is the middle between the
 pads in the hand's orientation (`hand_tool`).
@@ -210,7 +210,7 @@ class _Ways:
     obstacle: Obstacle
 
     def to(self, grasp: RandomGrasp) -> str | GraspPlan:
-        """How a grasp is reached, or why not."""
+        """The path to a grasp, or the reason against it."""
         chain, placement, grip, obstacle = self.setup.chain, self.setup.placement, self.grip, self.obstacle
         there = obstacle.T_table_container @ np.linalg.inv(grasp.T_hand_container) @ self._T_hand_center
         # the hand's z axis leads to the container: back along it until the fingertips are free

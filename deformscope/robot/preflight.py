@@ -62,7 +62,7 @@ readings. An axis that repeated for longer in the checks [s] is exempt: its nois
 noise of 1 to 5 counts no repetition is that long, except at 100 Hz; a smaller share stops good sensors, a larger one
 detects a stuck axis later."""
 FORCE_TURNED = "[tool] R_tip_force"
-"""Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
+"""Calibrations that an arm needs whose only guard is its force sensor."""
 COLLISION_NOISE = 6.0
 """A collision's limit is at least this number of standard deviations of the torques' noise."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}

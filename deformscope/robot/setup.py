@@ -38,7 +38,7 @@ from deformscope_drivers.manual_arm.config import MANUAL
 ROLES = ("arm", "wrench", "depth")
 """Kinds of the arm, of the force sensor at its end, and of the camera."""
 CAMERA_HZ = 30.0
-"""What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
+"""Common rates of depth cameras (OpenNI2, RealSense), used if the rig file gives no other."""
 FEWEST_PERIODS = 1.5
 """Number of a device's own periods that its limit on silence has at least, because a late reading is no fault."""
 T_BASE_SURFACE = transform(np.eye(3), (-0.30, -0.55, 0.0))
@@ -48,7 +48,7 @@ y = 0.4 m, and the far corners are 0.63 m from its axis."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What a simulated surface really is. labels: (rows, columns) region of each cell, None where there are none;
+    """True properties of a simulated surface. labels: (rows, columns) region of each cell, None where there are none;
     lumps_m: (n, 4) balls below it: x and y of the middle, radius, depth of the uppermost point [m]"""
 
     labels: IntArray | None
@@ -153,7 +153,7 @@ def seen(robot: Robot) -> Robot:
 
 
 class SimulatedDevices(Protocol):
-    """What a rig's doubles see and touch.
+    """The scenes of a rig's doubles.
 
     opener: as for `RigSource`; other attributes as in `Setup`
     """

@@ -34,7 +34,7 @@ a smaller value, a hand that is displaced touches before it closes; with a large
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
-"""Where along the distal link the middle of its pad is. Assumed."""
+"""Place of its pad's middle along the distal link. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)

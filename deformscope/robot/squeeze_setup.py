@@ -64,12 +64,12 @@ class SimulatedContainer(SimulatedDevices, Protocol):
         """(4, 4) [m]."""
 
     def truth(self) -> TrueMoments:
-        """What is simulated, up to now."""
+        """The simulated truth, up to now."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeParts:
-    """What plays which part in a rig file; camera, arm: None where there is none.
+    """Devices of a rig file by their parts; camera, arm: None where there is none.
 
     grasp: drawn from the seed
     """
@@ -128,7 +128,7 @@ class SqueezeParts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeSetup:
-    """What squeezes, and what is squeezed.
+    """The hand, and the container.
 
     open_source: opens all devices
     camera: how the depth camera projects; T_camera_hand: (4, 4) hand to camera [m], None = not known, so that nothing
@@ -212,7 +212,7 @@ def squeeze_setup(
 
 
 def lacks_to_place(rig: Rig) -> list[str]:
-    """What a rig file has to say before an arm can place the hand, and does not."""
+    """Keys that a rig file lacks for an arm that places the hand."""
     has = {
         "[hand] T_arm_hand": rig.hand.T_arm_hand,
         "[camera] T_arm_camera": rig.camera.T_arm_camera,

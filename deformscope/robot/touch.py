@@ -34,7 +34,7 @@ PERIOD_S = 0.01
 
 
 class Phase(StrEnum):
-    """What the touch is doing, for a state timeline."""
+    """State of the touch, for a state timeline."""
 
     TRAVEL = "travel"
     TARE = "tare"
@@ -157,7 +157,7 @@ class PhaseSpan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchRecord:
-    """What a touch was; times [s] on the robot's clock, places and forces in the surface frame.
+    """Record of a touch; times [s] on the robot's clock, places and forces in the surface frame.
 
     time_s (n,), position_m (n, 3), force_n (n, 3): from the approach to the end of the dwell, at the arm's rate.
     Positions are the tip's centre by the joints, forces act on the tip; loading: how many of them, from the first, lead
@@ -442,7 +442,7 @@ def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> 
 
 
 class TouchProgress(Protocol):
-    """How far a touch has come; attributes as of `TouchRecord`, spans: its phases."""
+    """Progress of a touch; attributes as of `TouchRecord`, spans: its phases."""
 
     contact_m: FloatArray | None
     settled: bool

@@ -159,7 +159,7 @@ def to_above(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TravelWay:
-    """How `to_above` goes. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
+    """Path of `to_above`. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
     [m, surface frame]; joints_deg: (n,) turned to joint by joint from there, None = straight across"""
 
     up_m: FloatArray | None

@@ -1,4 +1,4 @@
-"""What `deformscope arm where`, `home`, `go` and `jog` do."""
+"""`deformscope arm where`, `home`, `go` and `jog`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class WhereArm:
 
 
 def where(config: WhereConfig) -> WhereArm:
-    """Where the arm of a rig is."""
+    """Pose of a rig's arm."""
     with _arm_of(config.rig, trusted=config.trust_rig) as (arm, placement):
         state = arm.next(5.0)
         T_base_ee = np.asarray(state.T_base_end_effector)

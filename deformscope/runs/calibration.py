@@ -80,7 +80,7 @@ FLAT_SURFACE = "note: a flat surface alone hardly determines beta; --thickness-m
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult(SourceResult):
-    """What `calibrate_beta` or `calibrate_theta` found.
+    """Result of `calibrate_beta` or `calibrate_theta`.
 
     estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
     pokes: of a surface, where layers below it were fitted

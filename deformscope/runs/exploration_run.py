@@ -294,7 +294,7 @@ def _for_page(result: object) -> bool:
 
 
 def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator[str]:
-    """What is printed of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
+    """Printed lines of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
     from deformscope.pictures.messages import (
         format_claim,
         format_failure,

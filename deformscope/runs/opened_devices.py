@@ -1,4 +1,5 @@
-"""What is explored, by its name on the command line: a simulated scene, the devices of a rig file, or a recording."""
+"""Source of an exploration, by its name on the command line: a simulated scene, the devices of a rig file, or a
+recording."""
 
 from __future__ import annotations
 
@@ -128,7 +129,7 @@ def setup_of(
 
 
 def recorded_rig(path: Path) -> Rig:
-    """Where arm, camera and surface were in a recording. Raises InputError for what is not known of it."""
+    """Poses of arm, camera and surface in a recording. Raises InputError for what is not known of it."""
     from deformscope.recording.items import read_streams
     from deformscope.recording.reader import Replay
     from deformscope.rig.rig_file import parse_rig

@@ -39,7 +39,7 @@ class OpenRecording(LibraryResult):
 
     @property
     def outcome(self) -> Mapping[str, Any]:
-        """How the recording ended; empty where the run was cut short."""
+        """Outcome of the recording; empty after an interrupted run."""
         return self._replay.outcome
 
     @cached_property
@@ -70,13 +70,13 @@ class OpenRecording(LibraryResult):
         return self._tables.table(name)
 
     def notes(self) -> tuple[SessionNote, ...]:
-        """What was remarked while it was recorded: notes, episodes, tares, alarms of sensors, discards, each with its
-        time on the host's clock."""
+        """Remarks during the recording: notes, episodes, tares, alarms of sensors, discards, each with its time on the
+        host's clock."""
         found = read_items(self.path, trust=True, kinds=(SessionNote,))
         return tuple(note for note in found if isinstance(note, SessionNote))
 
     def discarded(self) -> list[Discard]:
-        """What of it is not to be used, and why; it is there all the same."""
+        """Its discarded parts, with reasons; they are in the file nevertheless."""
         return discards_of(self.path, self.notes())
 
     def estimates(self) -> list[dict[str, Any]]:
@@ -106,7 +106,7 @@ class OpenRecording(LibraryResult):
 
 @dataclass(frozen=True, slots=True)
 class RecordResult(LibraryResult):
-    """What `record` left. found: the JSON of `deformscope record`; table: the same for people"""
+    """Result of `record`. found: the JSON of `deformscope record`; table: the same for people"""
 
     found: Mapping[str, Any]
     table: Table
@@ -117,7 +117,7 @@ class RecordResult(LibraryResult):
         return Path(self.found["recording"])
 
     def open(self) -> OpenRecording:
-        """What was recorded."""
+        """The recording, opened."""
         return OpenRecording(self.path)
 
     def __repr__(self) -> str:

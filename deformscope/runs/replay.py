@@ -80,7 +80,7 @@ def _frames(recording: Replay, config: ReplayConfig) -> Source:
 def _material(
     recording: Replay, config: ReplayConfig, progress: Progress | None
 ) -> tuple[Sequence[Any], Sequence[Any]]:
-    """What was found of a material, as recorded and computed again."""
+    """Results of a material, as recorded and computed again."""
     from deformscope.runs.materials import replay_material
 
     recorded, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)

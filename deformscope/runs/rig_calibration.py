@@ -1,4 +1,4 @@
-"""What `deformscope calibrate tip`, `place`, `camera`, `force` and `time` do: measure, solve, write."""
+"""`deformscope calibrate tip`, `place`, `camera`, `force` and `time`: measure, solve, write."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RigCalibrationResult:
-    """What was found.
+    """Result of a rig calibration.
 
     kind: place, tip, camera, force or time; values: for the rig file; rows: of the table, names and values
     figure: how far each measurement is off; found: for JSON
@@ -74,8 +74,7 @@ def today() -> datetime.date:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Who and what takes part. arm, wrench, camera: names of devices, empty where the rig has none; operator: who moves
-    things"""
+    """The participants. arm, wrench, camera: names of devices, empty if the rig has none; operator: who moves things"""
 
     arm: str
     wrench: str
@@ -134,7 +133,7 @@ def write_values(path: Path, values: Values) -> None:
 
 
 def written_lines(found: RigCalibrationResult) -> str:
-    """What is written, as lines of a rig file."""
+    """New lines of a rig file."""
     return lines_of(found.dated)
 
 

@@ -146,7 +146,7 @@ def _recorder(
 
 
 def _recent(keep_last_s: float | None, viewer: ViewerChoice, stages: Sequence[str]) -> RecentItems | None:
-    """What holds the last seconds, where they can be recorded later."""
+    """Memory of the last seconds, if they can be recorded later."""
     if keep_last_s is not None:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         return RecentItems(keep_last_s, memory // 4)
@@ -249,7 +249,7 @@ def _result(
     stages: Mapping[str, StageCounts],
     files: Sequence[RecordingSummary] | None,
 ) -> RecordResult:
-    """What was recorded, device by device, as a table and as JSON. files: begun and ended from a page"""
+    """Summary of the recording, device by device, as a table and as JSON. files: begun and ended from a page"""
     devices = dict(last.devices)
     rows = [(name, _to_text(health, failures.get(name))) for name, health in devices.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]

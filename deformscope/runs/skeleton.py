@@ -56,7 +56,7 @@ class OpenRun:
     last: HealthReport | None = None
 
     def watch(self, asked: Interruption, page: RobotPage | None = None) -> Watch:
-        """What is called in every control period of its robot."""
+        """Function that is called in every control period of its robot."""
         return Watch(asked, self.line, *(() if page is None else (page.show,)))
 
     def open_page(
@@ -85,7 +85,7 @@ class OpenRun:
 @contextlib.contextmanager
 def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
     """The devices, open; closed in the end, and all that came until then recorded. Which of them failed, at closing
-    too, is printed whatever ends the run. What opens them starts the recorder."""
+    too, is printed whatever ends the run. Opening them starts the recorder."""
     with contextlib.ExitStack() as closed, devices as source, status_line() as line:
         closed.callback(lambda: _say_failures(source.failures))
         run = OpenRun(source, line, recorder)
@@ -108,7 +108,7 @@ def _say_failures(failures: Mapping[str, str]) -> None:
 
 
 class WatchedRobot(Protocol):
-    """What a watch needs of a robot. doing: its present action, in words"""
+    """Interface of a robot for a watch. doing: its present action, in words"""
 
     @property
     def doing(self) -> str: ...

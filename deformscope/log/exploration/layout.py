@@ -1,4 +1,4 @@
-"""What an exploration brings to its recorder."""
+"""An exploration's part of its recorder."""
 
 from __future__ import annotations
 
@@ -69,5 +69,5 @@ class ExplorationLayout(RecordingLayout):
         return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed, full=self.full)
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
-        """What devices give from the plan of a touch on belongs to that touch."""
+        """Device items from the plan of a touch on belong to that touch."""
         return touch + any(isinstance(one, PlannedTouch) and one.target_m is not None for one in results)

@@ -1,8 +1,8 @@
 """The recording and views of an exploration: every result without loss, and views for people.
 
 Every row has three times. `session` is the time since the recording's start; `frame` is the depth camera's newest
-picture then. `touch` is 0 before the first touch, then the number of its touch from 1, with the travel to it. What a
-touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
+picture then. `touch` is 0 before the first touch, then the number of its touch from 1, with the travel to it. The
+measurement of a touch is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
     exploration/forecast|decision likewise: a person's requests on the page, and decisions
@@ -182,7 +182,7 @@ def prepare_results(
 
 
 def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, full: bool = False) -> Views[ResultBatch]:
-    """What shows each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
+    """The view of each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
     gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)

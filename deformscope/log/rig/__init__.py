@@ -69,7 +69,7 @@ NUMBERS = {WrenchFrame: "wrench", ArmFrame: "arm", HandFrame: "hand"}
 
 
 def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
-    """What is known before the first frame: descriptions, names and colours of series, pads, the arm's shape."""
+    """Descriptions before the first frame: names and colours of series, pads, the arm's shape."""
     for stream in streams:
         rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
         log_numbers_stream(rec, stream)

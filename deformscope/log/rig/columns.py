@@ -20,7 +20,7 @@ from deformscope.rows import ENTITIES, FRAMES, OF_DEVICES, to_columns
 Columns = Iterable[rr.ComponentColumn]
 
 AGAIN_NS = 10_000_000_000
-"""What does not change is sent again after this, for viewers that missed it."""
+"""Constants are sent again after this time, for viewers that missed them."""
 
 Shown = dict[str, tuple[object, int]]
 """Data that seldom change, with the host time when a viewer received them [ns]: the scale next to each device's
@@ -105,7 +105,7 @@ class Batch:
 
 
 Sink = rr.RecordingStream | Batch
-"""What a twin logs to."""
+"""Destination of a twin."""
 
 
 def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
@@ -145,7 +145,7 @@ def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[r
 
 
 def prepare_costs(rows: Sequence[tuple[int, int | None, StageCost]]) -> Batch:
-    """What stages cost: `session` [ns], and `frame` where all are at one."""
+    """Costs of stages: `session` [ns], and `frame` if all are at one."""
     times_ns, frames, costs = zip(*rows, strict=True)
     at = [] if None in frames else [rr.TimeColumn("frame", sequence=frames)]
     batch = Batch()

@@ -1,4 +1,4 @@
-"""What a squeeze brings to its recorder."""
+"""A squeeze's part of its recorder."""
 
 from __future__ import annotations
 

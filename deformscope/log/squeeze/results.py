@@ -55,7 +55,7 @@ POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMET
 
 
 def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
-    """What holds throughout: colours of the phases, names of the plots; and that nothing is known yet."""
+    """Log constants: colours of the phases, names of the plots; and empty results."""
     log_squeeze_phases(rec)
     if fingertips is not None:
         names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]

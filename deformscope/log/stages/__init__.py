@@ -33,7 +33,7 @@ from deformscope.stages.see.tactile import TactileContact
 
 
 def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]], streams: Sequence[Stream]) -> None:
-    """What holds throughout: names, units and colours of what is plotted. stages: (name, device)"""
+    """Log constants: names, units and colours of the plots. stages: (name, device)"""
     for number, (name, device) in enumerate(stages):
         log_series(rec, f"{PLOTS}/lag/{name}", [f"{name} [ms]"], [JOINTS[number % len(JOINTS)]])
         if name in ("beta", "theta"):

@@ -1,4 +1,4 @@
-"""What goes between a page and its server while a fit is set on it; part of `deformscope.page.server.messages`."""
+"""Messages between a page and its server for the settings of a fit; part of `deformscope.page.server.messages`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Points = tuple[tuple[float, float], ...]
 
 
 class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is set on the page.
+    """Settings on the page.
 
     roi, contact: x, y, width, height [px]; grid: rows, columns of particles; spacing_px: between them, instead of it
     outline: corners of a polygon around the thing [px]; held: parts whose motion is prescribed

@@ -1,4 +1,4 @@
-"""What goes between the page's script and its server: JSON objects with a `kind`, all of one version.
+"""Messages between the page's script and its server: JSON objects with a `kind`, all of one version.
 
 A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command;
 its `Beat`s get no reply.
@@ -217,7 +217,7 @@ PageCommand = (
 
 
 class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
-    """What a page gets."""
+    """A message to the page."""
 
 
 class CommandReply(ToPage, frozen=True, tag="reply"):

@@ -135,7 +135,7 @@ class PageServer:
             _pages.remove(self)
 
     def routes(self) -> ASGIApp:
-        """What is served below the token."""
+        """Paths below the token."""
         routes = [
             Route("/session", _only_websocket),
             Route("/data", _only_websocket),

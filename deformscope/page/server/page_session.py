@@ -38,7 +38,7 @@ NEXT: dict[Phase, frozenset[Phase]] = {
 REMARKS = 50
 """Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
-"""What waits for a confirm waits no longer, once the page has drawn it."""
+"""Earlier requests for a confirmation end once the page has drawn this one."""
 UNSEEN_S = 30.0
 """A page that is busy draws it that late at most."""
 BEAT_S = 0.3
@@ -48,7 +48,7 @@ GONE = "no motion waits for this confirmation: it has expired, or another was re
 
 
 class PageRun(Protocol):
-    """What carries out the commands of pages."""
+    """The object that carries out the commands of pages."""
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         """Carry it out, or begin with it, immediately; the outcome, as text. From the server's thread, which must not
@@ -147,7 +147,7 @@ class PageSession:
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
         the reason if it is cancelled, or not confirmed within CONFIRM_S after the page has drawn it, and from now on if
-        the page does not report that. What waited before is let be."""
+        the page does not report that. An earlier request is cancelled."""
         self._drop("another move was requested")
         with self._lock:
             self._moves += 1

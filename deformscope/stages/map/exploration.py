@@ -1,4 +1,4 @@
-"""What is known of a surface after each touch: the maps, the reason for the next touch, and what a touch measured.
+"""Results after each touch: the maps, the reason for the next touch, and the touch's measurement.
 
 Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
 frame has x, y in the table's plane and z up.
@@ -43,7 +43,7 @@ class SurfaceEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchEstimate:
-    """What one touch measured.
+    """Measurement of one touch.
 
     number: from 0; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
     approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
@@ -317,7 +317,7 @@ class MissProbability:
 
 @dataclass(frozen=True, slots=True)
 class DetectionLimit:
-    """What the touches so far may have missed.
+    """Detection limit of the touches so far.
 
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
     lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of these
@@ -434,13 +434,13 @@ class InclusionsResult:
         return [*rows, ("an inclusion missed", f"{wanted}; by radius {each} ({taken})")]
 
     def __len__(self) -> int:
-        """How many were found."""
+        """Number found."""
         return len(self.centre_m)
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedTouch:
-    """Where the next touch goes, and why.
+    """Place of the next touch, and its reason.
 
     target_m: (2,), None = no further touch; excluded: cells that may not be touched
     gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: of gain, as

@@ -1,4 +1,4 @@
-"""How good a map of regions is, where the truth is known: one score for every study and for the report to a user."""
+"""Quality of a map of regions with a known truth: one score for every study and for the report to a user."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Z_90 = 1.6449
 
 @dataclass(frozen=True, slots=True)
 class TrueMap:
-    """What a scene is, as touches far from every border would find it.
+    """True map of a scene, for touches far from every border.
 
     labels: (rows, columns) region of each cell, None where stiffness changes gradually
     level: (k,) log apparent stiffness [N/mm] of each label; rigid: (k,) labels for which there is a lower bound alone

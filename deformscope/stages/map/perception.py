@@ -19,7 +19,7 @@ from deformscope.stages.see.pixel_labels import PixelMasks
 
 @dataclass(frozen=True, slots=True)
 class TrainedField:
-    """What a field of beta was trained with.
+    """Training data of a field of beta.
 
     kernel: the likeliest, where several are averaged over; noise: standard deviation of a value in addition to its own
     place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
@@ -46,7 +46,7 @@ class TouchSurface:
 
 @dataclass(frozen=True, slots=True)
 class LookPerception:
-    """What the surface before any touch was computed from. masks: None of a robot that gives points, not images
+    """Input of the surface before any touch. masks: None of a robot that gives points, not images
     learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None

@@ -1,4 +1,4 @@
-"""Where to touch next, and why: the expected information of each place, what going there costs, and where not to go.
+"""The next touch, and its reason: the expected information of each place, the cost of travel, and excluded places.
 
 `random-above`: any place whose field variance is above a threshold (Thesis 4.2). `thesis`: the same of the thesis's
 field of beta, whose variance alone ends it (`thesis_field`). `max-variance`: the largest variance.
@@ -138,7 +138,7 @@ def plan_touch(
     thesis: ThesisField | None = None,
     seed: int = 0,
 ) -> TouchChoice:
-    """Where to touch next.
+    """The next touch.
 
     tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places

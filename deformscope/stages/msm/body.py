@@ -1,4 +1,5 @@
-"""What lattice and general bodies share: the particles at rest, the parameters of a launch, and rest data for fits."""
+"""Common parts of lattice and general bodies: the particles at rest, the parameters of a launch, and rest data for
+fits."""
 
 from __future__ import annotations
 
@@ -118,7 +119,7 @@ class Operator(ABC):
         return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
 
     def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
-        """What a time step needs: see `lattice_kernels.motion_for`. push: (d,) displacement by the acceleration in a
+        """Parameters of a time step: see `lattice_kernels.motion_for`. push: (d,) displacement by the acceleration in a
         step, in particle spacings"""
         motion = self.arrays.Motion()
         motion.stepping = int(stepping)
@@ -127,7 +128,7 @@ class Operator(ABC):
         return motion
 
     def kept(self, volume: int) -> Any:
-        """What `residual` leaves for `change`."""
+        """Stored values of `residual` for `change`."""
         if volume not in self._kept:
             d = self.dim
             kept = self.arrays.Kept()

@@ -16,7 +16,7 @@ from deformscope.stages.msm.members import members
 from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
-"""What a fit gives: the goal map, or its derivative by beta or by theta."""
+"""Result of a fit: the goal map, or its derivative by beta or by theta."""
 
 NONE, SCALE, PROJECT = 0, 1, 2
 """Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
@@ -58,7 +58,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.struct
     class FitRest:
-        """What stays the same: `stride` between rows of a quantity, `step` 1 where each lane has its own, else 0."""
+        """Constants: `stride` between rows of a quantity, `step` 1 if each lane has its own, else 0."""
 
         a_qq: numbers  # upper triangle of the normalised rest moments
         null_t: numbers  # what of the basis a cluster leaves undetermined, transposed; empty if nothing

@@ -70,7 +70,7 @@ class Ended:
 
 
 class Iteration:
-    """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
+    """Common parts of both methods: fields of the candidates, their parameters, and sums over particles."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume

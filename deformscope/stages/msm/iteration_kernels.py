@@ -74,7 +74,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.struct
     class NewtonState:
-        """What Newton's steps keep of each candidate (arrays of B), which groups have work to do, and on which fields.
+        """Memory of Newton's steps for each candidate (arrays of B), groups with work to do, and their fields.
 
         residual: also the right-hand side of a linear solve; changed: derivative of the goals along `direction`, less
         that; rho: residual of the linear solve; parts: of sums; groups: how many; most: steps of a linear solve
@@ -127,7 +127,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.func
     def place_of(span: Span, group: int, block: int):
-        """Where a lane's worth begins in a field, and how many of its numbers are the group's."""
+        """Begin of a lane's values in a field, and number of them that are the group's."""
         number = block * wp.static(width)
         return span.front + group * span.group + number, span.group - number
 

@@ -114,7 +114,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.struct
     class Site:
-        """What a cluster is at rest: `stride` between rows, `step` 1 where each has its own, else 0 (all are alike)."""
+        """Rest data of a cluster: `stride` between rows, `step` 1 if each has its own, else 0 (all are alike)."""
 
         valid: numbers  # 1 at a cell that has a cluster
         share: numbers  # 1 / mass of the window
@@ -152,7 +152,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.struct
     class Passes:
-        """What the passes go by; motion: of time stepping, or none.
+        """Parameters of the passes; motion: of time stepping, or none.
 
         pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
         residual and the direction's change; threads: of a block that stays
@@ -329,7 +329,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def particle_own(values: numbers, cell: int, abreast: int):
-        """What belongs to a particle, for the lanes at `cell` (of one group); one value if all are alike."""
+        """Data of a particle, for the lanes at `cell` (of one group); one value if all are alike."""
         if values.shape[0] == 1:
             return own(values, 0, 0)
         if wp.static(width == 1) or abreast == 1:
@@ -486,7 +486,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def spread_slow(passes: Passes, group: int, item: int):
-        """What the clusters of a particle add up along the slow axis: the shift with its slope, the other slopes."""
+        """Sum over the clusters of a particle along the slow axis: the shift with its slope, the other slopes."""
         grid = passes.grid
         segment = item / grid.blocks_clusters
         in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)

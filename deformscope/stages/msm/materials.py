@@ -15,7 +15,7 @@ Linear fit, theta = 0.
 **Plasticity.** Müller et al. 2005, section 4.5: each cluster has a plastic deformation S^p, I at first. With the polar
 decomposition A = R S of its fit, S^p <- [I + dt creep (S - I)] S^p where |S - I|_2 > yield; then det S^p is made 1
 again (area in the plane; a flat cluster keeps the measure of what it spans), and |S^p - I|_2 is at most
-`maximum`. The rest vectors are S^p q. What the paper leaves open is decided here:
+`maximum`. The rest vectors are S^p q. Where the paper is incomplete, this module decides:
 
 - S is the stretch sqrt(A^T A), turned inside out: its smallest value negative; the flow stops short of turning S^p.
 - To the bound, S^p goes along I + s (S^p - I), det made 1, so that both hold: the paper's scaling alone breaks det = 1.

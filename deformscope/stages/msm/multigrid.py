@@ -171,7 +171,7 @@ def levels_of(body: LatticeBody, rest: BodyRest) -> list[tuple[CoarseRest, Latti
 
 
 def _energies(window: tuple[int, ...], axis: int) -> tuple[float, float]:
-    """What a cluster stores of a displacement quadratic in space, and of a strain; over the same factors for all."""
+    """Energies of a cluster for a displacement quadratic in space, and for a strain; over the same factors for all."""
     w = window[axis]
     second, fourth = (w * w - 1) / 12, (w * w - 1) * (3 * w * w - 7) / 240
     return float(np.prod(window)) * (fourth + second**2), float(np.prod(window)) * second

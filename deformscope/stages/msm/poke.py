@@ -34,7 +34,7 @@ SLIDE = 1.6
 
 @dataclass(frozen=True, slots=True)
 class Tip:
-    """What pokes: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
+    """A tip: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
 
     slips: particles under it move freely sideways; else they stick to it
     """

@@ -9,7 +9,7 @@ import threading
 from types import ModuleType
 
 GREETING = b"Warp CUDA warning"
-"""How the line begins by which it complains of a missing GPU driver, below Python: that is no fault here."""
+"""Begin of the line of its warning of a missing GPU driver, below Python: that is no fault here."""
 _one_at_a_time = threading.Lock()
 _started = False
 

@@ -1,6 +1,6 @@
 """Rest clusters of the MSM in float64 NumPy, and what its equations leave open.
 
-What the equations leave open is decided here, for degenerate clusters:
+Where the equations are incomplete, this module decides, for degenerate clusters:
 
 - Flat in space or on a line at rest: the fit uses the directions that the cluster spans (pseudo-inverse, chosen once
   at rest), and eq. 3.17 conserves its area or length instead of its volume.
@@ -43,7 +43,7 @@ NO_ROTATION = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class RestCluster:
-    """What stays the same about one cluster.
+    """Constants of one cluster.
 
     index: (n,) its particles; mass: (n,); q: (n, d) from the mass centre, in units of the cluster's radius (eq. 3.8)
     q_basis: (n, r) q or q~ of eq. 3.14, mean-centred; inverse: (r, r) pseudo-inverse of sum m q~ q~^T

@@ -1,4 +1,4 @@
-"""How a foam creeps under a touch: its stiffness at once and when all has relaxed, how fast, and what a cycle loses.
+"""Creep of a foam under a touch: its immediate and relaxed stiffness, its rate, and the energy loss of a cycle.
 
 The law of `contact` with a memory. Where every modulus of a foam relaxes alike, E(t) = E0 (1 - g + sum g_i exp(-t/t_i))
 (a generalised Maxwell solid; one branch: the standard linear solid, Zener 1948), a ball that never retracts loads the
@@ -66,13 +66,13 @@ for all three."""
 FORCE_DRAWS = 400
 """Number of sampled laws from which the remaining force is computed."""
 LAYERED, LAYERED_SD = 0.05, 0.05
-"""What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself may
-add to it."""
+"""Addition of a layer on a table to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself
+may add to it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CreepFit:
-    """What a touch measured of a foam's creep; every interval holds 90 %.
+    """A touch's measurement of a foam's creep; every interval holds 90 %.
 
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
     deviation of the log of the latter; the relaxed one is None with a reason
@@ -342,7 +342,7 @@ def cycle_loss(
 
     z_m, force_n: (n,) of a whole touch along the normal, zero of the force taken off; held: samples until the way back;
     clock_sd: deviation of the force's times against the place's, in samples.
-    None where the force did not come back to nothing. What the arm itself stores is no work on the foam.
+    None where the force did not come back to nothing. Energy stored in the arm is no work on the foam.
     """
     peak = float(force_n[:held].max())
     z_m = z_m - arm.compliance_m_per_n * force_n

@@ -1,4 +1,4 @@
-"""What a calibration leaves behind: a body, the law that it follows and its stiffness, enough to predict a poke.
+"""Result of a calibration for predictions: a body, its law and its stiffness, enough to predict a poke.
 
 Two kinds of body: `layers`, material below a surface, whose lattice is made for each poke; and `particles`, the fitted
 particles themselves.
@@ -161,7 +161,7 @@ class MetStiffness:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a poke will do.
+    """Prediction of a poke.
 
     rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,)
     depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there

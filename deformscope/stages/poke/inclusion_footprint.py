@@ -1,4 +1,4 @@
-"""What an inclusion below the surface does to touches above it: its footprint on apparent stiffness.
+"""Effect of an inclusion below the surface on touches above it: its footprint on apparent stiffness.
 
     shift = inclusion_shift(contrast_share(10.0), footprint(contact_m, radii_m, depths_m, aside_m))    # of log
     stiffness

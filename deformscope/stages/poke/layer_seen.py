@@ -56,7 +56,7 @@ def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen |
 
 
 def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
-    """What is known of foam whose surface is so high (n,) [m] where it may be touched.
+    """Thickness and shape of foam with surface heights (n,) [m] at possible touches.
 
     stated_m: its stated thickness, if any: the foam then lies at z = 0; relief: whether its shape is used
     """

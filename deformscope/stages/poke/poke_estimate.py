@@ -1,4 +1,4 @@
-"""What a fit of layers to pokes says: beta with its interval and verdict, stiffness, and a model that can be poked."""
+"""Result of a fit of layers to pokes: beta with its interval and verdict, stiffness, and a model for predictions."""
 
 from __future__ import annotations
 

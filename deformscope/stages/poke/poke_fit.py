@@ -53,8 +53,8 @@ FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
 """The largest -log(1 - beta) and theta."""
 
 NEWEST = 2
-"""How layers are fitted. 1, as in older recordings: rounds find the slip of a tip's particles, and theta's effect is
-evaluated at the best beta, however small it is there."""
+"""Options of the fit of layers. 1, as in older recordings: rounds find the slip of a tip's particles, and theta's
+effect is evaluated at the best beta, however small it is there."""
 
 MOST_LAWS = 15
 """Laws that are tried for each cluster size, and one more where a step is refused."""
@@ -94,7 +94,7 @@ class SeenPoke:
 
     @property
     def components(self) -> int:
-        """How many coordinates of each point's displacement were seen."""
+        """Number of observed coordinates of each point's displacement."""
         return 1 if self.heights_only else 3
 
 
@@ -265,7 +265,7 @@ class PosedPoke:
         return np.column_stack([np.zeros((len(found), 2)), height])
 
     def left(self, state: PokedBody) -> SurfaceLeft:
-        """What the first of these states leaves of the surface near the poke."""
+        """Residual of the first of these states on the surface near the poke."""
         poke, near = self.poke, self.near
         left = (poke.moved - self.moved(state)[0])[near]
         return SurfaceLeft(middle=poke.at[:2], tip=poke.tip, depth=poke.depth, points=poke.points[near], left=left)
@@ -370,7 +370,7 @@ def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatA
 
 @dataclass(frozen=True, slots=True)
 class ShapeFit:
-    """How well clusters of one size follow the pokes.
+    """Fit of clusters of one size to the pokes.
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
     same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
@@ -386,8 +386,8 @@ class ShapeFit:
 
     @property
     def score(self) -> float:
-        """What cluster sizes are compared by: the error over all pokes. All sizes have the same two parameters, so that
-        none can win by following noise."""
+        """Criterion of cluster sizes: the error over all pokes. All sizes have the same two parameters, so that none
+        can win by following noise."""
         return float(np.sqrt(np.mean(self.surface_error**2)))
 
 

@@ -24,7 +24,7 @@ class CameraEstimate:
 
 @dataclass(frozen=True, slots=True)
 class KnownLens:
-    """How a camera projects. focal_px, center_px: (x, y); distortion: OpenCV's k1, k2, p1, p2, k3"""
+    """Projection of a camera. focal_px, center_px: (x, y); distortion: OpenCV's k1, k2, p1, p2, k3"""
 
     focal_px: tuple[float, float]
     center_px: tuple[float, float]

@@ -1,4 +1,4 @@
-"""What a simulated tactile hand touches: pressures on its pads as a function of time."""
+"""Contacts of a simulated tactile hand: pressures on its pads as a function of time."""
 
 from __future__ import annotations
 
