@@ -38,7 +38,7 @@ class Command:
     """One command.
 
     summary: its line in `deformscope --help`; config: its class in `deformscope.config`;
-    module: where it lives; function: what runs it, called with the config
+    module: where it lives; function: runs it, called with the config
     """
 
     summary: str
@@ -336,14 +336,14 @@ def _help(group: str = "") -> str:
 
 
 class _UsageError(InputError):
-    """A flag that cannot be read, in the words of whoever refused it."""
+    """A flag that cannot be read, with the parser's own text."""
 
     def __init__(self, words: str, try_this: str) -> None:
         Exception.__init__(self, f"{words} | try: {try_this}")
 
 
 def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
-    """Read a command's flags; whatever is wrong is an InputError. Help goes to stdout and ends in SystemExit(0)."""
+    """Read a command's flags; every mistake is an InputError. Help goes to stdout and ends in SystemExit(0)."""
     import tyro
 
     with contextlib.ExitStack() as stack:
@@ -383,7 +383,7 @@ _CONVERSIONS = (
 
 
 def _usage_error(boxed: str, prog: str) -> InputError:
-    """One line out of tyro's box, whose sections are parted by rules: title, what is wrong, hints."""
+    """One line out of tyro's box, whose sections are separated by rules: title, error, hints."""
     lines = [_FRAME.sub("", line) for line in boxed.splitlines()]
     body = [line for line in lines[1:-1] if line.strip()]
     rules = [index for index, line in enumerate(body) if set(line.strip()) == {"─"}]
@@ -460,7 +460,7 @@ def _explain(error: Exception) -> str:
 
 
 def _missing_library(error: BaseException) -> str:
-    """The shared object that the loader did not find, from the error or what caused it."""
+    """The shared object that the loader did not find, from the error or its cause."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, ImportError | OSError):
@@ -472,7 +472,7 @@ def _missing_library(error: BaseException) -> str:
 
 
 def _pipe_closed(error: BrokenPipeError) -> int:
-    """Quiet where whoever read stdout has gone (`| head`); a device's pipe that broke is an error like any other."""
+    """Quiet if the reader of stdout has gone (`| head`); a device's pipe that broke is an error like any other."""
     try:
         descriptor = sys.stdout.fileno()
         poll = select.poll()

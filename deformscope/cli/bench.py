@@ -1,4 +1,4 @@
-"""`deformscope bench`: what MSM costs on this machine, as a table.
+"""`deformscope bench`: cost of MSM on this machine, as a table.
 
 deformscope bench
 deformscope bench --quick --only step,relax --json -

@@ -1,4 +1,4 @@
-"""`deformscope doctor`: whether a rig would work, and what to do if not.
+"""`deformscope doctor`: whether a rig would work, and the remedies if not.
 
 deformscope doctor rig.toml
 deformscope doctor --example > rig.toml
@@ -212,7 +212,7 @@ def _disk(rig: Rig) -> Finding:
 
 
 def _real_time(rig: Rig) -> list[Finding]:
-    """Whether a robot's threads may run before whatever else the machine computes."""
+    """Whether a robot's threads may preempt other computations of the machine."""
     if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
         return []
     if may_be_prompt():

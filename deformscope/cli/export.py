@@ -15,7 +15,7 @@ from deformscope.recording.streams import SCHEMA_VERSION
 
 
 def run(config: ExportConfig) -> None:
-    """Write it, and list what was written."""
+    """Write it, and list the files."""
     asked = ExportRequest(
         to=config.format,
         folder=config.folder,

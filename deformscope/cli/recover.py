@@ -24,7 +24,7 @@ from deformscope.recording.target import remove_strays
 
 
 def run(config: RecoverConfig) -> None:
-    """Write what can be read of a recording as a new one, with its ledger. The original is only read."""
+    """Write the readable part of a recording as a new one, with its ledger. The original is only read."""
     path = config.recording
     out = config.out or path.with_name(f"{path.stem.split('.part')[0]}.recovered.rrd")
     _check(path, out)

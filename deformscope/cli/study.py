@@ -67,7 +67,7 @@ class StudyReport:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """options: the class of its flags, a `StudyOptions`; trials: what is tried with them
+    """options: the class of its flags, a `StudyOptions`; trials: its cases
     report: called with the options, the seconds that it took, and the outcomes of each of the trials"""
 
     options: type[Any]

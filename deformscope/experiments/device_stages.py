@@ -1,4 +1,4 @@
-"""The stages that run with the devices: which frames each takes, and what it computes from them.
+"""The stages that run with the devices: which frames each takes, and its computation.
 
 A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
 """

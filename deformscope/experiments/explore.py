@@ -106,7 +106,7 @@ class Unsteered:
 
 
 class RecordedSteering(Unsteered):
-    """Decides again what was recorded."""
+    """Repeats the recorded decisions."""
 
     def __init__(self, decisions: Sequence[SteeringDecision]) -> None:
         # of a touch that was broken off nothing is left to replay
@@ -351,7 +351,7 @@ def within_loop(stages: ExplorationStages) -> Stage:
 
 @dataclass
 class RecordedRobot:
-    """Gives again what was recorded: what `read_inputs` found of a look and of touches, in their order."""
+    """Repeats a recording: the look and the touches of `read_inputs`, in their order."""
 
     given: list[Any]
 
@@ -360,7 +360,7 @@ class RecordedRobot:
         return self._next()
 
     def touch(self, command: Touch) -> Any:
-        """The next recorded touch, wherever this one was to be."""
+        """The next recorded touch, at any place."""
         return self._next()
 
     def _next(self) -> Any:

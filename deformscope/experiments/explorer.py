@@ -219,7 +219,7 @@ class AfterTouch:
 class UnseenSurface:
     """An exploration before its look at the surface: only the `Explorer` that a look returns takes touches.
 
-    failed: by touch and stage, what failed when this was recorded
+    failed: recorded failures by touch and stage
     """
 
     def __init__(
@@ -362,8 +362,8 @@ class Explorer:
     def touch(
         self, touched: TouchMeasurement, dent: Callable[[], tuple[FloatArray, SeenPixels | None]] | None = None
     ) -> AfterTouch:
-        """Take a touch in, and map what is known then. dent: computes its `after_m` and `pixels`, where these are not
-        known yet"""
+        """Take a touch in, and update the map. dent: computes its `after_m` and `pixels`, where these are not known
+        yet"""
         self._touch = len(self.touches) + 1
         if dent is not None and (seen := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=seen[0], pixels=seen[1])

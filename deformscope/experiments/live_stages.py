@@ -110,8 +110,9 @@ def live_stages(
 ) -> RigExperiment[dict[str, StageCounts]]:
     """The experiment that passes items to stages, and yields their `StageResult`s; returns the counts.
 
-    executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
-    every batch with what stages note, and says when it is over; lossless: colour images are recorded without losses
+    executors: the executor of each stage, by its name: each has its own, so that none waits for another; ended: sees
+    every batch with the stages' notes, and returns whether it is over; lossless: colour images are recorded without
+    losses
     watch: sees every result; clock: the host's, or that of recorded items [ns]
     """
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
@@ -199,7 +200,7 @@ class _Running:
         return costs
 
     def end(self) -> StageCounts:
-        """The counts, with what nothing was computed from in the end among the skipped."""
+        """The counts, with unused frames at the end among the skipped."""
         counts = self._counts
         counts.nothing = "" if counts.results else self._lack
         left = self._chooser.skipped + (self._skipped if self._future is not None else 0)

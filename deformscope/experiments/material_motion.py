@@ -56,8 +56,7 @@ class UnloadingOptions:
 
 @dataclass(frozen=True, slots=True)
 class MaterialFit:
-    """Result of a material's fit. comparisons: of some frames, by their index; motion: what was fitted, where it was
-    one"""
+    """Result of a material's fit. comparisons: of some frames, by their index; motion: the fitted one, if any"""
 
     estimate: MaterialEstimate
     comparisons: tuple[tuple[int, Comparison], ...]
@@ -111,7 +110,7 @@ def field_of_pair(seen: Observation, level: float, seed: int, device: str, progr
 
 
 def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | None) -> tuple[int, Observation]:
-    """The frame that is fitted, and what was seen at it. frame: None = the last one"""
+    """The fitted frame, and its observation. frame: None = the last one"""
     last = len(tracked.history) - 1
     if frame is not None and not 0 < frame <= last:
         raise InputError(f"--at FRAME from 1 to {last}, the last frame", str(frame))
@@ -197,7 +196,7 @@ def yield_of_camera(
     options: YieldOptions,
     progress: Progress | None,
 ) -> MaterialFit:
-    """Some frames are fitted; what was found is then simulated at every one."""
+    """Some frames are fitted; the result is then simulated at every one."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     time_s = np.asarray(tracked.times)
     rows = frames_to_fit(cycle, MOST_FRAMES, between=options.creep != "none")
@@ -212,7 +211,7 @@ def yield_of_camera(
 
 
 def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
-    """Every frame with what was simulated (T, K, d). first: index of the first frame"""
+    """Every frame with the simulation (T, K, d). first: index of the first frame"""
     return tuple(
         (
             frame,

@@ -1,4 +1,4 @@
-"""From frames to what was measured: the same functions while a robot explores, and when its recording is replayed."""
+"""From frames to measurements: the same functions during an exploration, and in its replay."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
 standard deviations of a depth at 0.8 m (0.9 mm), plus the arm's deflection (0.6 mm). A dent is seen best within 2 cm of
 the ball."""
 DENT_M = 0.08
-"""Half the side of what is seen around a dent."""
+"""Half the side of the observed area around a dent."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
 DWELL_S, DWELL_AT_MOST_S = 0.5, 3.0
@@ -108,7 +108,7 @@ def _frame_data(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looked:
-    """A look at the surface. used: its frames, named; data: what is in them"""
+    """A look at the surface. used: its frames, named; data: its values"""
 
     used: LookFrames
     data: FrameData
@@ -116,7 +116,7 @@ class Looked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touched:
-    """A touch. used: its frames, named; data: what is in them"""
+    """A touch. used: its frames, named; data: its values"""
 
     used: TouchFrames
     data: FrameData
@@ -137,7 +137,7 @@ def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float
 class SetupGeometry:
     """Poses of surface, arm and camera relative to each other, and their consequences; pure.
 
-    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: what the robot looks like
+    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: shape of the robot
     """
 
     size_m: tuple[float, float]

@@ -22,7 +22,7 @@ a third of the modulus relaxing evenly over three decades of time [assumed]."""
 
 
 class ApparentStiffness:
-    """Stiffness as each touch came down, at whatever speed."""
+    """Stiffness of each touch during its approach, at its own speed."""
 
     def error(self, error: TouchErrorModel) -> TouchErrorModel:
         """Errors of the quantity, given those of stiffness."""

@@ -1,5 +1,5 @@
-"""Touches of a recording: as an exploration named their frames, or found in what any robot's arm, force sensor and
-depth camera gave.
+"""Touches of a recording: as an exploration named their frames, or found in any robot's arm, force sensor and depth
+camera data.
 
 It names the frames of a recording as `touching_robot` names those of a look and of touches during a run; the same
 results are computed from them.
@@ -122,7 +122,7 @@ def _touch(
     setup: SetupGeometry,
     options: ExploreOptions,
 ) -> TouchFrames:
-    """A touch out of an approach's frames. Raises InputError for what is none."""
+    """A touch out of an approach's frames. Raises InputError if it is no touch."""
     placement, holds = setup.placement, options.hold_s > 0.0
     states = {one.stamp.host_ns: one for one in frames if isinstance(one, ArmFrame)}
     readings = {one.stamp.host_ns: one for one in frames if isinstance(one, WrenchFrame) and one.usable}
@@ -205,7 +205,7 @@ def _newest(of_ns: IntArray, at_ns: IntArray) -> IntArray:
 
 
 class RecordedTouches(AtOnce):
-    """Looks and touches as they were recorded; what the devices gave until then goes by. given: as `RecordedRobot`
+    """Looks and touches as they were recorded; earlier device items are passed over. given: as `RecordedRobot`
 
     count: of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
     """

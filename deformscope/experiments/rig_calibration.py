@@ -40,7 +40,7 @@ class SetupRequest:
     """A request to a person.
 
     kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
-    axis: of a push: what the finger does to the tip, surface frame; of a load its force [N]
+    axis: of a push: direction of the finger's force on the tip, surface frame; of a load its force [N]
     """
 
     kind: Literal["corner", "tilt", "push", "load", "rest", "tap", "view"]
@@ -285,7 +285,8 @@ def taps_of(forces: Sequence[Frame], others: Sequence[Frame]) -> Taps:
 
 
 def moved_signal(frames: Sequence[Frame]) -> FloatArray:
-    """(n,) what a tap moves in a device's frames: an arm's joint torques, or a camera's picture, off their usual."""
+    """(n,) signal of a tap in a device's frames: an arm's joint torques, or a camera's picture, relative to their usual
+    values."""
     if isinstance(frames[0], ArmFrame):
         values = np.array([one.joint_torque_nm for one in frames if isinstance(one, ArmFrame)])
     else:

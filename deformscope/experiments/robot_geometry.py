@@ -58,7 +58,7 @@ class Geometry(Protocol):
 
 
 class AsMeasured:
-    """Of robots that give measurements rather than frames, and reach what `reachable` says, all by default."""
+    """Of robots that give measurements rather than frames, and reach the places of `reachable`, all by default."""
 
     def __init__(self, size_m: tuple[float, float], reachable: Callable[[MapGrid], BoolArray] | None = None) -> None:
         self.size_m = size_m

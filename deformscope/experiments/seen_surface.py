@@ -50,7 +50,7 @@ class SeenSurface:
     def of(
         cls, looked: SurfaceMeasurement, grid: MapGrid, options: ExploreOptions, *, on_level_layer: bool
     ) -> SeenSurface:
-        """Fit it. on_level_layer: where what is sought asks for it; a narrow border does as well"""
+        """Fit it. on_level_layer: if the search needs it; a narrow border does as well"""
         process = fit_surface(
             looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), grid.size_m), outlier_sd=5.0
         )

@@ -125,7 +125,7 @@ class LiveTracking(Tracking):
 
 
 class RecordedTracking(Tracking):
-    """The same from a recording: the images that were tracked are tracked again, each from what was known then. The
+    """The same from a recording: the tracked images are tracked again, each from the information of that time. The
     median at the steady state is no image."""
 
     def __init__(

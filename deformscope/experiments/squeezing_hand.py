@@ -115,7 +115,7 @@ def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None 
 class SqueezingHand:
     """The hand over the devices of an open source; a `SessionRobot`.
 
-    arm: carries out what is no command of the hand, None = nothing does
+    arm: carries out other commands, None = none
 
     on_cycle: called in every control period; on_phase: with each phase as it begins
     observer: is informed of each phase

@@ -29,7 +29,7 @@ CLOCK_SD_S = 0.002
 class TouchContact:
     """fit; law_n: (n,) its force at each reading [N]; modulus: of the layer, None where it is not known
     speed_m_s: at which the tip came down in it, None where that is not known
-    level_n_per_mm: stiffness of a level layer as thick as stated, None where that is what was touched"""
+    level_n_per_mm: stiffness of a level layer as thick as stated, None if the touched one is that"""
 
     fit: ContactFit
     law_n: FloatArray
@@ -48,7 +48,7 @@ class TouchContact:
 def fit_contact(
     touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, gain_sd: float
 ) -> TouchContact:
-    """The contact of a touch. gain_sd: as of `fit_approach`, which says what is raised"""
+    """The contact of a touch. gain_sd: as of `fit_approach`, with its errors"""
     options = surface.options
     fit = fit_approach(
         touched.time_s,

@@ -1,4 +1,4 @@
-"""Model files: what a calibration leaves for predictions, as one `.npz` of plain arrays and a line of JSON.
+"""Model files: the result of a calibration for predictions, as one `.npz` of plain arrays and a line of JSON.
 
     format            "deformscope model 1"
     told              JSON text: body, law, rivals, tip, errors, provenance
@@ -56,7 +56,7 @@ def save_model(model: FittedModel, path: Path) -> None:
 
 
 def load_model(path: Path) -> FittedModel:
-    """Read a model. Raises InputError for what is none, damaged, or of another format."""
+    """Read a model. Raises InputError for another kind of file, a damaged one, or another format."""
     try:
         raw = path.read_bytes()
     except OSError as error:

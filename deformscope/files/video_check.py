@@ -1,4 +1,4 @@
-"""Whether a video gave all frames that it holds: what its container lists against what could be read, and the times.
+"""Whether a video gave all its frames: the container's list against the readable frames, and the times.
 
 A damaged video is read without an error: a decoder conceals, or leaves out, undecodable parts.
 """

@@ -40,8 +40,8 @@ class PushedArm(Protocol):
 class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
-    world: what is touched; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest
-    magnitude so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
+    world: the touched world; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest magnitude so
+    far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
     """
 
     def __init__(

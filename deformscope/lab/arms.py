@@ -1,4 +1,4 @@
-"""Simulated arms behind their own drivers, each with what a laboratory needs of it: where it is, and to be pushed."""
+"""Simulated arms behind their own drivers, each with a laboratory's interface: its pose, and pushes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ArmBody(PushedArm, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, closed; body: what moves; person: places it; None = an arm with motors
+    """arm: the driver's device, closed; body: the moving arm; person: places it; None = an arm with motors
     wire: between them, to be entered before the arm is opened, None = no thread or process runs
     """
 

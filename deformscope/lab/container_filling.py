@@ -3,7 +3,7 @@
 Gas: the rest of the closed container is air at one temperature. When the walls move inwards by a volume V, its pressure
 over the outside becomes p0 (T / T0) Vg / (Vg - V) - p0. A liquid passes it on to every wall.
 
-Patches: the content resists a wall that moves inwards by w with a traction q [Pa] over what it had at rest. It is
+Patches: the content resists a wall that moves inwards by w with a traction q [Pa] above its value at rest. It is
 elastic (q_e = k (w - w_p)) until it yields, and then flows or fails, with a viscous part (Perzyna):
 
     q = q_y(w_p) + N K (dw_p/dt / l)^n  while w_p grows,     q_y(w_p) = q_1 w_p / (w_p + a)

@@ -204,7 +204,7 @@ class LiveLab:
         return camera
 
     def _move(self) -> None:
-        """The table gets where the arm is, and the arm what pushes it."""
+        """The table gets the pose of the arm, and the arm its pushes."""
         be_prompt(SENDING)
         shared = self._shared
         while not shared.over:
@@ -265,7 +265,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
 
 
 def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> None:
-    """The process of what the camera sees."""
+    """The process of the camera's view."""
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)

@@ -1,7 +1,7 @@
 """A rig whose doubles are not at the poses of its file: random poses that the calibration has to find.
 
-`[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` does what the calibrating commands ask for, with a
-hand that is a little off, as a person at a real rig would.
+`[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` carries out the requests of the calibrating commands,
+with small errors, as a person at a real rig would.
 """
 
 from __future__ import annotations

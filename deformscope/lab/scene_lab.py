@@ -64,9 +64,9 @@ class SceneLab:
         travel_speed_m_s: float = 0.05,
     ) -> None:
         """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
-        none; sensor: of SENSORS, what the camera measures by, empty = noise alone
-        robot: that the camera sees, None = capsules; described: what is known of its shape; travel_speed_m_s: between
-        touches"""
+        none; sensor: of SENSORS, the camera's error model, empty = noise alone
+        robot: that the camera sees, None = capsules; described: the known description of its shape; travel_speed_m_s:
+        between touches"""
         self._robot, self._described = robot, described
         self._workspace = Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M, travel_speed_m_s=travel_speed_m_s)
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
@@ -145,7 +145,8 @@ class SceneLab:
         return Relaxation((relaxes,), (CREEP_S,), keeps) if relaxes else Relaxation(keeps=keeps)
 
     def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) the slab's force [N] on a tip at (3,) [m], in the surface frame: what `TouchLab` asks of its world."""
+        """(3,) the slab's force [N] on a tip at (3,) [m], in the surface frame: the interface of a world of
+        `TouchLab`."""
         if isinstance(self._world, CreepingWorld):
             self._world.at(1e-9 * self.clock())
         self._contact = self._world.press(self._tip, center_m)

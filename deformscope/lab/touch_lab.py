@@ -75,7 +75,7 @@ class TouchLab:
 
         start_deg: (n,) first angles of the Jaco; default: the six-joint arm ready above the middle of the table
 
-        view: what the camera sees at a time since its opening [s]; None = no camera
+        view: the camera's view at a time since its opening [s]; None = no camera
         """
         self.clock = clock if clock is not None else SimulatedClock()
         self.placement = Placement(np.asarray(T_base_surface, dtype=float), tool if tool is not None else Tool())

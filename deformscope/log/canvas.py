@@ -27,8 +27,8 @@ class Canvas:
     spacing: between neighbouring particles, in the same unit; 0 = not known yet
     particles: (K, 2) where the particles are now [px], so that nothing is drawn where the thing is not; None = anywhere
     image: the path of the image under the results; empty = none
-    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of what is
-    drawn
+    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of the
+    drawing
     """
 
     low: tuple[float, ...] = (0.0, 0.0)

@@ -73,7 +73,7 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
 
 
 def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> None:
-    """Every field of what was found of a material, for `replay` to compare."""
+    """Every field of a material's result, for `replay` to compare."""
     kind = type(estimate).__name__
     numbers = rr.DynamicArchetype(kind, components=to_components(estimate))
     rec.log("calibration/estimate", numbers, static=bool(canvas.image))

@@ -1,4 +1,4 @@
-"""Results over a picture: of images, of pairs of particle sets, and what studies find."""
+"""Results over a picture: of images, of pairs of particle sets, and of studies."""
 
 from __future__ import annotations
 

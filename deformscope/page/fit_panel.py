@@ -1,4 +1,4 @@
-"""A fit on the page of a rig that is watched or recorded: of what one of its cameras sees, without holding it up."""
+"""A fit on the page of a rig that is shown or recorded: of one of its cameras' images, without delaying it."""
 
 from __future__ import annotations
 

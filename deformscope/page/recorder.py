@@ -54,7 +54,7 @@ class _FileTake:
     def write(
         self, items: object, source: RigSource | None, streams: tuple[Stream, ...], lossless: Sequence[str]
     ) -> None:
-        """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
+        """Record the device items of this source; a file that begins meanwhile begins with the first of them.
 
         streams: of the devices as they were opened; one that reconnects may have no kind
         """
@@ -146,7 +146,7 @@ class BackgroundWork:
 
 
 class MakeRecorder(Protocol):
-    """A recorder into this file, or none, with this viewer; at_once: of what is there already, so that it may wait"""
+    """A recorder into this file, or none, with this viewer; at_once: of existing items, so that it may wait"""
 
     def __call__(self, file: Path | None, viewer: Literal["page", "none"], *, at_once: bool = False) -> Recorder: ...
 
@@ -156,7 +156,7 @@ class PageRecorder:
 
     file: to begin with, None = no file yet; next_file: a name for each that follows
     ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
-    fit: that can be set meanwhile; at_end: a file for what of them is held at the end
+    fit: that can be set meanwhile; at_end: a file for items that are held at the end
     """
 
     def __init__(
@@ -269,7 +269,7 @@ class PageRecorder:
                 self._take.recorder.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
-        """Of the last file; where there was none, of what was watched."""
+        """Of the last file; without one, of the whole view."""
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:

@@ -81,7 +81,7 @@ class PageSteering(RobotPage):
     # Before it moves -------------------------------------------------------------------------------------------------
 
     def wait_for(self, what: str) -> None:
-        """As `RobotPage.wait_for`. what: how many touches, and of what force"""
+        """As `RobotPage.wait_for`. what: number of touches, and their force"""
         self._what = f"{self._arm} continues: {what}"
         self.session.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 

@@ -270,7 +270,7 @@ def accuracies_png(scores: Sequence[ClassificationScore]) -> bytes:
 
 
 def fusion_png(found: Evaluation) -> bytes:
-    """Of each class, what is named rightly from each modality, and from all fused late."""
+    """Right answers in each class, by each modality, and by late fusion."""
     late = found.best
     shown = [*(found.score(name, "pooled") for name in found.table.fused[0]), late]
     count = len(found.table.classes)

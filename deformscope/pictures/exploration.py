@@ -1,4 +1,4 @@
-"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch measured.
+"""Pictures of an exploration, as PNG: the maps, the gain of each next place, and a touch's measurement.
 
 The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
 frame; touches are numbered from 1, in their order.
@@ -383,7 +383,7 @@ def draw_touch_comparison(
 
 
 def _legend_above(axes: Axes, title: str, handles: Sequence[Any]) -> None:
-    """Names of what is drawn, below a title and above the axes."""
+    """Names of the drawn items, below a title and above the axes."""
     names = [textwrap.fill(handle.get_label(), 46) for handle in handles]
     above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.03, 1.0), "frameon": False, "alignment": "left"}
     bold = {"size": 10, "weight": "bold"}
@@ -391,7 +391,7 @@ def _legend_above(axes: Axes, title: str, handles: Sequence[Any]) -> None:
 
 
 def _with_interval(touch: TouchEstimate, quantity: str) -> tuple[float, float, float] | None:
-    """Value, low, high of what a touch gave; None where it gave none."""
+    """Value, low, high of a touch's result; None without one."""
     if quantity == "beta":
         return None if touch.beta is None else (touch.beta, *(touch.beta_interval or (touch.beta, touch.beta)))
     if not touch.usable:

@@ -21,7 +21,7 @@ def format_verdict(maps: MapEstimate) -> str:
 
 
 def format_regions(maps: MapEstimate) -> str:
-    """How many regions there are, and between what."""
+    """Number of regions, and their levels."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
     return counted(maps.region_count, "region") + " or more" * maps.at_least + between
 
@@ -57,7 +57,7 @@ def format_travel(travel_m: float) -> str:
 
 
 def format_iou(maps: MapEstimate) -> str:
-    """How good the map is, and against what; empty where the truth is not known."""
+    """Quality of the map, and its reference; empty without a known truth."""
     return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
 
 

@@ -1,6 +1,6 @@
 """Pictures drawn in a process of their own while a robot is held.
 
-Drawing asks for Python's lock for a tenth of a second a picture, and what moves the robot waits for that lock.
+Drawing needs Python's lock for a tenth of a second per picture, and the robot's control waits for that lock.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from deformscope.stages.setup.timing import TimeOffset
 def off_figure(off: FloatArray, names: Sequence[str], unit: str, sd: float, *, each: str, caption: str) -> Figure:
     """Distance of each measurement (n,) from the solution, with the estimated standard deviation.
 
-    each: what one measurement is, as under its bars
+    each: name of one measurement, as under its bars
     """
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()

@@ -1,7 +1,7 @@
 """Thesis chapter 4 in the laboratory: beta of foams by how a touch is held, and explorations by its own rules.
 
 Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several held sets of the model and sizes of its
-clusters. Figures 4.4, 4.6, 4.7 and table 4.1: what the sweep is given, the dents, and the fields of beta of the six
+clusters. Figures 4.4, 4.6, 4.7 and table 4.1: the input of the sweep, the dents, and the fields of beta of the six
 scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires.
 """
 
@@ -150,7 +150,7 @@ class Scenario:
 
     contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why none follows
     truth: (rows, columns) labels; hardness: of each label, in words
-    variance: (rows, columns) of the field, the same whatever beta is; fields: of each beta model
+    variance: (rows, columns) of the field, for any beta; fields: of each beta model
     """
 
     scene: str

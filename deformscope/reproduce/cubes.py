@@ -114,7 +114,7 @@ class CubeResult:
 
     @property
     def over_grid(self) -> float:
-        """By what share the calibration's error exceeds the dense grid's lowest; below 0 where it is lower."""
+        """Relative excess of the calibration's error over the dense grid's lowest; below 0 if it is lower."""
         return self.theta.aee / self.grid_aee - 1.0 if self.grid_aee > 0.0 else 0.0
 
     @property
@@ -166,8 +166,8 @@ def thesis_cubes(
 
 
 def _few_gradients(box: ElasticBox, fixed: BoolArray, pressed: FloatArray) -> tuple[float, float]:
-    """Seconds of `CG_STEPS` conjugate gradients on the same equations, and the share that they leave. fixed, pressed:
-    (N, 3) what is prescribed, and the displacements there"""
+    """Seconds of `CG_STEPS` conjugate gradients on the same equations, and their remaining share of the load. fixed,
+    pressed: (N, 3) prescribed displacements, and their values"""
     free = np.flatnonzero(~fixed.ravel())
     own = box.stiffness[free]
     right = -(own @ np.where(fixed, pressed, 0.0).ravel())
@@ -191,7 +191,7 @@ _RATIO_IN_NAME = re.compile(r"nu_?(0?\.\d+|0(?![\d.]))", re.IGNORECASE)
 def cube_from_pair(raw: bytes, name: str) -> Cube:
     """A pair file's bytes as a cube; Poisson's ratio is its `nu`, or in its name (`..._nu0.25...`).
 
-    Raises InputError for what is no pair file, or where the ratio is nowhere.
+    Raises InputError for another kind of file, or without the ratio.
     """
     seen = parse_pair(raw, name)
     given = read_arrays(raw, "a pair file (.npz of arrays)", name).get("nu", np.empty(0)).reshape(-1)

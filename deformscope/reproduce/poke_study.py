@@ -37,7 +37,7 @@ class Press:
 
 @dataclass(frozen=True, slots=True)
 class PokeStudyPlan:
-    """A slab, what of it is fitted, and what is predicted. drawn: where its materials are, of several"""
+    """A slab, its fitted pokes, and predicted ones. drawn: where its materials are, of several"""
 
     name: str
     slab: Slab
@@ -83,7 +83,7 @@ def plans() -> tuple[PokeStudyPlan, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Studied:
-    """plan; what was found of the fitted pokes; the unseen ones."""
+    """plan; results of the fitted pokes; the unseen ones."""
 
     plan: PokeStudyPlan
     found: PokesResult

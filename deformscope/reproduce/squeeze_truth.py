@@ -68,7 +68,7 @@ class SimulatedSqueeze:
     inward_m: list[FloatArray] = field(default_factory=list)
 
     def note(self, made: ContainerLab) -> None:
-        """Take what is simulated now."""
+        """Store the present simulated state."""
         now = made.lab.simulated.world
         self.when_ns.append(made.lab.clock())
         self.T_hand_container.append(now.T_hand_container)
@@ -134,7 +134,7 @@ def _tracked(start: str, poses: Sequence[PoseError]) -> Numbers:
 
 
 def with_losses(frames: SqueezeFrames, seed: int) -> SqueezeFrames:
-    """The same squeeze without `LOST_SHARE` of what each device gave, and without a run of `LOST_RUN`."""
+    """The same squeeze without `LOST_SHARE` of each device's items, and without a run of `LOST_RUN`."""
     random = np.random.default_rng([seed, 0x105])
 
     def thinned(given: Sequence[T]) -> list[T]:

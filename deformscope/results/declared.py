@@ -38,13 +38,13 @@ class Quantity:
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
     interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number alone,
     and the interval by this key; columns have it separately too
-    words: from the whole result to what is shown in place of a number
-    json: from the value to what JSON has; json_scale: JSON has the value times this
+    words: from the whole result to a text in place of a number
+    json: from the value to JSON; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None where not known
     missing: text of one that is None
     older_key: by which JSON has it too
-    optional: JSON lacks the key where the value is None; flat: it has what is in the value instead
+    optional: JSON lacks the key where the value is None; flat: its JSON has the value's parts instead
     line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
     name: of the field or property; place: rises in the order of declaration
     """

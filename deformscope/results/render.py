@@ -1,4 +1,4 @@
-"""Renders results from what their dataclasses declare: JSON and its units, rows of a table, a line of words."""
+"""Renders results from their dataclasses' declarations: JSON and its units, rows of a table, a line of text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Rows = list[tuple[str, str]]
 
 
 class ReportedResult:
-    """A dataclass whose JSON follows from its declarations. A class variable `parameter` names what was fitted."""
+    """A dataclass whose JSON follows from its declarations. A class variable `parameter` names the fitted one."""
 
     __slots__ = ()
 
@@ -85,7 +85,7 @@ def _json(one: Quantity, value: Any) -> Any:
 
 
 def _nested(value: Any) -> Any:
-    """Results inside a result are rendered as they declare; what declares nothing stays."""
+    """Results inside a result are rendered by their declarations; undeclared ones are unchanged."""
     if dataclasses.is_dataclass(value) and quantities(type(value)):
         return _by_key(value)
     if isinstance(value, tuple | list):
@@ -101,7 +101,7 @@ def format_value(result: Any, name: str) -> str:
 
 
 def to_rows(result: Any, *names: str) -> Rows:
-    """Quantities by their labels, each with what is shown of it; those that are not known are left out."""
+    """Quantities by their labels, each with its text; unknown ones are left out."""
     declared = {one.name: one for one in quantities(type(result))}
     shown = [(declared[name].label, _format(result, declared[name])) for name in names]
     return [row for row in shown if row[1]]

@@ -1,4 +1,4 @@
-"""The rig file: which devices there are, where they are plugged in, and what the robot may do.
+"""The rig file: the devices, their ports, and the robot's limits.
 
 TOML, read strictly: an unknown key is an error, because a limit with a typing mistake would be no limit. `lab:NAME`
 names a simulated rig that came with the installation.
@@ -45,7 +45,7 @@ class RigDevice:
 
     name: as its frames and recordings call it; config: its driver's own configuration
     double: run a simulated device in its place
-    trusted: whether a vendor's library that the configuration names is loaded from wherever it is
+    trusted: whether a vendor's library that the configuration names is loaded from any folder
     late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps
     """
 
@@ -99,8 +99,8 @@ class Tool:
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
     R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and turned about the stick; default: the same
-    stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there: it is left out of what
-    the camera sees
+    stick_radius_m: of the thickest part between the arm's end and the tip, such as a force sensor: it is removed from
+    the camera's image
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured, as
@@ -290,7 +290,7 @@ class Rig:
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
-    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, which says what is wrong and where.
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place.
 
     trusted: vendors' libraries that it names may be loaded from anywhere
     """

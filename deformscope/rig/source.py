@@ -1,4 +1,4 @@
-"""A rig as a source: its devices opened together, and what all of them gave since the last look, in order of time."""
+"""A rig as a source: its devices opened together, and all their items since the last call, in order of time."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Opened:
 class RigSource:
     """`with RigSource(members) as source: while ...: items = source.take(0.1)`.
 
-    Nothing that a device gives between opening and closing is left out: what its queue had to drop is counted.
+    No item of a device between opening and closing is left out: items that its queue had to drop are counted.
     raw: also the bytes of every wire; clock: that the devices stamp by
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)

@@ -2,7 +2,7 @@
 each.
 
 No person controls a force by hand, so the tip goes down in steps and the contact law is fitted to the measured heights.
-The supervisor looks in every control period, whatever the person does.
+The supervisor checks every control period, whatever the person does.
 """
 
 from __future__ import annotations

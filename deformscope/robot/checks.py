@@ -77,7 +77,7 @@ class Preflight:
         return bool(self.checks) and all(check.passed for check in self.checks)
 
     def table(self) -> str:
-        """The checks as lines of text, one each; below them what to do about those that have not passed."""
+        """The checks as lines of text, one each; below them the remedies of failed ones."""
         rows = [("", "check", "wanted", "came")]
         rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

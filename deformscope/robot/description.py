@@ -159,7 +159,7 @@ def _surface_frames(placement: Placement, T_base_links: FloatArray) -> FloatArra
 
 
 def describe(section: ShapeSection, chain: Chain | None, folder: Path) -> RobotDescription:
-    """A rig file's [shape]. folder: of the rig file; raises InputError, which says what is wrong."""
+    """A rig file's [shape]. folder: of the rig file; raises InputError, with the error."""
     solids = bool(section.urdf or section.gripper)
     removal: Removal = section.removal or ("mesh" if solids else "capsules")
     if removal != "capsules" and not solids:

@@ -68,7 +68,8 @@ class LatchingSupervisor(Generic[FaultT]):
         self.start(now_ns)
 
     def stop(self, fault: FaultT, reason: str, now_ns: int) -> Decision[FaultT]:
-        """Stop for what is in no reading: a person asks for it, or a command was refused, and the next would be too."""
+        """Stop for a reason outside the readings: a person's request, or a refused command, after which the next would
+        fail too."""
         return self._latch([(Action.STOP, fault, reason)], now_ns)
 
     def _begin(self, now_ns: int) -> None:

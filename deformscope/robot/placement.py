@@ -53,8 +53,8 @@ Larger may step over a limit or a singularity between two; smaller takes longer 
 class Placement:
     """The rigid relations of base, surface, arm's end and tip.
 
-    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: what the arm touches with
-    Raises InputError for a transform that is not rigid.
+    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: of the arm Raises InputError for a transform
+    that is not rigid.
     """
 
     T_base_surface: FloatArray

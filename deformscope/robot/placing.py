@@ -58,7 +58,7 @@ def _counted(refused: Sequence[str]) -> list[str]:
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacingSetup:
     """The arm that places a hand. chain: of its joints; placement: of arm, table and hand; workspace: its limits; ages:
-    of what was measured"""
+    of the calibrations"""
 
     chain: Chain
     placement: Placement
@@ -126,7 +126,7 @@ class NoGrasp(NotThere):
 
 
 def hand_tool(T_arm_hand: FloatArray, grip: GripShape) -> Tool:
-    """The hand as what the arm's placement calls its tool."""
+    """The hand as a tool of the arm's placement."""
     tip = T_arm_hand @ transform(np.eye(3), grip.middle_m)
     rows = tuple(tuple(map(float, row)) for row in tip)
     return Tool(tip="flat", T_ee_tip=rows, stick_radius_m=PALM_M)

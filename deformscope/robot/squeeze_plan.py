@@ -130,7 +130,7 @@ def _turned(axis: str, by_deg: float) -> FloatArray:
 
 
 LINK_M, PALM_M = 0.012, 0.055
-"""Radii of what stands for a finger's links and for the palm. Assumed: the SDH's links are some 22 mm thick."""
+"""Radii of the capsules of a finger's links and of the palm. Assumed: the SDH's links are some 22 mm thick."""
 
 
 def hand_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:

@@ -84,7 +84,7 @@ class SqueezeParts:
     @classmethod
     def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
         """place: who places the hand: the driver of the arm that is to, or `person`. Raises InputError, which names
-        what is missing, or what does not go together."""
+        missing keys, or contradictions."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
         parts = cls(
@@ -108,7 +108,7 @@ class SqueezeParts:
 
     @staticmethod
     def _check_placing(rig: Rig, parts: SqueezeParts) -> None:
-        """Raises InputError for what an arm cannot place a hand without."""
+        """Raises InputError without a key that an arm needs to place a hand."""
         if parts.hand.double:
             came = "doubles of a rig file, which no arm carries"
             raise InputError("real devices for --place, or lab:containers", came, "--place person", rig.name)

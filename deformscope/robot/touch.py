@@ -265,8 +265,7 @@ class TouchStateMachine:
     def step(self, time_s: float, center_m: FloatArray, force_n: FloatArray, still_seen: bool = True) -> FloatArray:
         """The tip's velocity (3,) [m/s] for the next period.
 
-        center_m: (3,) the tip's centre; force_n: (3,) what the world does to it; still_seen: what watches the dent
-        sees no change
+        center_m: (3,) the tip's centre; force_n: (3,) force on it; still_seen: the observer of the dent sees no change
         """
         plan = self.plan
         along_n = float(force_n @ plan.normal)
@@ -286,7 +285,7 @@ class TouchStateMachine:
         return np.zeros(3)
 
     def end(self, time_s: float) -> None:
-        """End the touch in whatever phase it is. time_s: now"""
+        """End the touch in any phase. time_s: now"""
         if self.phase is not Phase.DONE:
             self._enter(Phase.DONE, time_s)
 
@@ -450,7 +449,7 @@ class TouchProgress(Protocol):
     spans: list[PhaseSpan]
 
     def end(self, time_s: float) -> None:
-        """End the touch in whatever phase it is. time_s: now"""
+        """End the touch in any phase. time_s: now"""
 
 
 class TouchRun:

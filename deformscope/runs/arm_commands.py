@@ -80,7 +80,7 @@ def where(config: WhereConfig) -> WhereArm:
 
 
 def home(config: HomeConfig) -> None:
-    """Send the arm home; whoever ends the command stops it. Raises InputError for an arm that has no home."""
+    """Send the arm home; the end of the command stops it. Raises InputError for an arm that has no home."""
     with until_interrupted() as asked, _arm_of(config.rig, trusted=config.trust_rig) as (arm, _):
         if not arm.goes_home:
             raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")

@@ -150,7 +150,7 @@ class ClassificationResult(LibraryResult):
 
 
 def format_accuracy(score: ClassificationScore) -> str:
-    """Accuracy with its interval, and what naming the most frequent class would reach."""
+    """Accuracy with its interval, and that of always naming the most frequent class."""
     method = f"{score.modality}, {score.method}, {score.splits} {format_split(score)}"
     return f"{format_right(score)}, chance {score.chance:.1%}: {method}"
 
@@ -214,8 +214,8 @@ def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
 
 
 def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
-    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others
-    what is recommended."""
+    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others the
+    recommended ones."""
     names: tuple[str, ...] = ()
     made, others = [], []
     for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):

@@ -14,8 +14,8 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 @dataclass(frozen=True, slots=True)
 class RigStep:
     """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
-    words: what is known; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0
-    = depends on its findings
+    words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0 =
+    depends on its findings
     """
 
     what: str

@@ -63,7 +63,7 @@ class TruthScore:
 class TouchOutcome:
     """A touch, and its effect on the exploration.
 
-    ended_s: since the session began; iou: of the map after it; failed: what failed on it, in words
+    ended_s: since the session began; iou: of the map after it; failed: failures on it, as text
     asked_for: by a person, on the page
     """
 

@@ -81,8 +81,8 @@ KINDS: dict[str, type[MaterialEstimate]] = {
 class MaterialJob:
     """Settings that determine a result besides the inputs; they are recorded.
 
-    find: what of a material; noise: of a position [m of files, px of images]; particles: of images
-    frame: of images, that axes or a field are fitted to; force_n: on what was moved; at, released: see
+    find: the quantity of a material; noise: of a position [m of files, px of images]; particles: of images
+    frame: of images, that axes or a field are fitted to; force_n: on the moved particles; at, released: see
     `UnloadingOptions`; version: see `NEWEST_FIT`
     """
 
@@ -165,7 +165,7 @@ def material_page(result: MaterialResult) -> str:
 def calibrate_material(
     config: MaterialOptions, *, note: Note = log_note, progress: Progress | None = None
 ) -> MaterialResult:
-    """Fit what the options name."""
+    """Fit the sources of the options."""
     quiet_warp()
     job, sources = job_of(config), config.sources
     settings: dict[str, Any] = {"sources": list(sources)}

@@ -87,7 +87,7 @@ class RecordingReport(LibraryResult):
 
 
 def report_recording(path: Path) -> RecordingReport:
-    """Draw what a recording holds. Raises InputError for what is none, or cannot be read."""
+    """Draw the content of a recording. Raises InputError for another kind of file, or an unreadable one."""
     replay = Replay(path)
     kinds: dict[str, Callable[[Replay], Drawn]] = {EXPLORATION.name: _exploration, SQUEEZE.name: _squeeze}
     draw = kinds.get(replay.identity[0]) or (_rig if "rig" in replay.settings else _fits)

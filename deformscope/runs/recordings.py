@@ -1,4 +1,4 @@
-"""Recordings as a script has them: what one is, and what making one left."""
+"""Recordings in a script: an opened one, and the result of making one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class OpenRecording(LibraryResult):
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError where it is no recording of ours, or no longer what was recorded."""
+        """Raises InputError if it is no recording of ours, or has changed since it was recorded."""
         self.path = path
         self._replay = Replay(path)
 
@@ -66,7 +66,7 @@ class OpenRecording(LibraryResult):
     def table(self, name: str) -> pa.Table:
         """A stream as an Arrow table: by its entity (`wrench/tip`), or DEVICE/QUANTITY (`tip/force`) for the times and
         the columns of that quantity alone. Units are in the names of columns and in their metadata (`unit`);
-        `.to_pandas()` works where pandas is installed. Raises InputError for what is not there."""
+        `.to_pandas()` works where pandas is installed. Raises InputError for a missing one."""
         return self._tables.table(name)
 
     def notes(self) -> tuple[SessionNote, ...]:

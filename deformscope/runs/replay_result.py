@@ -28,8 +28,8 @@ class ReplayResult(LibraryResult):
     """Results of a recording, computed again.
 
     found: the JSON of `deformscope replay`, a list where several pairs were fitted; shown: results with their tables
-    verdict: how it compares with what was recorded; notes: what failed or stopped when it was recorded
-    different: what differs, where the results are known all the same, else None
+    verdict: comparison with the recorded result; notes: failures and stops during the recording
+    different: the differences, if the results are known nevertheless, else None
     """
 
     found: Any

@@ -49,7 +49,7 @@ class LibraryResult(ABC):
         return Findings(self.tables(), self.figures())
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON of the command line as a dict of plain Python values; what is not finite is None."""
+        """The JSON of the command line as a dict of plain Python values; nan and infinities are None."""
         return cast("dict[str, Any]", plain(self.as_json()))
 
     def __str__(self) -> str:
@@ -63,8 +63,8 @@ class LibraryResult(ABC):
 class SourceResult(LibraryResult):
     """Results of a source.
 
-    name: of the source; recording: what was recorded; problems: what of the source is damaged
-    settings, seed: what decides the result
+    name: of the source; recording: of the run; problems: damage of the source
+    settings, seed: inputs that determine the result
     """
 
     name: str = ""
@@ -74,7 +74,7 @@ class SourceResult(LibraryResult):
     seed: int = 0
 
     def with_problems(self, found: dict[str, Any]) -> dict[str, Any]:
-        """The JSON of what was found, with what of the source is damaged."""
+        """The JSON of the result, with the damage of the source."""
         return found | ({"source_problems": list(self.problems)} if self.problems else {})
 
     def source_rows(self) -> Rows:

@@ -86,8 +86,8 @@ class Station:
 class SetupTask(Generic[M]):
     """One of these commands.
 
-    kind: of it; needs: kinds of devices; measure: the experiment; arrays: what was measured, out of a file of arrays
-    solve: what is found of it; recorded: what was measured, out of a recording
+    kind: of it; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays
+    solve: its solution; recorded: measurements from a recording
     """
 
     kind: str

@@ -61,7 +61,7 @@ class SqueezeOutcome:
 
 
 def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
-    """Squeeze, with the laboratory or the devices of a rig file; keep the trial; report what was found."""
+    """Squeeze, with the laboratory or the devices of a rig file; store the trial; report the results."""
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset

@@ -146,8 +146,7 @@ def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
 
 
 def warm_up() -> None:
-    """Have rerun and the encoders do once, before any device is opened, what costs up to half a second the first
-    time."""
+    """Have rerun and the encoders start up, before any device is opened, which costs up to half a second."""
     stamp, nothing = Stamp(0), np.zeros(3)
     small: list[Item] = [
         WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),

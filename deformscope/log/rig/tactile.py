@@ -168,7 +168,7 @@ def _peaks_kpa(frame: TactileFrame) -> FloatArray:
 
 
 def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
-    """Log what does not change of a hand's pads: names, places, sizes."""
+    """Log the constants of a hand's pads: names, places, sizes."""
     path = root("display/tactile", device)
     names = [pad.name for pad in hand.pads]
     tints = [JOINTS[at % len(JOINTS)] for at in range(len(names))]

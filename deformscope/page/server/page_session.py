@@ -52,7 +52,7 @@ class PageRun(Protocol):
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         """Carry it out, or begin with it, immediately; the outcome, as text. From the server's thread, which must not
-        wait: what takes longer than some milliseconds has begun, and its end becomes a remark."""
+        wait: a slower command has begun, and its end becomes a remark."""
 
 
 class PageSession:
@@ -80,7 +80,7 @@ class PageSession:
             return msgspec.structs.replace(self._state, now_s=self._now_s())
 
     def watch(self, call: Callable[[], None]) -> Callable[[], None]:
-        """call: after every change, in any thread; returns what ends it."""
+        """call: after every change, in any thread; returns the function that ends it."""
         with self._lock:
             self._watchers.append(call)
         return lambda: self._watchers.remove(call)
@@ -169,7 +169,7 @@ class PageSession:
         timer.start()
 
     def _drop(self, reason: str, number: int | None = None) -> bool:
-        """Let be what waits for a confirm, where something does (of this number); whether it did."""
+        """Cancel the request for a confirmation, if there is one (of this number); whether it was cancelled."""
         with self._lock:
             pending, (_, let_be) = self._state.pending, self._answers
             if pending is None or number not in (None, pending.number):

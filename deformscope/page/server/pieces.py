@@ -19,7 +19,7 @@ FIRST_BYTES, LASTING_BYTES = 4 << 20, 64 << 20
 """Limits of lasting data (views, descriptions, results): this number of first bytes is stored, and this number of the
 newest."""
 STALE_S = 1.0
-"""A page that is there is not sent what is older than this, once something newer is there."""
+"""A connected page is not sent pieces older than this, once something newer exists."""
 FASTEST_S, SLOWEST_S = 0.1, 1.0
 """Shortest and longest period of making pieces."""
 REST, MOST_REST_S = 0.25, 0.25
@@ -94,7 +94,7 @@ class Pieces:
             call()
 
     def watch(self, call: Callable[[], None]) -> Callable[[], None]:
-        """call: after every new piece, in any thread; returns what ends it."""
+        """call: after every new piece, in any thread; returns the function that ends it."""
         with self._lock:
             self._watchers.append(call)
         return lambda: self._watchers.remove(call)

@@ -232,10 +232,10 @@ class MapEstimate:
     verdict: "regions" or "gradual"; probability: of verdict and region_count
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
-    contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
+    contacts_m: (n, 2) touches so far; tip_radius_m: of the touching tip
     travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
     level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
-    its 90 %, a lower bound of what is rigid; None where the thickness is not known
+    its 90 %, a lower bound for rigid parts; None with an unknown thickness
     levelled_m: all stiffness is as on a level layer so thick [m], None = apparent
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
     level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless the
@@ -502,7 +502,7 @@ class StageFailure:
 
     stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: from 1, 0 = before the first
-    reason: in one line; trace: where it failed, for whoever mends it
+    reason: in one line; trace: place of the failure, for developers
     """
 
     stage: str = field(metadata=reported())
@@ -531,7 +531,7 @@ class PhaseStart:
 class ExplorationStop:
     """The exploration ended before the end of its plan.
 
-    kind: what was wrong, in the supervisor's words or the touch's; reason: what was seen of it; advice: what to do
+    kind: of the fault, in the supervisor's text or the touch's; reason: its evidence; advice: the remedy
     action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first
     touch: as in PhaseStart
     """

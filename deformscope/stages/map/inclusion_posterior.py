@@ -95,7 +95,7 @@ class Background:
         return self.length_m, self.apart
 
     def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
-        """(n, m) correlation of touches at places (n, 2) and (m, 2), but for what is each one's own."""
+        """(n, m) correlation of touches at places (n, 2) and (m, 2), without each one's own part."""
         apart = cdist(first_m, second_m, "sqeuclidean")
         return np.asarray((1.0 - self.apart) * np.exp(-0.5 * apart / self.length_m**2))
 
@@ -112,7 +112,7 @@ BACKGROUNDS = tuple(
 @dataclass(frozen=True, slots=True)
 class InclusionPrior:
     """smallest_m: radius of the inclusions that must not be missed [m]; tip_radius_m, set_force_n: of touches;
-    error: of touches; what scatters is taken from `BACKGROUNDS`"""
+    error: of touches; the foam's scatter is that of `BACKGROUNDS`"""
 
     smallest_m: float = 0.02
     tip_radius_m: float = 0.01
@@ -239,9 +239,9 @@ class FoundInclusion:
 class LeftOver:
     """Residuals of t touches after the found inclusions.
 
-    places_m: (t, 2); read: (t,) log stiffness, less what was found; noise: (t, t) its covariance, but for scatter and
-    level; bent: (t,) exponents, less what was found and what goes with stiffness; bent_noise: (t, t) its covariance,
-    but for the level
+    places_m: (t, 2); read: (t,) log stiffness, without the found ones; noise: (t, t) its covariance, but for scatter
+    and level; bent: (t,) exponents, without the found ones and the part due to stiffness; bent_noise: (t, t) its
+    covariance, but for the level
     """
 
     places_m: FloatArray
@@ -285,7 +285,7 @@ class LeftOver:
         )
 
     def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(t,), (t, j) the exponents, and what inclusions (t, j) add to them, in independent deviations."""
+        """(t,), (t, j) the exponents, and the effects of inclusions (t, j) on them, in independent deviations."""
         root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
         whitened = solve_triangular(root, np.column_stack([self.bent, lumps]), lower=True)
         return whitened[:, 0], whitened[:, 1:]
@@ -510,8 +510,8 @@ class InclusionPosterior:
         return {str(count): 1.0 - more, str(count + 1): more}
 
     def region_map(self) -> RegionMap:
-        """Foam and found inclusions as regions, softest first; the field is the foam's with what found inclusions add
-        to it."""
+        """Foam and found inclusions as regions, softest first; the field is the foam's with the effect of found
+        inclusions."""
         found, cells = self.found, self.grid.centres_m
         field_log, variance = self._foam(cells)
         level, sd = [float(field_log.mean())], [float(np.sqrt(variance.mean()))]

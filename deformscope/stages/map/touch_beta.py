@@ -57,7 +57,7 @@ THESIS_NOTE = (
     "held particle makes the model interpret the patch's width as deformability; with the whole patch held "
     "the trend disappears"
 )
-"""Said wherever beta of the thesis's model is shown."""
+"""Remark wherever beta of the thesis's model is shown."""
 
 
 class SurfaceHeights(Protocol):
@@ -243,7 +243,7 @@ def dent_of(
 
 
 def swept_betas(step: float) -> FloatArray:
-    """(b,) what the sweep tries: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
+    """(b,) values of the sweep: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
     return step * np.arange(np.ceil(1.0 / step - 1e-9)) if step else np.linspace(*BOUNDS, COARSE_CANDIDATES)
 
 
@@ -252,7 +252,7 @@ class ThesisBeta:
     """beta by a lattice whose edges are fixed and of which one particle is held (Thesis 4.3).
 
     curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the particles of the
-    surface at beta; converged: the state at beta settled; dent: the fitted one; note: what its trend is
+    surface at beta; converged: the state at beta settled; dent: the fitted one; note: on its trend
     """
 
     beta: float
@@ -280,11 +280,10 @@ def thesis_beta(
 
     thickness_m: layers down to a ground that is held, this far below; default a single layer, as the thesis has it
     cluster_size: particles a side; None: one cluster of all, which deforms quadratically (the thesis's "no cluster")
-    step: of the sweep (`swept_betas`)
-    A single layer, all bending, dents wider than foam on a table does, whatever beta: on finite element slabs of 20 to
-    120 kPa with a square of 15 cm beta is 0 for all but the smoothest dents. One held particle of a volume lattice
-    follows firmness: 0.55 to 0.14 there.
-    Raises InputError where the lowest point is at the square's edge.
+    step: of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any beta:
+    on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents. One
+    held particle of a volume lattice follows firmness: 0.55 to 0.14 there. Raises InputError where the lowest point is
+    at the square's edge.
     """
     before, after, shape = dent.before, dent.after, dent.shape
     lowest = int(np.argmax(dent.sunk_m))

@@ -93,7 +93,7 @@ def rest_struct(functions: SimpleNamespace, arrays: RestArrays, stride: int, sca
 
 
 class Operator(ABC):
-    """Goals of a body's clusters for the candidates of one layout: fields of clusters, and what a fit leaves for its
+    """Goals of a body's clusters for the candidates of one layout: fields of clusters, and stored values for the
     derivative.
 
     arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
@@ -165,7 +165,7 @@ class Operator(ABC):
     ) -> None:
         """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
 
-        kept: where to leave what `change` needs (None: nowhere)
+        kept: place of the values for `change` (None: nowhere)
         """
 
     @abstractmethod
@@ -186,7 +186,7 @@ class Operator(ABC):
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
 
-        The derivative of the goals by beta is what `residual` gave last.
+        The derivative of the goals by beta is the last output of `residual`.
         """
 
 

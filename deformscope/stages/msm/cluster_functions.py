@@ -1,7 +1,8 @@
-"""Warp functions that fit one cluster in every lane, and their derivatives: what lattice and general kernels share.
+"""Warp functions that fit one cluster in every lane, and their derivatives: common parts of lattice and general
+kernels.
 
-All matrices are transposed (rows are what the cluster is fitted over), so that the moments of a lattice multiply from
-the right. Displacements are in particle spacings.
+All matrices are transposed (rows are those of the fit's basis), so that the moments of a lattice multiply from the
+right. Displacements are in particle spacings.
 """
 
 import functools

@@ -6,8 +6,8 @@ relative to the middle of the window. A thread slides along the axis for `run` c
 subtracting the one that leaves. With `run` = 1 it sums one window only, which suits a GPU for small ones.
 
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
-its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places that no cluster
-and no particle has stay 0 for ever, which is what lets every window run over the edges without asking.
+its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places without a cluster
+and a particle stay 0 for ever, so that every window may run over the edges without a test.
 """
 
 import functools
@@ -29,7 +29,7 @@ FAR = 1e4
 
 @functools.cache
 def motion_for(scalar: Any) -> Any:
-    """The struct type of what time stepping needs."""
+    """The struct type of a time step's parameters."""
 
     numbers = wp.array(dtype=scalar)
 
@@ -403,7 +403,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         @wp.func(name=f"{name}_at")
         def solve(passes: Passes, at: int, cell: int, group: int, total: vecs.rows, moments: maps.rows, count: int):
-            """The goal map as what the particles add up: a shift, and slopes by axis."""
+            """The goal map as sums for the particles: a shift, and slopes by axis."""
             grid = passes.grid
             site = passes.site
             rest = passes.rest

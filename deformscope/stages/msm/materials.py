@@ -1,4 +1,4 @@
-"""Materials beyond one beta: a beta along each axis of the material, and what stays after yielding.
+"""Materials beyond one beta: a beta along each axis of the material, and plastic deformation.
 
 **Anisotropy.** beta is a compliance. A cluster stores 1/2 |p - A q|^2 + 1/2 min_R tr((A - R) W (A - R)^T), with A its
 best fit. For one beta, W = (1 - beta) A_qq: the stiffness of a unit spring A_qq^-1 in series with a compliance of beta
@@ -79,7 +79,7 @@ def axis_weights(
 ) -> tuple[FloatArray, FloatArray]:
     """W and C (see above) of clusters for candidates, (B, n, d, d) each.
 
-    gram: (n, d, d) second moments A_qq; span: (n, d, k) orthonormal, what all n clusters span; beta: (B, d)
+    gram: (n, d, d) second moments A_qq; span: (n, d, k) orthonormal, the span of all n clusters; beta: (B, d)
     """
     if span.shape[2] == len(axes):  # as they are, without the rounding of 1 - beta
         span = np.broadcast_to(np.eye(len(axes)), gram.shape)

@@ -15,7 +15,7 @@ _started = False
 
 
 def quiet_warp() -> None:
-    """Start warp without its greeting, once: what other threads write to stderr meanwhile comes a moment later."""
+    """Start warp without its greeting, once: stderr of other threads is delayed by a moment."""
     global _started
     import warp as wp
 

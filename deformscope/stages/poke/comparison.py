@@ -29,7 +29,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class PokeComparison:
-    """A measured poke, what the model predicts, and how every method did."""
+    """A measured poke, the model's prediction, and the errors of every method."""
 
     poke: SeenPoke
     prediction: Prediction

@@ -68,9 +68,9 @@ class ContactFit:
     session share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
     at_force_n: the set force, also if the approach ended before it: the law is extrapolated to it, so that all touches
     compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which
-    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and log_stiffness are
-    off by; peak_force_n: along the normal, tare taken off
-    residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
+    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and
+    log_stiffness; peak_force_n: along the normal, tare taken off
+    residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
     samples: that were fitted
     peak_rate_n_per_s, peak_rate_interval_n_per_s: as of `peak_rate`
     """

@@ -51,7 +51,7 @@ def contrast_share(times: float) -> float:
 
 
 def inclusion_shift(share: FloatArray | float, footprint: FloatArray) -> FloatArray:
-    """(...,) what is added to log stiffness at a set force; share: h; footprint: of the same shape"""
+    """(...,) addition to log stiffness at a set force; share: h; footprint: of the same shape"""
     return np.asarray(-np.log1p(-np.minimum(CALIBRATED * share * footprint, MOST_SHARE)))
 
 

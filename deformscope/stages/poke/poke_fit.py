@@ -59,20 +59,21 @@ effect is evaluated at the best beta, however small it is there."""
 MOST_LAWS = 15
 """Laws that are tried for each cluster size, and one more where a step is refused."""
 SLOPE_STEP = 0.03
-"""Step of -log(1 - beta) and of theta over which the fit takes slopes: well above what contact is solved to."""
+"""Step of -log(1 - beta) and of theta for the fit's slopes: well above the accuracy of contact."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeenPoke:
     """One poke of a surface as it was measured.
 
-    at: (3,) the middle of what was touched, at rest [m]; depth: mean displacement of what was touched, downwards [m]
+    at: (3,) the middle of the touched points, at rest [m]; depth: mean displacement of the touched points, downwards
+    [m]
     touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
     noise: (n,) [m] or None; force: [N] or None
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and the misfit remains; None: every point alone
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
-    footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else what lies between the touched
+    footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else the area between the touched
     points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
     alone, not the material point that is there
@@ -99,7 +100,7 @@ class SeenPoke:
 
 
 def seen_poke(seen: Observation) -> SeenPoke:
-    """The poke in an observation of a surface: its contact, or the held particles that moved, is what was touched.
+    """The poke in an observation of a surface: its contact, or the held particles that moved, are the touched points.
 
     Raises InputError for a flat (2D) observation, and where nothing was pressed down.
     """
