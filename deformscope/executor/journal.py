@@ -9,15 +9,14 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from deformscope.errors import InputError
 
 PIECE = 1 << 16
 
 
-class Journal:
+class Journal(contextlib.AbstractContextManager["Journal"]):
     """A file that one process at a time adds lines to. A last line that was cut off is not read, and makes room for the
     next; a file that has no whole line is somebody's, and left as it is.
 
@@ -70,10 +69,5 @@ class Journal:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
         self._end += len(text)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._file.close()
