@@ -245,7 +245,7 @@ class RelatedTouches:
         3.4.2)."""
         made, places = self.readings, np.concatenate([self.at_m, self.readings.xy_m])
         new, measured, shared = len(self.at_m), made.value + made.centre, self.prior.error.shared(self.at_m, made.xy_m)
-        parts = []
+        parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
         for (maps, level, cov, weight), scatter in zip(hypotheses.maps, hypotheses.scatter, strict=True):
             shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
             off2 = (self.prior.mixed_share * made.spread * 2.0 * (1.0 - (shares**2).sum(axis=-1))) ** 2
