@@ -1,7 +1,7 @@
-"""What travels from devices, files and recordings to experiments and into recordings: stamped and frozen.
+"""Items from devices, files and recordings to experiments and into recordings: stamped and frozen.
 
-Every frame says when it was taken (`stamp`), which device it is from (`device`, its name in the rig) and its place in
-that device's stream (`index`, from 0; a place that is missing was lost).
+Every frame has its time (`stamp`), its device (`device`, its name in the rig) and its index in that device's stream
+(`index`, from 0; a missing index was lost).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class WrenchFrame:
 
 @dataclass(frozen=True, slots=True)
 class ArmFrame:
-    """Where an arm is, in its base frame.
+    """Pose of an arm, in its base frame.
 
     joint_deg, joint_velocity_deg_s, joint_torque_nm: (joints,) [deg], [deg/s], [N m]
     position_m: (3,) end effector [m]; rotation_rad: (3,) its Euler angles as the arm reports them [rad]
@@ -148,7 +148,7 @@ class LinkChange:
 
 @dataclass(frozen=True, slots=True)
 class HealthReport:
-    """One look at all devices. host_ns: when [ns]; devices: by name"""
+    """The health of all devices at one time. host_ns: when [ns]; devices: by name"""
 
     host_ns: int
     devices: tuple[tuple[str, Health], ...]
@@ -156,9 +156,9 @@ class HealthReport:
 
 @dataclass(frozen=True, slots=True)
 class SessionNote:
-    """What a person remarked while the devices went on, or what was noticed. host_ns: when [ns]; text: a note in words,
-    an episode's label, the device that was tared, an alarm of a sensor (`deformscope.rig.alarms`), why a stage gives
-    nothing, or why an episode (the newest that began) or the whole recording is discarded"""
+    """A person's remark during the recording, or a detected event. host_ns: when [ns]; text: a note in words, an
+    episode's label, the name of a tared device, an alarm of a sensor (`deformscope.rig.alarms`), or the reason for a
+    stage without results. Also the reason why an episode (the newest that began) or the whole recording is discarded"""
 
     host_ns: int
     about: NoteKind
@@ -166,7 +166,7 @@ class SessionNote:
 
 
 Item = Frame | RawBytes | LinkChange | HealthReport | SessionNote
-"""What a recording of a rig holds."""
+"""Content of a rig's recording."""
 
 
 def host_ns(item: Item) -> int:
@@ -189,9 +189,9 @@ class UsedFrames:
 
 @dataclass(frozen=True, slots=True)
 class StageResult:
-    """What a stage computed from the newest frames while the devices went on.
+    """A stage's result from the newest frames, during the recording.
 
-    stage: its name; used: what it was computed from, the frame that it belongs to last
+    stage: its name; used: its input frames, the frame that it belongs to last
     host_ns: when that frame was taken, on the host's clock [ns]
     skipped: frames of that frame's device since the result before that nothing was computed from: newer ones came
     late_s: from when the frame was taken until the result was there [s]
@@ -208,10 +208,10 @@ class StageResult:
 
 @dataclass(frozen=True, slots=True)
 class StageCost:
-    """What a computation took, without what was measured within it as other stages.
+    """Cost of a computation, without separately measured stages within it.
 
     stage: its name; wall_ms: on a clock; cpu_ms: of the thread that computed
-    behind_ms: at how long before the newest frame its result stands, None where frames wait for it
+    behind_ms: delay of its result behind the newest frame, None if frames wait for it
     """
 
     stage: str
@@ -222,7 +222,7 @@ class StageCost:
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """An input that is no frame. content: the bytes of a file as they are; of a mask, its PNG"""
+    """An input that is no frame. content: the bytes of a file; of a mask, its PNG"""
 
     name: str
     content: bytes
@@ -244,7 +244,7 @@ class Pad:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What is known of a device before its first frame.
+    """Description of a device before its first frame.
 
     simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device reports it
     channels: of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to

@@ -1,10 +1,9 @@
 """The one codec between frozen dataclasses and the columns of a recording: what is read is equal to what was written.
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
-`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat, an
-array's shape beside it as `FIELD_shape` where it is not (n,). What is None is left out; a dataclass that may be None
-has at least one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`;
-`IMAGES` says where it stands.
+`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat. An
+array's shape is `FIELD_shape` unless it is (n,). None is left out; a dataclass that may be None has at least one value.
+Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its place.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ READABLE = (1, FORMAT)
 """Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
 
 Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
-"""What an exploration is computed from."""
+"""Inputs of an exploration."""
 Result = (
     SurfaceEstimate
     | TouchEstimate
@@ -102,7 +101,7 @@ SqueezeResult = (
     | ContainerSighting
     | HandPlacement
 )
-"""What comes of a squeeze."""
+"""Results of a squeeze."""
 
 ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
@@ -136,7 +135,7 @@ ENTITIES: dict[type, str] = {
     InputFile: "input",
     StageCost: "cost",
 }
-"""Where each kind stands in a recording."""
+"""The place of each kind in a recording."""
 
 SERIES: dict[type, str] = {ForcePose: "exploration/force_pose"}
 """Results that are rows at times of their own: `host_ns` (n,), and `values` (n, k) as scalars that a viewer plots."""
@@ -151,7 +150,7 @@ OF_DEVICES: dict[type, str] = {
     RawBytes: "raw",
     LinkChange: "link",
 }
-"""The same of what comes from a device, whose name follows: `wrench/DEVICE`."""
+"""Items of a device, whose name follows: `wrench/DEVICE`."""
 
 FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
 """Of these the index is no component but the row's place on the timeline `index` of an exploration, else `frame`."""
@@ -213,10 +212,10 @@ def from_components(
     given: Mapping[str, Any] | None = None,
     read_image: Callable[[bytes, str], Any] = decode_image,
 ) -> T:
-    """What `to_components` took apart; raises KeyError where a part is missing that is not of `LATER`.
+    """Inverse of `to_components`; raises KeyError if a part is missing that is not of `LATER`.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
-    read_image: what becomes of an encoded image, of which the second argument says which it is
+    read_image: replacement of an encoded image, which the second argument identifies
     """
     made: dict[str, Any] = dict(given or {})
     for field in _fields(cast("Any", kind)):
@@ -264,7 +263,7 @@ def to_json(value: object) -> str:
 
 
 def from_json(kind: type[T], text: str) -> T:
-    """What `to_json` made, of this kind."""
+    """Inverse of `to_json`, for this kind."""
     return msgspec.convert(json.loads(text), kind, dec_hook=_as_given)
 
 

@@ -1,10 +1,10 @@
-"""How often a calibration names each reason to doubt it: on data that are what the model takes them for, where that is
-a false alarm, and on data that are wrong in a known way.
+"""How often a calibration gives each reason to doubt it: on data that satisfy the model's assumptions, which are false
+alarms, and on data with known errors.
 
-Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which no beta
-is true of, are those of `studies.unseen_pokes` with an even modulus. Bodies of "other solver" are those of
-`studies.independent`: clusters, and plane stress or strain of one material whose whole faces are stretched, pressed or
-sheared by 2 to 10 %.
+Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which have no true
+beta, are those of `studies.unseen_pokes` with a uniform modulus. Bodies of "other solver" are those of
+`studies.independent`. They are clusters, and plane stress or strain of one material whose whole faces are stretched,
+pressed or sheared by 2 to 10 %.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ EXPECTED: dict[Data, DoubtCode] = {
     "noise stated 15 times too small": "noise-contradicted",
     "other solver: clusters, x and y swapped": "axes-swapped",
 }
-"""What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
+"""Error of the data, if any; elsewhere such a reason is a false alarm."""
 
 MATERIALS: dict[Data, Floats] = {
     "other solver: whole face, nu 0": stiffness(1.0, 0.0),
@@ -89,7 +89,7 @@ class DoubtCase:
 
 @dataclass(frozen=True, slots=True)
 class Doubted:
-    """What was said of one object. codes: of the reasons; truths: all betas that are in it; none of finite elements"""
+    """Result of one object. codes: of the reasons; truths: all betas that are in it; none of finite elements"""
 
     data: Data
     codes: tuple[DoubtCode, ...]
@@ -136,7 +136,7 @@ def try_doubts(case: DoubtCase) -> Doubted:
 
 
 def _seen(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[Observation, tuple[float, ...]]:
-    """What is handed to the calibration, and the betas that are true of it."""
+    """Input of the calibration, and its true betas."""
     truths: tuple[float, ...] = (float(rng.uniform(*BOUNDS)),)
     if data in TWO:
         deformed, truths = _two_betas(body, data, rng)
@@ -186,7 +186,7 @@ CODES: tuple[DoubtCode, ...] = get_args(DoubtCode)
 
 
 def _named(some: Sequence[Doubted]) -> dict[DoubtCode, Rate]:
-    """How often each reason was named."""
+    """Number of each reason."""
     rates = {code: Rate.of(code in one.codes for one in some) for code in CODES}
     return {code: rate for code, rate in rates.items() if rate.hits}
 

@@ -1,4 +1,4 @@
-"""What is computed of many outcomes: quantities, each declared once for the table and the JSON."""
+"""Statistics of many outcomes: quantities, each declared once for the table and the JSON."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def rows(groups: Iterable[GroupT], quantities: Sequence[Quantity[GroupT]]) -> li
 def table(
     lines: Sequence[Row], quantities: Sequence[Quantity[Any]], title: str, shown: Mapping[str, str] | None = None
 ) -> Table:
-    """A line for each row. shown: the columns, and what they are called here; None: all"""
+    """A line for each row. shown: the columns, and their names here; None: all"""
     columns = {name: (one.key, write) for one in quantities for name, write in one.columns.items()}
     names = shown if shown is not None else {name: name for name in columns}
     chosen = [columns[name] for name in names]
@@ -73,12 +73,12 @@ def table(
 
 
 def number(digits: int) -> Callable[[float], str]:
-    """Writes a number with so many digits."""
+    """Writes a number with this number of digits."""
     return f"{{:.{digits}f}}".format
 
 
 def percent(digits: int) -> Callable[[float], str]:
-    """Writes a share with so many digits."""
+    """Writes a share with this number of digits."""
     return f"{{:.{digits}%}}".format
 
 
@@ -98,7 +98,7 @@ def of_cases(rate: Rate) -> str:
 
 
 def counts(names: Iterable[str]) -> dict[str, int]:
-    """How often each comes, in alphabetical order."""
+    """Number of each value, in alphabetical order."""
     every = list(names)
     return {name: every.count(name) for name in sorted(set(every))}
 
@@ -112,8 +112,8 @@ LEAST_TRUTH = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class KnownEstimate:
-    """What was estimated of one object. kind: of object; truth, value, low, high: (q,) of its quantities, nan where
-    there is none, infinite where the data leave it open"""
+    """Estimate of one object. kind: of object; truth, value, low, high: (q,) of its quantities, nan where there is
+    none, infinite where the data leave it open"""
 
     kind: str
     verdict: str

@@ -3,21 +3,25 @@
     python tools/reference_pages.py commands     # print one page
 
 Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
-keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Files outside
-`docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
+keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Notebooks are
+shown with the outputs that they hold. Files outside `docs/` that pages link (`../drivers/README.md`, pictures) are
+copied into the site.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import importlib
 import inspect
 import io
+import json
 import os
 import pkgutil
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,7 +34,17 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 HELP_COLUMNS = "100"
 OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:drivers|recordings|studies)/[\w./-]+)")
+ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
 FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Have the notebooks below the tutorials."""
+    shown = [{_title_of(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
+    for section in config.nav or () if shown else ():
+        if "Tutorials" in section:
+            section["Tutorials"].append({"Notebooks": shown})
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -39,6 +53,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     for name, make in PAGES.items():
         files.append(File.generated(config, f"reference/{name}.md", content=make()))
+    for path in notebooks():
+        page, pictures = notebook_page(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=page))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
     linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
     for path in sorted(linked):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
@@ -46,19 +65,31 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files outside `docs/` lead to their copies."""
+    """Let links to files outside `docs/` lead to their copies, and blocks of code have their file's name as title."""
     above = "../" * page.file.src_uri.count("/")
-    return OUTSIDE.sub(rf"]({above}files/\1", markdown)
+    titled = ABOUT.sub(lambda one: one[1] if one[2] == "skip" else f'{one[1]} title="{one[2]}"', markdown)
+    return OUTSIDE.sub(rf"]({above}files/\1", titled)
 
 
 # Commands ------------------------------------------------------------------------------------------------------------
+
+
+SHARED = """# Commands
+
+From `deformscope COMMAND --help`. Every command that computes takes `--json FILE|-`, `--record FILE.rrd`,
+`--viewer auto|native|page|none` and `--overwrite`; those that draw random numbers take `--seed N`.
+
+A SOURCE is a video, a folder of frames (natural order, 8 or 16 bit), images in order, a recording (`.rrd`), pair files
+(`.npz`), or a sample: `sample:tension`, `sample:video` (images), `sample:pair`, `sample:poke` (pair files),
+`sample:squeezes` (for `classify`). Exit codes: [Troubleshooting](../troubleshooting.md).
+"""
 
 
 def commands() -> str:
     """Every command with its own help."""
     from deformscope.cli import COMMANDS
 
-    parts = ["# Commands\n\nFrom `deformscope COMMAND --help`."]
+    parts = [SHARED]
     for name, command in COMMANDS.items():
         parts.append(f"## deformscope {name}\n\n{_sentence(command.summary)}\n\n{_help_of(name)}")
     return "\n\n".join(parts) + "\n"
@@ -73,8 +104,10 @@ def _help_of(name: str) -> str:
         main([*name.split(), "--help"])
     lines = [line.rstrip() for line in shown.getvalue().strip().splitlines()]
     kept = "\n".join(line for line in lines if set(line.strip()) != {"-"})
+    kept, _, example = kept.partition("\nexample:\n")
     usage, description, flags = re.split(r"\n\n+", kept, maxsplit=2)
     parts = [f"```text\n{usage}\n```", _escaped(" ".join(description.split()))]
+    parts.append(f"```sh\n{textwrap.dedent(example)}\n```")
     for title, lines in re.findall(r"^ (\S.*)\n((?:(?! \S).*\n?)*)", flags, re.MULTILINE):
         about, rows = _flags_of(lines.splitlines())
         parts += [f"**{title.capitalize()}.** {about}", _table(("flag", "meaning"), rows)]
@@ -184,7 +217,7 @@ def rig_file() -> str:
     from deformscope.rig.driver_table import DRIVERS
     from deformscope.rig.rig_file import SECTIONS
 
-    parts = ["# Keys of a rig file", "A rig file is TOML. [Rigs and devices](../rigs.md) shows whole ones."]
+    parts = ["# Keys of a rig file", "A rig file is TOML. [Write a rig file](../howto/write-a-rig-file.md) shows how."]
     for name, kind in SECTIONS.items():
         parts.append(f"## [{name}]\n\n{_summary(kind)}\n\n{_keys(kind)}")
     for name, driver in DRIVERS.items():
@@ -226,6 +259,21 @@ def _default(one: dataclasses.Field[Any]) -> str:
     return "" if one.default_factory is dataclasses.MISSING else f"`{one.default_factory()!r}`"
 
 
+# Studies --------------------------------------------------------------------------------------------------------------
+
+
+def studies() -> str:
+    """Every study with what it counts."""
+    from studies.__main__ import summaries
+
+    about = (
+        "In a checkout, `python -m studies NAME` runs a study with the flags of commands for files and pictures."
+        " `--resume FILE` keeps each outcome as it comes. [Results](../results/coverage.md) has what they found."
+    )
+    rows = [(f"`{name}`", _escaped(said)) for name, said in summaries().items()]
+    return f"# Studies\n\n{about}\n\n{_table(('study', 'what it counts'), rows)}\n"
+
+
 # Python ---------------------------------------------------------------------------------------------------------------
 
 
@@ -233,12 +281,48 @@ def python() -> str:
     """The functions and results of `import deformscope as ds`."""
     import deformscope
 
-    parts = ["# Python", "`import deformscope as ds`. [From a script](../library.md) shows them at work."]
+    parts = [
+        "# Python",
+        "`import deformscope as ds`. [Use from Python](../howto/use-from-python.md) shows them at work.",
+    ]
     for name in deformscope.__all__:
         if not name.startswith("__"):
             home = getattr(deformscope, name).__module__
             parts.append(f"::: {home}.{name}")
     return "\n\n".join(parts) + "\n"
+
+
+# Notebooks ------------------------------------------------------------------------------------------------------------
+
+
+def notebooks() -> list[Path]:
+    """In the order of their names."""
+    return sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
+    """A notebook as Markdown, and its pictures by their names."""
+    parts, pictures = [f"[{path.name}]({path.name}) is this page as a notebook."], dict[str, bytes]()
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(f"```python\n{source}\n```" if cell["cell_type"] == "code" else source)
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures)}.png"
+                pictures[name] = base64.b64decode("".join(data["image/png"]))
+                parts.append(f"![What the cell draws]({name})")
+            elif "text/html" in data:  # without an empty line, which would end it
+                parts.append("\n".join(line for line in "".join(data["text/html"]).splitlines() if line.strip()))
+            elif shown := "".join(output.get("text", data.get("text/plain", ""))).rstrip():
+                parts.append(f"```text\n{shown}\n```")
+    return "\n\n".join([*parts[1:2], parts[0], *parts[2:]]) + "\n", pictures
+
+
+def _title_of(path: Path) -> str:
+    """The heading of a notebook, else its name."""
+    heading = re.search(r"^# (.+)$", notebook_page(path)[0], re.MULTILINE)
+    return heading[1] if heading else path.stem
 
 
 # Markdown -------------------------------------------------------------------------------------------------------------
@@ -280,6 +364,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "quantities": quantities_page,
     "rig-file": rig_file,
     "python": python,
+    "studies": studies,
 }
 
 if __name__ == "__main__":

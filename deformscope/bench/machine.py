@@ -1,4 +1,4 @@
-"""What a figure depends on besides the code: the machine, and what runs on it."""
+"""Conditions of a figure besides the code: the machine, and its load."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deformscope.version import __version__
 
 
 def machine(device: str) -> dict[str, object]:
-    """Facts for the JSON. load: of the last minute, when asked; what others run makes every figure larger."""
+    """Facts for the JSON. load: mean of the last minute; other processes make every figure larger."""
     gpu = None if device == "cpu" else wp.get_device(device)
     return {
         "cpu": _cpu(),

@@ -41,7 +41,7 @@ MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
 
 
 def check(plan: BenchPlan) -> None:
-    """Raises InputError for what cannot be measured."""
+    """Raises InputError for unsupported cases."""
     odd = [size for size in plan.sizes if side_of(size) < 4]
     if odd:
         raise InputError("sizes that are cubes of 4 or more", ", ".join(map(str, odd)), "--sizes 216,1331")
@@ -68,7 +68,7 @@ class Report:
 
 
 def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlier: Earlier | None = None) -> Report:
-    """All of it. The machine's load is that of the end. earlier: rows of another run, which these are set beside."""
+    """All of it. The machine's load is that of the end. earlier: rows of another run, which these are compared with."""
     then = {} if earlier is None else earlier
     plain = tuple(row.plain(then.get((row.case, row.what, row.who, row.unit))) for row in rows)
     return Report(FORMAT, complete, machine(plan.device), plan, plain)

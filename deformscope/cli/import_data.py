@@ -13,7 +13,7 @@ from deformscope.runs.importing import import_source, import_take, inspect_sourc
 
 
 def run(config: ImportConfig) -> int:
-    """Import it, or say what is in it. Returns the command's exit status."""
+    """Import it, or describe its content. Returns the command's exit status."""
     if config.inspect:
         found = inspect_source(config)
         if config.output.json != "-":
@@ -24,5 +24,5 @@ def run(config: ImportConfig) -> int:
     show(result)
     write_json(result.as_json(), config.output.json)
     if losses := result.found.get("losses"):
-        say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+        say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     return EXIT_LOSSES if losses else 0

@@ -41,12 +41,12 @@ HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
 
 
 def run(config: FoamsConfig) -> None:
-    """Push, film and fit the foams; draw, print and write what was found."""
+    """Push, film and fit the foams; draw, print and write the results."""
     study.run(Study(FoamsConfig, trials, report), config)
 
 
 def setup_of(config: FoamsConfig) -> FoamSetup:
-    """As it is asked for."""
+    """The requested setup."""
     setup = FoamSetup()
     if config.quick:
         return FoamSetup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
@@ -85,7 +85,7 @@ def report(
 def _draw(
     out: Path, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control], size: int
 ) -> dict[str, Path]:
-    """The pictures by what they show."""
+    """The pictures by their titles."""
     drawn = {}
     for held in HELD:
         path = out / ("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")

@@ -1,4 +1,4 @@
-"""A command as it is typed, out of its options."""
+"""A command as it is typed, from its options."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from deformscope.config import flags
 from deformscope.config.options import Flags, flags_of, marks_of
 
 LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
-"""Flags that say what is shown or opened, not what is computed."""
+"""Flags of views and output, not of the computation."""
 
 
 def command_line(name: str, options: Flags) -> list[str]:
-    """The words of a command that computes the same to the last bit; what is written and shown is left out.
+    """The words of a command that computes the same result to the last bit, without output files and viewers.
 
-    name: of the command, such as `calibrate beta`
+    name: the command, such as `calibrate beta`
     """
     return ["deformscope", *name.split(), *_arguments(options)]
 

@@ -59,7 +59,7 @@ def fit_beta(
     if options.beta_model == "thesis":
         return _swept(touched, ball, surface, None, options)
     if thickness_m is None:
-        return BetaEstimate("not fitted: the foam's thickness is not known")
+        return BetaEstimate("not fitted: the foam's thickness is unknown")
     if options.beta_model == "layers":
         return _swept(touched, ball, surface, thickness_m, options)
     found = fit_touch(surface.process, touched.after_m, ball, thickness_m=thickness_m)
@@ -94,7 +94,7 @@ def _rigid(touched: TouchMeasurement, options: ExploreOptions) -> BetaEstimate:
 
 
 def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius_m: float) -> BallContact:
-    """Where the ball was when it was deepest."""
+    """Position of the ball at its greatest depth."""
     deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
     bent_m = arm.compliance_m_per_n * fit.peak_force_n  # the arm reports it that much deeper
     return BallContact(

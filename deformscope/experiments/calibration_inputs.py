@@ -1,4 +1,4 @@
-"""What the options of `calibrate beta|theta` mean: which frames are read, how they become particles, what is fitted."""
+"""Meaning of the options of `calibrate beta|theta`: the frames to read, their particles, and the fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deformscope.stages.see.particles import outlined
 
 
 def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
-    """How the parameter is searched, and of which model."""
+    """Method and model of the parameter's search."""
     search = config.search
     known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
     if isinstance(config, BetaConfig):
@@ -35,7 +35,7 @@ def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
 
 
 def images_of(config: BetaConfig | ThetaConfig | MaterialOptions) -> ImageOptions:
-    """How the images become particles: what was asked for, or what suits a sample."""
+    """The options that turn images into particles: the requested ones, or those of a sample."""
     sources = config.sources
     if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
         return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
@@ -52,7 +52,7 @@ def sample_images(name: str) -> ImageOptions:
 
 
 def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
-    """What was asked for, with the sample's own particles where nothing was said about them."""
+    """The requested options, with the sample's own particles by default."""
     known = sample_images(name)
     particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
     if any(value is not None for value in particles):
@@ -68,7 +68,7 @@ def particle_options(images: ParticleFlags, noise_px: float | None = None) -> Pa
 
 
 def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
-    """What the user named, as a source of frames."""
+    """The user's source, as a source of frames."""
     return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
 
 

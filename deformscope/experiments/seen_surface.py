@@ -1,5 +1,5 @@
-"""The surface as the camera saw it before any touch, and what follows of it for touches: where to aim, how high the way
-there is, what the shape of the foam does to stiffness."""
+"""The surface as the camera measured it before any touch, and its consequences for touches: targets, height of the path
+there, and effect of the foam's shape on stiffness."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.pixel_labels import SeenPixels
 
 CORRIDOR_M, SURE_SD = 0.02, 3.0
-"""What the tip crosses is looked at this far to either side of its path, at its height plus so many deviations."""
+"""The surface under the tip's path is checked this far to either side, at its height plus this number of standard
+deviations."""
 LEAST_THICKNESS = 0.1
-"""Of the stated thickness: no foam is taken for thinner."""
+"""Least share of the stated thickness."""
 CURVED_OVER_M = 0.01
-"""Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
+"""Half width over which curvature is taken: a tip of 1 cm resolves no finer shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenSurface:
     """points_m: (n, 3) as seen [m, surface frame]; process, heights: of their height, and on the grid
     layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on that layer even where
-    the surface is level; pixels: that the points are of, None = not asked for, or no images
+    the surface is level; pixels: of the points, None = not requested, or no images
     """
 
     grid: MapGrid
@@ -49,7 +50,7 @@ class SeenSurface:
     def of(
         cls, looked: SurfaceMeasurement, grid: MapGrid, options: ExploreOptions, *, on_level_layer: bool
     ) -> SeenSurface:
-        """Fit it. on_level_layer: where what is sought asks for it; a narrow border does as well"""
+        """Fit it. on_level_layer: if the search needs it; a narrow border does as well"""
         process = fit_surface(
             looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), grid.size_m), outlier_sd=5.0
         )
@@ -73,7 +74,7 @@ class SeenSurface:
 
     @property
     def estimate(self) -> SurfaceEstimate:
-        """What is reported of it."""
+        """Reported estimate of it."""
         return SurfaceEstimate(
             points_m=self.points_m,
             height_m=self.heights.mean_m,
@@ -85,7 +86,7 @@ class SeenSurface:
 
     @property
     def perception(self) -> LookPerception | None:
-        """What it was computed from; None where that is not asked for."""
+        """Its input; None unless requested."""
         if self.options.detail == "lean":
             return None
         masks = None if self.pixels is None else self.pixels.masks(self.process.used)
@@ -96,7 +97,7 @@ class SeenSurface:
         return float(self.process.at(xy_m[None]).mean[0]), self.process.normals(xy_m[None])[0]
 
     def highest_m(self, start_m: FloatArray, goal_m: FloatArray) -> float:
-        """How high it may be on the straight way from a place (2,) to another [m]."""
+        """Its greatest height on the straight path from a place (2,) to another [m]."""
         way = goal_m - start_m
         along = ((self.grid.centres_m - start_m) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
         off_m = np.linalg.norm(self.grid.centres_m - start_m - along[..., None] * way, axis=-1)
@@ -110,7 +111,7 @@ class SeenSurface:
 
     @property
     def levels(self) -> bool:
-        """Whether touches compare as on a level, wide layer: the foam is uneven, or that is asked for."""
+        """Whether touches are converted to a level, wide layer: the foam is uneven, or it is requested."""
         return self.layer.uneven or self.on_level_layer
 
     def shape(self, xy_m: FloatArray) -> LocalShape | None:
@@ -126,7 +127,7 @@ class SeenSurface:
         return shape_of(above_m, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
 
     def shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
-        """What the level layer would add to a log stiffness [N/mm] at a place (2,) [m]; None where it is one."""
+        """Addition of the level layer to a log stiffness [N/mm] at a place (2,) [m]; None if it is one."""
         shape, options, thickness_m = self.shape(xy_m), self.options, self.layer.thickness_m
         if shape is None or thickness_m is None:
             return None

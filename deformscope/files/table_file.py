@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SUFFIXES = (".npz", ".csv", ".parquet")
-HOW = "`Tables` in docs/containers.md"
+HOW = "`Tables` in docs/reference/trial-tables.md"
 ABOUT = ("label", "group", "kind", "trial")
 """Columns about a trial; every other one is a feature."""
 SERIES = "series."
@@ -36,7 +36,8 @@ _FEATURE = re.compile(r"(.+)\.(\d+)")
 
 
 def read_table(path: Path) -> LabelledTable:
-    """A table, by the ending of its name. Raises InputError for what is none, damaged, or does not fit together."""
+    """A table, by the ending of its name. Raises InputError for another kind of file, a damaged one, or columns that
+    contradict each other."""
     if path.suffix.lower() not in SUFFIXES:
         came = "a folder" if path.is_dir() else repr(path.suffix or path.name)
         raise InputError(f"a table that ends in {', '.join(SUFFIXES)}", came, HOW, path)
@@ -183,4 +184,4 @@ def _parquet(raw: bytes) -> pa.Table:
     try:
         return parquet.read_table(pa.BufferReader(raw))
     except (pa.ArrowException, OSError) as error:
-        raise InputError("a Parquet table", "a file that is none, or damaged", HOW) from error
+        raise InputError("a Parquet table", "a damaged file, or one of another kind", HOW) from error

@@ -1,6 +1,6 @@
 """Constants of the laboratory's containers, contents, fingertips and sensors, each with its source.
 
-They were fixed before any classifier ran on data of this laboratory, and are not to be tuned to what classifiers find.
+They were fixed before any classifier ran on data of this laboratory, and are not to be tuned to classifiers' results.
 "Assumed" marks a value for which no measurement was at hand; its size is plausible and its effect is described.
 
 Sources:
@@ -16,9 +16,10 @@ Sources:
   CRAWFORD  Crawford, Plastics Engineering, 3rd ed.: high-density polyethylene
   ROS       package schunk_simulated_tactile_sensors: "measurement range 250 kPa (from the data sheet)", output up to
             about 3500 "by experiment from the real SDH"
-  ROBWORK   RobWorkData (University of Southern Denmark; skyellen/robwork-mirror at a05f4ea),
-            devices/hands/SchunkHandV2/SchunkHandTactile6.dwc.xml: a simulated SDH whose force limits are 2.1 Nm in the
-            proximal joints and 1.4 Nm in the distal ones, pads to 250 kPa; Schunk's own catalogue was not at hand
+  ROBWORK RobWorkData (University of Southern Denmark; skyellen/robwork-mirror at a05f4ea),
+            devices/hands/SchunkHandV2/SchunkHandTactile6.dwc.xml. It is a simulated SDH with force limits of 2.1 Nm in
+            the proximal joints and 1.4 Nm in the distal ones, and pads to 250 kPa; Schunk's own catalogue was not
+            available
   KHOSH     Khoshelham and Oude Elberink 2012, Sensors 12: depth noise of a first Kinect
 """
 
@@ -36,14 +37,14 @@ ROOM_K: Final = 293.15
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What fills a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
+    """Content of a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
 
     density_kg_m3: in bulk; solid_share: of the filled volume that is no gas; lateral_ratio: horizontal over vertical
     stress at rest
-    friction_deg, cohesion_pa: of Coulomb's law, for what is granular
-    load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for what is granular
+    friction_deg, cohesion_pa: of Coulomb's law, for granular contents
+    load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for granular contents
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
-    rate^index above it (Herschel-Bulkley), for what is fluid; a Newtonian liquid has index 1 and no yield
+    rate^index above it (Herschel-Bulkley), for fluids; a Newtonian liquid has index 1 and no yield
     """
 
     density_kg_m3: float

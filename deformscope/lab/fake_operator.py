@@ -1,4 +1,4 @@
-"""Somebody else at the robot: doubles that move without our drivers having asked them to."""
+"""Another operator of the robot: doubles that move without a command of our drivers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SWINGS = ((12.0, 9.0), (8.0, 7.0), (-9.0, 6.0), (6.0, 5.0), (-8.0, 4.0), (14.0, 
 @contextlib.contextmanager
 def moved_by_hand(arm: JacoDouble) -> Iterator[Callable[[], None]]:
     """Swing the arm's joints to and fro until the end of the context, as a joystick would: one point every 10 ms.
-    Yields what ends it before."""
+    Yields the reason for its end before."""
     ended = threading.Event()
 
     def move() -> None:
@@ -62,7 +62,7 @@ GRASP_DEG_S = 40.0
 
 
 class GraspingHand(SdhDouble):
-    """A hand that somebody else closes and opens, every 4 s in turn."""
+    """A hand that another operator closes and opens, every 4 s in turn."""
 
     def __init__(self, port: Port) -> None:
         super().__init__(port)

@@ -1,7 +1,7 @@
 """The robot that the laboratory's camera sees: a URDF of meshes, with a gripper, a stick and a cable.
 
-It is what its description says as a robot on a table is: its fingers are closed by a few degrees more or less, and its
-cable hangs and sways, where the description has lines and a radius around them.
+It follows its description as a real robot does: its fingers are closed by a few degrees more or less, and its cable
+hangs and sways, where the description has lines and a radius around them.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CABLE_PIECES = 20
 
 
 def described_robot(removal: Removal | None = None) -> RobotDescription:
-    """What a careful user writes of this robot into [shape]: the cable's radius covers sag and sway."""
+    """A careful user's [shape] for this robot: the cable's radius covers sag and sway."""
     cable = CableSection(CABLE_M, CABLE_RADIUS_M + SAG_M + 2.0 * SWAY_M)
     return describe(ShapeSection(removal, URDF, closed=CLOSED, cables=(cable,)), J2N6S300, FOLDER)
 
@@ -59,7 +59,7 @@ class RobotBody:
     def seen(
         self, placement: Placement, T_base_links: FloatArray, center_m: FloatArray
     ) -> tuple[tuple[Capsule, ...], tuple[PosedSolid, ...]]:
-        """What a camera sees of it, surface frame: stick, ball and cable; all else.
+        """A camera's view of it, surface frame: stick, ball and cable; all else.
 
         T_base_links: (k, 4, 4) of joints and end; center_m: (3,) of the tip, which a push moves off the chain's own
         """
@@ -67,8 +67,8 @@ class RobotBody:
         return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)
 
     def _cable(self, placement: Placement, T_base_links: FloatArray) -> tuple[Capsule, ...]:
-        """Capsules along the cable, which hangs between its ends and sways anew in each picture. T_base_links: (k, 4,
-        4) [m]"""
+        """Capsules along the cable, which hangs between its ends and sways differently in each picture. T_base_links:
+        (k, 4, 4) [m]"""
         T = placement.T_surface_base @ T_base_links[-1]
         along = np.linspace(0.0, 1.0, CABLE_PIECES + 1)
         knots = np.linspace(0.0, 1.0, len(CABLE_M))

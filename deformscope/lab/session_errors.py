@@ -1,10 +1,10 @@
-"""What a laboratory keeps from the estimator, drawn once for each session: nothing of it is in what is measured.
+"""Hidden errors of a laboratory, drawn once for each session; no measurement contains them.
 
     errors = LabErrors().draw(seed)        # LabErrors.none() is the old, clean laboratory
     errors.arm_n_per_m, errors.gain, errors.scatter(xy_m)
 
-The estimator knows the deviations that are common practice (a calibration with its interval, a force sensor's data
-sheet), and never what was drawn.
+The estimator has the deviations of common practice (a calibration with its interval, a force sensor's data sheet), and
+never the random values.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from deformscope.lab.scenes import Scene
 TOUCHES_S = 100.0
 """In which ten touches are made."""
 HERTZ = 1.5
-"""Log modulus for log stiffness at a set force, under a ball: what scatters is the stiffness."""
+"""Log modulus for log stiffness at a set force, under a ball: the stiffness scatters."""
 WAVES = 96
 """Cosines that a random field is made of."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabErrors:
-    """What sessions differ by.
+    """Differences between sessions.
 
-    arm: deviation of the arm's compliance as a share of what its calibration says; gain: deviation of the force
-    sensor's; drift: deviation of what that changes by in TOUCHES_S
+    arm: deviation of the arm's compliance as a share of its calibrated value; gain: deviation of the force sensor's;
+    drift: deviation of its change in TOUCHES_S
     scatter: between which the deviation of log stiffness within one material lies, drawn evenly in logarithms;
     scatter_length_m: over which it changes
-    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: how far the arm goes on after
-    the stop, evenly from 0; friction: of the tip on the surface, evenly from 0
+    thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the
+    stop, uniform from 0; friction: of the tip on the surface, evenly from 0
     """
 
     arm: float = ARM_DOUBT
@@ -82,8 +82,8 @@ class LabErrors:
 class SessionErrors:
     """One session's.
 
-    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: what is added to
-    it in TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
+    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: its change in
+    TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
     sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) of the scatter's field
     """
 
@@ -99,8 +99,8 @@ class SessionErrors:
     phase_rad: FloatArray
 
     def scatter(self, xy_m: FloatArray) -> FloatArray:
-        """(...,) by how much log stiffness at places (..., 2) is above its material's level: a Gaussian random field of
-        squared exponential covariance, as a sum of cosines (Rahimi and Recht 2008)."""
+        """(...,) log stiffness at places (..., 2) relative to its material's level: a Gaussian random field of squared
+        exponential covariance, as a sum of cosines (Rahimi and Recht 2008)."""
         waves = np.cos(np.asarray(xy_m) @ self.wave_rad_m.T + self.phase_rad)
         return np.asarray(self.scatter_sd * np.sqrt(2.0 / WAVES) * waves.sum(axis=-1))
 
@@ -109,17 +109,17 @@ class SessionErrors:
         return self.gain + self.drift * time_s / TOUCHES_S
 
     def as_felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
-        """(3,) what the sensor makes of a force (3,) in the tip's frame [N]: its gain, and friction aside."""
+        """(3,) output of the sensor for a force (3,) in the tip's frame [N]: its gain, without friction."""
         aside = np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
         felt = force_n + self.friction * float(np.linalg.norm(force_n)) * aside
         return np.asarray(self.gain_at(time_s) * felt)
 
     def slab(self, scene: Scene) -> Scene:
-        """As thick as it truly is: what the map's truth is taken from."""
+        """With the true thickness: source of the map's truth."""
         return dataclasses.replace(scene, thickness_m=scene.thickness_m * self.thickness)
 
     def foam(self, scene: Scene) -> Scene:
-        """The slab whose foams scatter, too: what is touched."""
+        """The slab whose foams scatter, too: the touched one."""
         slab = self.slab(scene)
         return dataclasses.replace(slab, _modulus=partial(self._modulus_pa, slab)) if self.scatter_sd > 0.0 else slab
 
@@ -127,6 +127,6 @@ class SessionErrors:
         return np.asarray(slab.modulus_pa(xy_m) * np.exp(HERTZ * self.scatter(xy_m)))
 
     def plain(self) -> dict[str, Any]:
-        """What was drawn, for JSON; the scatter's field by its deviation."""
+        """The drawn values, for JSON; the scatter's field by its deviation."""
         left_out = ("wave_rad_m", "phase_rad")
         return {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in left_out}

@@ -1,5 +1,5 @@
-"""What a calibration found: simulated against observed particles, their residuals, where the model is wrong, the error
-curve with the posterior, the verdict."""
+"""Results of a calibration: simulated against observed particles, their residuals, the model's error over the body, the
+error curve with the posterior, the verdict."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.triangulation import raster, triangulate
 
 RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
-"""Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""
+"""Shares of the spacing. In space observed spheres are larger, so that red marks deviations from them."""
 
 NET = 1.2
-"""Particles of a surface that are at most so many spacings apart are joined by a net."""
+"""Largest distance, in spacings, of a surface's particles that a net joins."""
 
 CELLS, OVER_IMAGE = 192, 0.75
 """Of the heat map in the plane: cells along its longer side, and how much of it covers an image."""
@@ -36,7 +36,7 @@ RING: Rgb = (20, 20, 20)
 
 
 def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canvas) -> None:
-    """Simulated particles in red beside the observed ones, what separates them, and where the model is wrong."""
+    """Simulated particles in red with the observed ones, their differences, and the model's error."""
     length = errors(comparison)
     free = np.ones(len(length), dtype=np.bool_)
     free[comparison.held] = False
@@ -135,8 +135,8 @@ def _worst(comparison: Comparison, length: FloatArray) -> str:
 
 
 def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
-    """Log a body in space: of a surface, what the picture holds; what lies beyond goes into the recording alone, where
-    no view shows it. length: (K,) error of each particle"""
+    """Log a body in space: of a surface, the picture's part; the rest goes into the recording alone, where no view
+    shows it. length: (K,) error of each particle"""
     radius, surface = canvas.spacing, bool(canvas.scale)
     inside = _inside(comparison, canvas)
     log_place(rec, canvas, *(f"particles/{name}" for name in ("rest", "observed", "simulated", "net")))
@@ -233,7 +233,7 @@ def _heights(canvas: Canvas) -> str:
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
     """The error curve as a chart and as numbers, the verdict as text, and every field of it.
 
-    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's stands at the pair's frame.
+    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's is at the pair's frame.
     """
     whole = bool(canvas.image)
     curve = estimate.curve

@@ -1,4 +1,4 @@
-"""What a study or a command found, as views: its pictures and bodies, and its tables as text."""
+"""Results of a study or a command, as views: its pictures and bodies, and its tables as text."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from deformscope.stages.see.triangulation import spacing_of
 
 @dataclass(frozen=True, slots=True)
 class RigFindings:
-    """What was found with devices that are recorded beside it. streams: of the devices, whose views stand below"""
+    """Results of devices that are recorded in the same file. streams: of the devices, whose views are below"""
 
     found: Findings
     streams: tuple[Stream, ...]
@@ -34,7 +34,7 @@ BODY = "on_body/points"
 """A result on the body that it is of."""
 UNKNOWN: Rgb = (150, 155, 165)
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
-"""Where the scale of its colours may end."""
+"""Possible ends of its colour scale."""
 ACROSS = 3
 """Pictures side by side, at most."""
 
@@ -56,7 +56,7 @@ def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
 
 
 def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:
-    """The same beside particles: the first picture and the tables stand where an estimate's would."""
+    """The same next to particles: the first picture and the tables replace an estimate's."""
     whole = bool(canvas.image)  # what is found of a sequence belongs to all of it
     _log_tables(rec, found, "calibration/summary", whole=whole)
     if not found.figures:
@@ -73,7 +73,7 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
 
 
 def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> None:
-    """Every field of what was found of a material, for `replay` to compare."""
+    """Every field of a material's result, for `replay` to compare."""
     kind = type(estimate).__name__
     numbers = rr.DynamicArchetype(kind, components=to_components(estimate))
     rec.log("calibration/estimate", numbers, static=bool(canvas.image))
@@ -108,7 +108,7 @@ def _around(body: ColoredBody) -> Canvas:
 
 
 def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> rrb.Blueprint:
-    """Bodies and pictures beside the tables."""
+    """Bodies and pictures with the tables."""
     bodies = [
         deep_view(body.caption, [f"+ /found/body/{number}/**"], _around(body))
         for number, body in enumerate(found.bodies)

@@ -1,7 +1,8 @@
-"""A fit that is set on a page, in its own process: what is changed is simulated at once, and the newest change wins.
+"""A fit whose settings are made on a page, in its own process: changes are simulated immediately, and the newest change
+wins.
 
-What is shown while a camera is followed is nobody's file: a picture that is held, also by a whole fit, is written
-together with the one at rest, and the command line names both.
+Images of a followed camera are in no file. A picture that is held, also by a whole fit, is written together with the
+one at rest, and the command line names both.
 """
 
 from __future__ import annotations
@@ -52,26 +53,26 @@ FIRST_S = 10.0
 VALUES, COARSELY = 25, 5
 """Of the error curve: one after the other while nothing changes, every fifth of them first."""
 QUIET_S = 0.3
-"""It is begun once nothing was changed for so long."""
+"""Time without a change after which it begins."""
 SWIFT_S = 0.15
 """The error curve of a picture that is followed is drawn while it does not take longer."""
 BUSY_EVERY_S = 0.2
 PICTURE_NAMES = 8
-"""So many pictures of a camera can still be asked for: a page draws one together with its particles."""
+"""Number of a camera's pictures that can still be requested: a page draws one together with its particles."""
 COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
 
 
 class _SetAnew(Exception):
-    """Something else was set while a whole fit went on."""
+    """A setting has changed during a whole fit."""
 
 
 class PageFit:
-    """One thread computes, in `run`; another may `handle` what pages ask for.
+    """One thread computes, in `run`; another may `handle` requests of pages.
 
-    config: of the command, with which it begins; subject: what is fitted
+    config: of the command, with which it begins; subject: source of the fit
     send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
     camera: that is followed: each of its pictures becomes the subject, until one is held
-    keeps_last: what is shown in the end is held
+    keeps_last: the final picture is held
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class PageFit:
         self._show(pictures=self._offer_images())
 
     def handle(self, command: PageCommand) -> None:
-        """Have `run` do what is asked for."""
+        """Have `run` carry out a request."""
         with self._news:
             match command:
                 case StopRun():
@@ -120,7 +121,7 @@ class PageFit:
             self._news.notify()
 
     def run(self) -> None:
-        """Simulate and fit what pages ask for, until one of them stops it. `config` is then what was set last."""
+        """Simulate and fit on requests of pages, until one of them stops it. `config` then has the last settings."""
         while True:
             with self._news:
                 self._wait()
@@ -140,12 +141,12 @@ class PageFit:
 
     @property
     def result_config(self) -> BetaConfig | ThetaConfig:
-        """The options that were set last, of files. Raises InputError where pictures of a camera could not be kept."""
+        """The options that were set last, of files. Raises InputError if pictures of a camera could not be stored."""
         return self.config if self._camera is None else self._camera.named(self.config)
 
     @property
     def command(self) -> str:
-        """What gives the same numbers at a terminal; empty where nothing does yet."""
+        """The command of the same numbers at a terminal; empty without one."""
         if self.state.following:
             return ""
         return shlex.join(command_line(f"calibrate {self.state.parameter}", self.result_config))
@@ -171,7 +172,7 @@ class PageFit:
     # Of a camera -----------------------------------------------------------------------------------------------------
 
     def _follow(self, camera: FollowedCamera, *, holds: bool) -> None:
-        """Do what was asked for of it; else show its newest picture. holds: what is shown is to stay"""
+        """Carry out its requests; else show its newest picture. holds: the shown picture is to stay"""
         with self._news:
             command, self._for_camera = self._for_camera, None
         match command:
@@ -194,11 +195,11 @@ class PageFit:
         self._set(self._shown, self._offer_images())
 
     def _hold(self, camera: FollowedCamera) -> None:
-        """What is shown becomes files."""
+        """The shown state becomes files."""
         try:
             camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {format_error(problem)}")
+            self._show(problem=f"the pictures cannot be stored: {format_error(problem)}")
             return
         self._show(following=False)
         self._set(self._shown)
@@ -215,7 +216,7 @@ class PageFit:
     # What is shown ---------------------------------------------------------------------------------------------------
 
     def _set(self, asked: SetFit, pictures: tuple[str, ...] = ()) -> None:
-        """Simulate what is asked for, and show it. pictures: that are new"""
+        """Simulate the requested settings, and show the result. pictures: that are new"""
         self._curve, self._shown = [], asked
         try:
             self.config = config = self._config_of(asked.settings)
@@ -231,7 +232,7 @@ class PageFit:
             self._show(**shown, problem=format_error(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
-        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        restless = "" if error.converged else "the simulation does not converge with these settings"
         changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
             **changes,
@@ -267,7 +268,7 @@ class PageFit:
         }
 
     def _begun_curve(self, seen: Observation, body: Msm, model: Model) -> dict[str, Any]:
-        """What is known of it at once: while a camera is followed all of it, where that is swift; else nothing yet."""
+        """Immediate values of it: for a followed camera all of it, if that is fast; else none yet."""
         spread = np.linspace(*self.state.bounds, VALUES)
         self._curve = []
         nothing: dict[str, Any] = {"values": (), "errors": ()}
@@ -287,7 +288,8 @@ class PageFit:
         return {"values": tuple(values.tolist()), "errors": tuple(errors)}
 
     def _go_on_with_curve(self) -> None:
-        """One more value, between two looks at what is new; one that cannot be simulated has no error, and is said."""
+        """One more value, between two checks for new requests; one that cannot be simulated has no error, and is
+        reported."""
         value = self._curve.pop(0)
         error: float | None = None
         try:
@@ -324,7 +326,7 @@ class PageFit:
             self._show(busy=f"{what}: {done} of {total}" if total else what)
 
     def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
-        """What was seen, in the model; both are kept while nothing changes that they depend on."""
+        """The observed positions, in the model; both are reused until their settings change."""
         key = config.images, config.search.noise_px
         if self._seen is None or self._seen[0] != key:
             seen, used = self._subject.observe(config)
@@ -337,8 +339,8 @@ class PageFit:
         return seen, self._body[2], model
 
     def _config_of(self, asked: FitSettings) -> BetaConfig | ThetaConfig:
-        """The command's options with what was set; those that are as they began stay unsaid. Raises InputError where
-        they do not go together."""
+        """The command's options with the settings; unchanged ones are left out. Raises InputError where they do not go
+        together."""
         config, began = self._base, self._began
         if any(getattr(asked, name) != getattr(began, name) for name in IN_PICTURE):
             config = dataclasses.replace(config, images=images_with(self._images, asked))
@@ -370,7 +372,7 @@ def found_of(estimate: Estimate, command: str) -> FitResult:
 
 
 def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
-    """What a page begins with."""
+    """First settings of a page."""
     images = images_of(config)
     corners = images.outline or ()
     beta = config.beta if isinstance(config, ThetaConfig) else 0.5 if config.at is None else config.at
@@ -396,8 +398,8 @@ def run_fit(
 ) -> None:
     """Go on until a `StopRun` comes, or the pipe ends. next_folder: for pictures of a camera, None = a fit of files
 
-    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given what a `PageFit`
-    sends, ("note", what is done before that), and ("end", the options set last where keeps_last, or what went wrong).
+    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given the messages of a
+    `PageFit`, ("note", a step before it), and ("end", the last options if keeps_last, or an error).
     """
     quiet_warp()
 
@@ -440,7 +442,7 @@ def _first_picture(pipe: Connection, camera: str) -> ImageArray:
 
 
 def _dispatch(pipe: Connection, fit: PageFit, camera: FollowedCamera | None) -> None:
-    """Hand on what comes, until the fit is to end."""
+    """Pass on requests, until the fit is to end."""
     what: Any = None
     while not isinstance(what, StopRun):
         try:

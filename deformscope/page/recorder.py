@@ -39,7 +39,7 @@ from deformscope.terminal import say
 from deformscope_drivers.clock import monotonic_ns
 
 ROOM = 2.0
-"""While it goes on, a recording takes so many times its size on the disk."""
+"""Disk space of a running recording, as a multiple of its size."""
 
 
 @dataclass(slots=True)
@@ -54,9 +54,9 @@ class _FileTake:
     def write(
         self, items: object, source: RigSource | None, streams: tuple[Stream, ...], lossless: Sequence[str]
     ) -> None:
-        """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
+        """Record the device items of this source; a file that begins meanwhile begins with the first of them.
 
-        streams: of the devices as they were opened; one that is being connected anew may not know its kind
+        streams: of the devices as they were opened; one that reconnects may have no kind
         """
         if isinstance(items, Sequence):
             if not self.begun and items:
@@ -71,7 +71,7 @@ class _FileTake:
 
 
 class EpisodeNotes:
-    """Notes that wait to be recorded, and the episode that goes on; the label is empty where none does."""
+    """Notes that wait to be recorded, and the present episode; the label is empty without one."""
 
     def __init__(self) -> None:
         self._waiting: list[SessionNote] = []
@@ -99,7 +99,7 @@ class EpisodeNotes:
         return label
 
     def enter_file(self) -> None:
-        """Of what follows, nothing was begun in the file yet."""
+        """Nothing of the following has begun in the file yet."""
         self._last_episode = ""
 
     def lose_file(self) -> None:
@@ -110,7 +110,7 @@ class EpisodeNotes:
         """Mark the recording, or the last episode in it."""
         if command.what == "recording":
             self.note("discard-recording", command.reason)
-            return "done", "the recording is marked as discarded; it goes on"
+            return "done", "the recording is marked as discarded; it continues"
         if not self._last_episode:
             return "refused", "no episode was begun in this file"
         self.note("discard-episode", command.reason)
@@ -118,7 +118,7 @@ class EpisodeNotes:
 
 
 class BackgroundWork:
-    """What takes its time, each in a thread of its own. failed: is told what went wrong; ended: is called after each"""
+    """Slow tasks, each in its own thread. failed: receives the error; ended: is called after each"""
 
     def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
         self.busy: set[str] = set()
@@ -146,7 +146,7 @@ class BackgroundWork:
 
 
 class MakeRecorder(Protocol):
-    """A recorder into this file, or none, with this viewer; at_once: of what is there already, so that it may wait"""
+    """A recorder into this file, or none, with this viewer; at_once: of existing items, so that it may wait"""
 
     def __call__(self, file: Path | None, viewer: Literal["page", "none"], *, at_once: bool = False) -> Recorder: ...
 
@@ -156,7 +156,7 @@ class PageRecorder:
 
     file: to begin with, None = no file yet; next_file: a name for each that follows
     ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
-    fit: that can be set meanwhile; at_end: a file for what of them is held at the end
+    fit: that can be set meanwhile; at_end: a file for items that are held at the end
     """
 
     def __init__(
@@ -269,15 +269,15 @@ class PageRecorder:
                 self._take.recorder.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
-        """Of the last file; where there was none, of what was watched."""
+        """Of the last file; without one, of the whole view."""
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
-        """It is ended with what it has, and what is watched goes on without one."""
+        """Its file ends with the data so far, and the live view continues without one."""
         self._take, self._failure = None, error
         self._notes.lose_file()
         self.session.remark(f"the recording has ended: {error}", bad=True)
-        say(f"deformscope: the recording has ended, the page goes on: {error}")
+        say(f"deformscope: the recording has ended, the page continues: {error}")
 
         def end() -> None:
             take.recorder.__exit__(type(error), error, None)
@@ -287,7 +287,7 @@ class PageRecorder:
         self._enter()
 
     def _show_file(self) -> None:
-        """How much is held and recorded, and how long that can go on."""
+        """The stored and recorded amounts, and the remaining time."""
         with self._lock:
             changes: dict[str, Any] = {"held_s": None if self._recent is None else self._recent.held_s}
             if self._take is not None:
@@ -330,10 +330,10 @@ class PageRecorder:
                 case TareDevice():
                     return self._tare(command.device)
                 case _:
-                    return "refused", "not while a rig is watched"
+                    return "refused", "not while a rig is shown"
 
     def _enter(self) -> None:
-        """Have the state say what goes on, and what can be asked for."""
+        """Update the state with the present activity, and the possible requests."""
         take = self._take
         commands = ["stop", *(["tare"] if self.session.state.tares else [])]
         if take is None:
@@ -351,7 +351,7 @@ class PageRecorder:
             self.session.recording_began(str(take.path), **changes)
 
     def _found(self, words: str) -> None:
-        """What a fit found is said, and a note in what is recorded."""
+        """A fit's result is reported, and noted in the recording."""
         with self._lock:
             self._notes.note("note", words)
         self.session.remark(words)
@@ -404,7 +404,7 @@ class PageRecorder:
     def _keep_recent(self) -> tuple[Outcome, str]:
         assert self._recent is not None
         if self._source is None or self._recent.taken() is None:
-            return "refused", "nothing has come yet"
+            return "refused", "no data yet"
         self._recent.add([self._source.look()])
         taken, held_s, path = self._recent.taken(), self._recent.held_s, self._next_file()
 
@@ -413,7 +413,7 @@ class PageRecorder:
                 with self._make(path, "none", at_once=True) as recorder:
                     assert taken is not None
                     write_recent(recorder, taken, self._streams, self._lossless)
-                    recorder.stopped_because(f"kept from the page: the last {held_s:.1f} s")
+                    recorder.stopped_because(f"stored from the page: the last {held_s:.1f} s")
             except Exception as error:
                 self._failure = error
                 raise
@@ -421,7 +421,7 @@ class PageRecorder:
 
         self._work.start("the last seconds", keep)
         self._enter()
-        return "begun", f"the last {held_s:.1f} s go into {path}"
+        return "begun", f"the last {held_s:.1f} s are written to {path}"
 
     def _tare(self, name: str) -> tuple[Outcome, str]:
         if name not in self.session.state.tares or self._source is None:
@@ -439,7 +439,7 @@ class PageRecorder:
             self.session.remark(f"{name}: tared")
 
         self._work.start(name, tare)
-        return "begun", f"{name}: its load is taken for zero; let nothing touch it"
+        return "begun", f"{name}: its present load becomes zero; keep it free of contact"
 
     def _show_failure(self, what: str) -> None:
         self.session.remark(what, bad=True)

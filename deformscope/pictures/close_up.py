@@ -1,4 +1,4 @@
-"""What to show of a body in space: where something moved, and how much its heights must be drawn out to see it."""
+"""View of a body in space: its moved part, and the magnification of its heights."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STIRRED = 0.05
 """Particles that moved this share of the largest motion belong into the picture."""
 
 ROOM, LEAST = 1.5, 8.0
-"""Side of the picture: times what moved, and at least so many spacings."""
+"""Side of the picture: a multiple of the moved part, and at least this number of spacings."""
 
 RELIEF = 0.25
 """Share of the picture's side that heights should fill."""
@@ -42,14 +42,14 @@ class CloseUp:
         return np.asarray(0.5 * (self.low + self.high))
 
     def holds(self, position: FloatArray) -> IntArray:
-        """Which of (K, 3) positions lie beside or inside it, seen from above."""
+        """Which of (K, 3) positions lie next to or inside it, seen from above."""
         grace = 1e-6 * (self.high - self.low)[:2]
         inside = (position[:, :2] >= self.low[:2] - grace) & (position[:, :2] <= self.high[:2] + grace)
         return np.flatnonzero(inside.all(axis=1))
 
 
 def close_up(comparison: Comparison) -> CloseUp:
-    """All of a volume; of a surface, the surroundings of what moved, with heights drawn out until they are seen."""
+    """All of a volume; of a surface, the surroundings of the moved part, with magnified heights."""
     rest = comparison.rest
     every = np.concatenate([rest, comparison.observed[comparison.seen], comparison.simulated])
     every = every[np.isfinite(every).all(axis=1)]

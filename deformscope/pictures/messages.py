@@ -1,4 +1,4 @@
-"""What was found, in words: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
+"""Results as text: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def format_verdict(maps: MapEstimate) -> str:
 
 
 def format_regions(maps: MapEstimate) -> str:
-    """How many regions there are, and between what."""
+    """Number of regions, and their levels."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
     return counted(maps.region_count, "region") + " or more" * maps.at_least + between
 
@@ -32,11 +32,11 @@ def format_claim(probability: float | None) -> str:
 
 
 ENDED = {
-    "budget": "all touches that were allowed are made",
+    "budget": "the allowed number of touches is reached",
     "nothing above the threshold": "the map's variance is below the threshold everywhere",
     "little left to learn": "one more touch would hardly change the map",
     "nowhere to go": "no place is left that may be touched",
-    "no lump missed": "it is unlikely that an inclusion of the size sought was missed",
+    "no lump missed": "it is unlikely that an inclusion of the requested size was missed",
 }
 """Why a plan makes no further touch, by its stop reason (`stages.map.plan.StopReason`)."""
 
@@ -47,7 +47,7 @@ def format_stop(stop_reason: str) -> str:
 
 
 def stiffness_kind(maps: MapEstimate) -> str:
-    """What the map's stiffness is."""
+    """Kind of the map's stiffness."""
     return "apparent" if maps.levelled_m is None else f"as on a level layer {100 * maps.levelled_m:.2g} cm thick"
 
 
@@ -57,7 +57,7 @@ def format_travel(travel_m: float) -> str:
 
 
 def format_iou(maps: MapEstimate) -> str:
-    """How good the map is, and against what; empty where the truth is not known."""
+    """Quality of the map, and its reference; empty without a known truth."""
     return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
 
 
@@ -67,7 +67,7 @@ def format_inclusions(found: InclusionsResult) -> str:
 
 
 def format_failure(failed: StageFailure) -> str:
-    """What failed, and why."""
+    """A failure, and its reason."""
     where = f"touch {failed.touch}: " if failed.touch else ""
     return f"{where}{failed.stage} failed: {failed.reason}"
 
@@ -77,7 +77,7 @@ def estimate_tables(estimate: Estimate, title: str) -> list[Table]:
     tables = [Table(estimate_rows(estimate), caption=title)]
     if estimate.selection:
         ways = list(map(_choice_row, estimate.selection))
-        tables.append(Table(ways, caption="Error on particles left out, of each way of fitting"))
+        tables.append(Table(ways, caption="Error on particles left out, for each model that was fitted"))
     return tables
 
 
@@ -101,10 +101,10 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     if estimate.explained is not None:
         rows.append(("explained", explained_text(estimate.explained)))
     if not found.get("pose_held", True):
-        rows.append(("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
+        rows.append(("pose", "the held particles leave the body free to turn: hold more for a reliable value"))
     if lost := found.get("lost"):
         every = int(str(found["particles"]))
-        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
+        many = "; so many that the tracking may have failed: check the picture" if int(str(lost)) * 3 > every else ""
         rows.append(("lost particles", f"{lost} of {every}: left out of the fit{many}"))
     if moved := found.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
@@ -128,7 +128,7 @@ def value_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:
-    """The reasons to doubt a value, a row each, those left out that stand in other words already. besides: these"""
+    """The reasons to doubt a value, one per row, without those that other text reports. besides: these"""
     return [(f"reason: {one.code}", one.text) for one in reasons if one.text not in besides]
 
 

@@ -32,7 +32,7 @@ FAST_CAMERA_HZ = 10.0
 
 @dataclass(frozen=True, slots=True)
 class SqueezeJob:
-    """One trial. folder: of the data set; whole: its recording is kept, at the camera's full rate"""
+    """One trial. folder: of the data set; whole: its recording is stored, at the camera's full rate"""
 
     content: str
     container: str
@@ -92,7 +92,7 @@ def squeeze_jobs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezedTrial:
-    """One squeeze with all that is known of it. made: the laboratory, closed; frames: what the devices gave"""
+    """One squeeze with all that is known of it. made: the laboratory, closed; frames: of the devices"""
 
     entry: TrialEntry
     made: ContainerLab

@@ -1,9 +1,9 @@
-"""Experiment 3.B: beta of five foams from images of a push, beside their true motion and their force.
+"""Experiment 3.B: beta of five foams from images of a push, with their true motion and their force.
 
 A flat clamp pushes five virtual foams (`deformscope.lab.foam`) by the same distance. A camera sees speckles move; dense
 flow carries 7 x 15 particles; the last pose is fitted at cluster sizes 2, 4 and 5. Each fit is made four times: from
-the flow and from the true positions, so that it shows what the flow costs; with the one particle below the clamp's
-middle held, as in the thesis, and with all those below the clamp held. The force of the push gives the model's k.
+the flow and from the true positions, which shows the flow's error. Held are the one particle below the clamp's middle,
+as in the thesis, or all those below the clamp. The force of the push gives the model's k.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ FRAME_NS = 10 * 10**9 // 30
 
 
 BLOCK = Block(width_m=0.25, height_m=0.07, thickness_m=0.10)
-"""Wider than what is seen, as in the thesis; its thickness matters to the force alone."""
+"""Wider than the image, as in the thesis; its thickness matters to the force alone."""
 
 VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 * PX_PER_CM)
 
 
 @dataclass(frozen=True, slots=True)
 class FoamSetup:
-    """The push and what is seen of it.
+    """The push and its images.
 
     depth_m: of the
     clamp at the end; images: with the one at rest; noise: of the camera [grey values]
@@ -69,7 +69,7 @@ class FoamSetup:
     cluster_sizes: tuple[int, ...] = CLUSTER_SIZES
 
     def particles(self, held: Held) -> ParticleOptions:
-        """The grid over the seen part of the block, and what is held of it below the clamp."""
+        """The grid over the visible part of the block, and its held particles below the clamp."""
         rows, columns = self.grid
         middle, top = self.view.middle_px, self.view.top_px
         wide, high = columns * PX_PER_CM, rows * PX_PER_CM
@@ -85,7 +85,8 @@ class FoamSetup:
 
 @dataclass(frozen=True, slots=True)
 class FoamFit:
-    """One calibration of one foam; source: where its positions are from; held: what below the clamp is prescribed."""
+    """One calibration of one foam; source: where its positions are from; held: the prescribed particles below the
+    clamp."""
 
     source: Source
     held: Held
@@ -98,7 +99,7 @@ class FoamResult:
     """One foam pushed, seen and fitted.
 
     depth_m, force_n: of every pose; lost: particles; error_px: (K,) distance of each from where it truly is in the
-    last image, NaN where lost; noise_px: (K,) what the flow says of it, one standard deviation per coordinate
+    last image, NaN where lost; noise_px: (K,) the flow's noise, one standard deviation per coordinate
     image: the last one; mask: (H, W) the foam in the first one
     """
 
@@ -128,7 +129,7 @@ class FoamResult:
 @dataclass(frozen=True, slots=True)
 class FoamCase:
     """One foam. images: folder that its images are left in, which then holds nothing of an earlier run; empty = none
-    changed: what it differs by from `BASE`, of a `Control`"""
+    changed: its difference from `BASE`, of a `Control`"""
 
     foam: Foam
     setup: FoamSetup
@@ -193,7 +194,7 @@ def _push(foam: Foam, setup: FoamSetup, steps: int) -> list[PressedBlock]:
 def _observation(
     grid: ParticleGrid, last: Tracked, true: FloatArray, source: Source, particles: ParticleOptions, force_n: float
 ) -> Observation:
-    """The last pose as the flow saw it, or as it was, with the force on the particles held below the clamp."""
+    """The last pose by the flow, or the true one, with the force on the particles held below the clamp."""
     contact = select_held(grid, ("contact",), particles.contact_rect)
     if source == "flow":
         held, _ = hold_what_is_seen(grid, last, particles.held, particles.contact_rect)
@@ -235,7 +236,7 @@ class Trend:
 
 
 def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_size: int) -> Trend:
-    """Whether beta falls with firmness, and whether the intervals let anybody say so."""
+    """Whether beta falls with firmness, and whether the intervals support it."""
     ordered = sorted(results, key=lambda result: result.foam.hardness)
     found = [result.fit(source, held, cluster_size).estimate for result in ordered]
     value = np.array([one.value for one in found])
@@ -280,12 +281,12 @@ CHANGES: dict[str, tuple[float, float]] = {
     "plateau": (20.0, 6.0),
     "poisson": (0.0, 0.25),
 }
-"""The ends of what the five foams span, each tried alone."""
+"""The ends of the five foams' range, each tried alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """The middle foam with one property changed: what the change does to its true positions, and to beta from these.
+    """The middle foam with one property changed: effect of the change on its true positions, and on beta from these.
 
     true_px: (K, 2) where its particles are
     """

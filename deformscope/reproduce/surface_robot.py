@@ -1,4 +1,4 @@
-"""The laboratory as a robot without wires: what a touch and a look would have given, at once. For studies."""
+"""The laboratory as a robot without wires: the readings of a touch and a look, immediately. For studies."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from deformscope.stages.see.robot import PosedRobot
 STICK_M = 0.25
 TOUCH_S = TOUCHES_S / 10.0
 SOFT_PA = 1e-3 * RIGID_PA
-"""Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
+"""Modulus of the slab for the truth: soft enough for every depth, stiff enough for every force."""
 
 
 def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
     """A scene's apparent stiffness, region by region and cell by cell.
 
-    It is that of a slab all of the modulus which lies there, as thick as the scene's, pressed in the same finite
-    elements without noise: what touches far from every border and bump come to.
+    It is that of a slab with the modulus of this place throughout, as thick as the scene's, pressed in the same finite
+    elements without noise. Touches far from every border and bump tend to it.
     """
     modulus = scene.modulus_pa(scene.cells_m())
     pieces = np.array([piece.modulus_pa for piece in scene.pieces])
@@ -70,8 +70,8 @@ def _slab_log_stiffness(
 
 
 def _deeper(at_n: FloatArray | float, force_n: FloatArray, depth_m: FloatArray) -> FloatArray:
-    """(...,) how many times as deep as the last of these depths (n,) a force would sink: 1 up to the last of these
-    forces (n,), beyond by the power law in which they end."""
+    """(...,) depth of a force relative to the last of these depths (n,): 1 up to the last of these forces (n,), beyond
+    by the power law at their end."""
     before_n = 0.8 * force_n[-1]
     power = np.log(depth_m[-1] / np.interp(before_n, force_n, depth_m)) / np.log(force_n[-1] / before_n)
     return np.asarray(np.maximum(np.asarray(at_n) / force_n[-1], 1.0) ** power)
@@ -100,7 +100,7 @@ class LabRobot:
     """A simulated table with foam, seen by a camera and touched by a ball on a stick.
 
     scene: as it truly is, without its scatter; arm: as its calibration says
-    errors: of this session; truth: what the scene is; most_force_n: the largest true contact force so far
+    errors: of this session; truth: of the scene; most_force_n: the largest true contact force so far
     felt: `felt_log_stiffness` of each touch
     sees: whether the camera looks again while the ball presses, which only beta needs
     """
@@ -115,8 +115,7 @@ class LabRobot:
         errors: LabErrors | None = None,
         clock: TouchClock | None = None,
     ) -> None:
-        """errors: what the session keeps from the estimator; default nothing; clock: counts the seconds of touches that
-        have a plan"""
+        """errors: hidden errors of the session; default none; clock: counts the seconds of touches that have a plan"""
         self._clock = clock
         self.errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
         self.scene = self.errors.slab(scene)
@@ -150,7 +149,7 @@ class LabRobot:
         return self._see(None, ())
 
     def touch(self, command: Touch) -> TouchMeasurement:
-        """Come down along the normal that was seen, and look at the dent."""
+        """Move down along the measured normal, and measure the dent."""
         xy_m, normal = command.xy_m, command.normal
         options = self._options
         gain = self._sensing.gain * self.errors.gain_at(len(self.felt) * TOUCH_S)
@@ -198,7 +197,7 @@ def explore_at_once(
 ) -> None:
     """Explore with a robot that gives measurements at once. Raises ExplorationStopped.
 
-    recorder: is given every stage's results; found: what is filled with touches
+    recorder: is given every stage's results; found: receives the touches
     """
     found = Exploration() if found is None else found
     run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))

@@ -1,7 +1,7 @@
 """How long touches take a robot: their real plans, step by step, on an arm that follows every velocity at once.
 
-For studies without wires. What is not in it: the arm's and the sensor's delays, turning the stick, and pictures in
-which the dent still moves.
+For studies without wires. Not included: the arm's and the sensor's delays, turning the stick, and pictures in which the
+dent still moves.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class TouchClock:
         self._offset_m = center_offset_m
 
     def add(self, plan: TouchPlan, felt: Approach) -> None:
-        """Travel to a touch, take the tare, touch what was felt there, and go back."""
+        """Travel to a touch, take the tare, repeat the touch's motion, and go back."""
         crossing_m, above_m, _ = plan.places_m(self._offset_m)
         high_m = float(crossing_m[2])
         if self.center_m[2] < high_m:

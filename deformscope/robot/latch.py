@@ -1,6 +1,7 @@
-"""What the supervisors of arm and hand share: alarms become one verdict, which holds until a person acknowledges it.
+"""Common part of the supervisors of arm and hand: alarms become one verdict, which holds until a person acknowledges
+it.
 
-The supervisors are pure state machines fed with readings and times, asked once in a control period. They are no safety
+The supervisors are pure state machines: each control period calls them with readings and times. They are no safety
 function (no Python program is): the emergency stop of the arm, and a switch for the hand, stay within a person's reach.
 """
 
@@ -15,7 +16,7 @@ FaultT = TypeVar("FaultT", bound=StrEnum)
 
 
 class Action(StrEnum):
-    """What the robot has to do."""
+    """Demand on the robot."""
 
     GO_ON = "go on"
     BACK_OFF = "back off"
@@ -26,12 +27,12 @@ _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
 """Of several alarms the one with the highest counts, of equal ones the first."""
 
 Alarm = tuple[Action, FaultT, str]
-"""What a rule demands, the fault, and the reason with its numbers and units."""
+"""A rule's demand, the fault, and the reason with its numbers and units."""
 
 
 @dataclass(frozen=True)
 class Decision(Generic[FaultT]):
-    """What to do, and why. fault: the enumeration's NONE while it goes on; time_ns: of the judgement that found it"""
+    """Demand, and its reason. fault: the enumeration's NONE without a fault; time_ns: of the judgement that found it"""
 
     action: Action
     fault: FaultT
@@ -44,10 +45,10 @@ class LatchingSupervisor(Generic[FaultT]):
     period."""
 
     def __init__(self, none: FaultT, late_ns: int) -> None:
-        """none: the fault of a robot that goes on
+        """none: the fault of a robot without one
 
-        late_ns: a judgement so long after the last one came late: the host was busy, and those who read the devices
-        perhaps too. No silence is held against a device then, once and not twice in a row.
+        late_ns: a judgement this long after the last one was late: the host was busy, and perhaps the device threads
+        too. No silence is held against a device then, once and not twice in a row.
         """
         self._go_on: Decision[FaultT] = Decision(Action.GO_ON, none)
         self._verdict, self._late_ns = self._go_on, late_ns
@@ -62,12 +63,13 @@ class LatchingSupervisor(Generic[FaultT]):
         self._judged_ns, self._excused = now_ns, False
 
     def acknowledge(self, now_ns: int) -> None:
-        """A person has seen to the reason: judge anew from now on."""
+        """A person has removed the reason: judge again from now on."""
         self._verdict = self._go_on
         self.start(now_ns)
 
     def stop(self, fault: FaultT, reason: str, now_ns: int) -> Decision[FaultT]:
-        """Stop for what is in no reading: a person asks for it, or a command was refused, and the next would be too."""
+        """Stop for a reason outside the readings: a person's request, or a refused command, after which the next would
+        fail too."""
         return self._latch([(Action.STOP, fault, reason)], now_ns)
 
     def _begin(self, now_ns: int) -> None:

@@ -72,15 +72,15 @@ def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
     try:
         vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
     except (EOFError, OSError, ValueError) as error:
-        came = f"one at which the reader ended ({ending})"
-        raise InputError("a mesh file that is whole", came, "export it again", path) from error
+        came = f"one that ended its reader ({ending})"
+        raise InputError("a complete mesh file", came, "export it again", path) from error
     if refused := _refusal(vertices, triangles):
         raise InputError(refused, "none, or others", "export it again", path)
     return vertices, triangles
 
 
 def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:
-    """Why an array is no mesh: what was expected; empty where it is one."""
+    """Why an array is no mesh: the expectation; empty if it is one."""
     if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
         return "a mesh with triangles of its vertices"
     if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number

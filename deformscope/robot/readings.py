@@ -1,4 +1,4 @@
-"""What is known of the robot in one control period: what its devices said since the last one."""
+"""Readings of the robot in one control period: of its devices since the last one."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class CameraSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
-    """What came since the last control period, oldest first.
+    """Items since the last control period, oldest first.
 
     refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening
     lost_links: names of devices whose link is down, and why

@@ -1,6 +1,6 @@
 """The shapes of a URDF's links, and where its links are for given joint angles.
 
-A URDF is somebody else's file: it is read without entities, and its meshes from below its own package alone.
+A URDF is an untrusted file: it is read without entities, and its meshes from below its own package alone.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class UrdfShapes:
 
 
 def read_urdf(path: Path) -> UrdfShapes:
-    """Read a URDF with its meshes. Raises InputError, which says what is wrong with it."""
+    """Read a URDF with its meshes. Raises InputError, with the error."""
     try:
         with path.open("rb") as file:
             content = file.read(FILE_BYTES + 1)
@@ -107,7 +107,7 @@ def _in_order(joints: list[UrdfJoint], links: list[str], path: Path) -> tuple[st
     children = {joint.child for joint in joints}
     roots = [name for name in links if name not in children]
     if len(roots) != 1 or len(children) != len(joints):
-        came = f"{len(roots)} of {len(links)} links are nobody's child"
+        came = f"{len(roots)} of {len(links)} links have no parent"
         raise InputError("a URDF whose links form one tree", came, where=path)
     ordered: list[UrdfJoint] = []
     level = roots
@@ -161,7 +161,7 @@ def _shown(link: ET.Element) -> list[ET.Element]:
 
 
 def _meshes(robot: ET.Element, path: Path) -> dict[str, Solid]:
-    """The mesh files of what is shown, read together, by the names that the URDF has for them."""
+    """The mesh files of its shapes, read together, by their names in the URDF."""
     found = [mesh for link in robot.findall("link") for part in _shown(link) for mesh in part.findall("geometry/mesh")]
     files = {mesh.attrib["filename"]: _mesh_file(mesh.attrib["filename"], path) for mesh in found}
     solids = [Solid(vertices, triangles.astype(np.uint32)) for vertices, triangles in read_meshes(list(files.values()))]

@@ -1,4 +1,4 @@
-"""What is in a container: how well it is known, for tables of one's own and data sets of squeezes."""
+"""Content of a container: accuracy of its classification, for tables of one's own and data sets of squeezes."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ TableSource: TypeAlias = str | Path | LabelledTable | Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class ClassificationResult(LibraryResult):
-    """How well contents are known. name: of the table; evaluation: every number"""
+    """Accuracy of contents. name: of the table; evaluation: every number"""
 
     evaluation: Evaluation
     name: str = ""
 
     @property
     def accuracy(self) -> float:
-        """Of what `model()` gives: late fusion of the modalities, in the strictest splits."""
+        """Of the model of `model()`: late fusion of the modalities, in the strictest splits."""
         return self.evaluation.best.accuracy.value
 
     @property
@@ -79,7 +79,7 @@ class ClassificationResult(LibraryResult):
         save_classifier(self.model(), Path(path))
 
     def entries(self) -> list[dict[str, Any]]:
-        """What the command writes as JSON: one entry a modality, method and kind of split."""
+        """The command's JSON: one entry per modality, method and kind of split."""
         return [self._entry(one) for one in self.evaluation.scores]
 
     def as_json(self) -> dict[str, Any]:
@@ -145,26 +145,26 @@ class ClassificationResult(LibraryResult):
         return (
             Figure(pictures.accuracies_png(strict), "Accuracy of every method, with its interval"),
             Figure(pictures.confusion_png([found.best], found.table.classes), "Confusion: rows are the true contents"),
-            Figure(pictures.reliability_png([found.best]), "How often answers of a probability are right"),
+            Figure(pictures.reliability_png([found.best]), "Share of right answers over their probability"),
         )
 
 
 def format_accuracy(score: ClassificationScore) -> str:
-    """Accuracy with its interval, and what naming the most frequent class would reach."""
+    """Accuracy with its interval, and that of always naming the most frequent class."""
     method = f"{score.modality}, {score.method}, {score.splits} {format_split(score)}"
     return f"{format_right(score)}, chance {score.chance:.1%}: {method}"
 
 
 def format_told(found: Evaluation, score: ClassificationScore) -> str:
-    """As `format_accuracy`; where no groups are told the interval for another container comes first."""
+    """As `format_accuracy`; without groups the interval for another container comes first."""
     if found.protocol == "group":
         return format_accuracy(score)
     low, high = found.elsewhere(score)
     (near_low, near_high), method = score.accuracy.interval, f"{score.modality}, {score.method}"
     return (
-        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new trials of "
-        f"those that were squeezed {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), chance "
-        f"{score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
+        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new "
+        f"trials of the same containers {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), "
+        f"chance {score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
     )
 
 
@@ -175,7 +175,7 @@ def format_right(score: ClassificationScore) -> str:
 
 
 def format_split(score: ClassificationScore) -> str:
-    """What was split."""
+    """Subject of the splits."""
     if score.pair is not None:
         return f"transfer from {score.pair[0]} to {score.pair[1]}"
     return {"random": "random splits", "stratified": "stratified splits", "group": "splits by group"}[score.protocol]
@@ -201,7 +201,7 @@ def format_fusion(found: Evaluation) -> str:
     words = [whole or "late fusion was not compared"]
     if gained:
         words.append(f"better in {', '.join(gained)}")
-    words.append(f"WORSE in {', '.join(worse)}" if worse else "worse than the better modality in no class")
+    words.append(f"WORSE in {', '.join(worse)}" if worse else "in no class worse than the better modality")
     return "; ".join(words)
 
 
@@ -214,8 +214,8 @@ def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
 
 
 def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
-    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others
-    what is recommended."""
+    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others the
+    recommended ones."""
     names: tuple[str, ...] = ()
     made, others = [], []
     for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):
@@ -243,8 +243,8 @@ def classify_table(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> ClassificationResult:
-    """`classify` on a table; linear algebra in one thread each, since splits run beside each other. beyond: as
-    `evaluate` takes it"""
+    """`classify` on a table; linear algebra in one thread each, because splits run in parallel. beyond: as `evaluate`
+    takes it"""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
@@ -259,7 +259,7 @@ def table_from(
     merge: Mapping[str, Sequence[str]] | None = None,
     duplicates: Literal["refuse", "drop"] = "refuse",
 ) -> LabelledTable:
-    """A table out of what may hold one, as it is evaluated."""
+    """A table from any supported source, in the form that is evaluated."""
     if isinstance(source, LabelledTable):
         table = source
     elif isinstance(source, str | Path):
@@ -276,7 +276,7 @@ def table_from(
 
 
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
-    """How the flags want it evaluated."""
+    """The flags as options of an evaluation."""
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0

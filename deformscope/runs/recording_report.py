@@ -1,4 +1,4 @@
-"""A recording as a report: figures of the thesis's chapters 2 to 4 from what it holds, and what it lacks."""
+"""A recording as a report: figures of the thesis's chapters 2 to 4 from its content, and a list of missing ones."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ SHOWN = 6
 """Touches, and maps, of which each has its pictures: the last, if there are more."""
 TIME = "time since the recording's start [s]"
 CHAPTERS = {
-    2: "chapter 2: what is in the container",
+    2: "chapter 2: the content of the container",
     3: "chapter 3: meshless shape matching",
     4: "chapter 4: exploring a surface",
     0: "of the run itself",
 }
 COLUMNS = ("stage", "gives", "entity", "timelines", "rows", "times x CPU (wall) [ms]", "live")
 Drawn = tuple[str, list[Section]]
-"""What was found, in a line, and its figures."""
+"""The result, in a line, and its figures."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport(LibraryResult):
-    """What a recording shows. words: in a line; stages: with their costs, those that it lacks among them"""
+    """Figures of a recording. words: in a line; stages: with their costs, those that it lacks among them"""
 
     recording: Path
     words: str
@@ -81,13 +81,13 @@ class RecordingReport(LibraryResult):
 
     def page(self) -> str:
         """As one HTML page."""
-        lacks = f"It lacks: {', '.join(self.lacks)}." if self.lacks else "Every stage of its kind is in it."
+        lacks = f"It lacks: {', '.join(self.lacks)}." if self.lacks else "It has every stage of its kind."
         first, last = Section("", [ReportVerdict(self.words, (lacks,))]), Section("Stages", stage_tables(self.stages))
         return html_report(self.recording.name, [first, *self.sections, last])
 
 
 def report_recording(path: Path) -> RecordingReport:
-    """Draw what a recording holds. Raises InputError for what is none, or cannot be read."""
+    """Draw the content of a recording. Raises InputError for another kind of file, or an unreadable one."""
     replay = Replay(path)
     kinds: dict[str, Callable[[Replay], Drawn]] = {EXPLORATION.name: _exploration, SQUEEZE.name: _squeeze}
     draw = kinds.get(replay.identity[0]) or (_rig if "rig" in replay.settings else _fits)
@@ -97,7 +97,7 @@ def report_recording(path: Path) -> RecordingReport:
 
 
 def stage_tables(stages: Sequence[RecordedStage]) -> list[Table]:
-    """What is in a recording, and what is missing, a table for each chapter."""
+    """Stages in a recording, and missing ones, a table for each chapter."""
     by_chapter = {title: [one for one in stages if one.chapter == chapter] for chapter, title in CHAPTERS.items()}
     return [Table([_stage_row(one) for one in some], COLUMNS, title) for title, some in by_chapter.items() if some]
 
@@ -139,7 +139,7 @@ def _exploration(replay: Replay) -> Drawn:
     if maps:
         words = ", ".join(one for one in (words, format_verdict(maps[-1]), format_iou(maps[-1])) if one)
         result = drawn_of.result_png(maps[-1], found=found[-1] if found else None)
-        whole.append(Figure(result, "what the touches measured"))
+        whole.append(Figure(result, "measurements of the touches"))
     surface, at_touches = Section("Surface", surfaces), Section("Touches", touched)
     return words, [Section("Map", whole), surface, at_touches, Section("Fields, touch by touch", fields)]
 
@@ -161,12 +161,12 @@ def _with_interval(label: str, rows: Sequence[tuple[float, ...]], at: Any) -> Cu
 def _progress(maps: Sequence[MapEstimate]) -> Figure:
     at, nan = np.array([one.touches for one in maps]), float("nan")
     values = {
-        "way over the surface [m]": [one.travel_m for one in maps],
+        "travel over the surface [m]": [one.travel_m for one in maps],
         "deviation of log stiffness [-]": [float(np.mean(one.stiffness_log_sd)) for one in maps],
         "IoU with the truth [-]": [nan if one.iou is None else one.iou for one in maps],
     }
     panels = [Curves(label, at, np.array(some)[:, None]) for label, some in values.items() if np.isfinite(some).any()]
-    return Figure(curves_png(panels, "touches"), "way, deviation and overlap by touch")
+    return Figure(curves_png(panels, "touches"), "travel, deviation and overlap by touch")
 
 
 def _squeeze(replay: Replay) -> Drawn:

@@ -1,4 +1,4 @@
-"""What came of a replay, and how recorded results are compared with those computed again."""
+"""Outcome of a replay, and the comparison of recorded results with those computed again."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from deformscope.rows import differing
 from deformscope.runs.result import LibraryResult
 
 CLOSE = 0.01
-"""Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
-interval's width, of an error as a share of itself. On one machine there is none."""
+"""Largest difference due to another machine's arithmetic: of the value and its interval as a share of the interval's
+width, of an error as a share of the error. On one machine there is none."""
 VERSIONS = "the versions in the recording's properties"
-"""What to look at where numbers differ."""
+"""Remedies for different numbers."""
 
 
 class Different(InputError):
-    """What was computed again is not what was recorded."""
+    """The new results differ from the recorded ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult(LibraryResult):
-    """What was computed again of a recording.
+    """Results of a recording, computed again.
 
     found: the JSON of `deformscope replay`, a list where several pairs were fitted; shown: results with their tables
-    verdict: how it compares with what was recorded; notes: what failed or stopped when it was recorded
-    different: what differs, where the results are known all the same, else None
+    verdict: comparison with the recorded result; notes: failures and stops during the recording
+    different: the differences, if the results are known nevertheless, else None
     """
 
     found: Any

@@ -1,4 +1,4 @@
-"""What `deformscope calibrate tip`, `place`, `camera`, `force` and `time` do: measure, solve, write."""
+"""`deformscope calibrate tip`, `place`, `camera`, `force` and `time`: measure, solve, write."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RigCalibrationResult:
-    """What was found.
+    """Result of a rig calibration.
 
     kind: place, tip, camera, force or time; values: for the rig file; rows: of the table, names and values
     figure: how far each measurement is off; found: for JSON
@@ -74,8 +74,7 @@ def today() -> datetime.date:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Who and what takes part. arm, wrench, camera: names of devices, empty where the rig has none; operator: who moves
-    things"""
+    """The participants. arm, wrench, camera: names of devices, empty if the rig has none; operator: who moves things"""
 
     arm: str
     wrench: str
@@ -87,8 +86,8 @@ class Station:
 class SetupTask(Generic[M]):
     """One of these commands.
 
-    kind: of it; needs: kinds of devices; measure: the experiment; arrays: what was measured, out of a file of arrays
-    solve: what is found of it; recorded: what was measured, out of a recording
+    kind: of it; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays
+    solve: its solution; recorded: measurements from a recording
     """
 
     kind: str
@@ -100,7 +99,7 @@ class SetupTask(Generic[M]):
 
 
 def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigCalibrationResult:
-    """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
+    """Measure, or read an earlier measurement; solve; write into the rig file unless --no-write is given."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
         if config.measured.suffix == ".rrd" and task.recorded is not None:
@@ -123,7 +122,7 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigC
 
 
 def write_values(path: Path, values: Values) -> None:
-    """Into the rig file, which is then as good as it was, or stays as it was."""
+    """Write into the rig file; a failure leaves it unchanged."""
     from deformscope.rig.rig_file import parse_rig
 
     text = edited(path.read_text(encoding="utf-8"), values)
@@ -134,7 +133,7 @@ def write_values(path: Path, values: Values) -> None:
 
 
 def written_lines(found: RigCalibrationResult) -> str:
-    """What is written, as lines of a rig file."""
+    """New lines of a rig file."""
     return lines_of(found.dated)
 
 
@@ -142,7 +141,7 @@ def written_lines(found: RigCalibrationResult) -> str:
 
 
 def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
-    """The devices, closed, and who stands there: a person at a terminal, or the laboratory's."""
+    """The devices, closed, and the operator: a person at a terminal, or the laboratory's."""
     if not rig.surface.scene:
         devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
         arm, wrench, camera = (devices[kind].name if kind in devices else "" for kind in ROLES)
@@ -154,9 +153,12 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
     table, randomized = table_of(parts)
     assert table is not None
     if randomized is None:
-        came = "doubles that are where the file says"
+        came = "doubles are at the poses of the file"
         raise InputError(
-            "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
+            "a calibration that is still missing",
+            came,
+            "hidden = 1 in [surface]: random poses, for calibration",
+            rig.name,
         )
     arm, wrench, camera = (entry.name for entry in parts.devices)
     hand = _simulated(SimulatedHand(randomized, table, table.size_m), asked)
@@ -164,9 +166,9 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
 
 
 def _at_terminal(asked: Interruption) -> Assistant:
-    """Somebody who reads what to do, does it, and presses Enter."""
+    """A person who reads the requests, carries them out, and presses Enter."""
     if not at_terminal():
-        raise InputError("somebody who does what is asked for", "no terminal to ask at", "--measured FILE.npz")
+        raise InputError("a person who follows the requests", "no terminal for questions", "--measured FILE.npz")
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(f"{request.words}; then Enter")
@@ -177,17 +179,17 @@ def _at_terminal(asked: Interruption) -> Assistant:
 
 
 def _go_on(asked: Interruption) -> None:
-    """Raises InputError where somebody asked to end."""
+    """Raises InputError if a person has requested the end."""
     if asked.is_set():
         raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
 
 
 def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
-    """The laboratory's person, who lets go and taps while frames pass."""
+    """The laboratory's person, who releases and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         _go_on(asked)
-        does_so = "holds it in a way of their own" if request.kind == "view" else "does so"
+        does_so = "holds it in its own way" if request.kind == "view" else "does so"
         say(f"{request.words} (a simulated person {does_so})")
         hand.do(request.kind, request.number, request.axis)
         if request.kind == "tap":

@@ -1,4 +1,4 @@
-"""A rig's devices recorded, watched, and followed by live stages, from the options to what came of it."""
+"""A rig's devices recorded, shown, and evaluated by live stages, from the options to the outcome."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ PAGE_HOLDS_S = 30.0
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RigRun:
-    """What came of a run of a rig.
+    """Outcome of a rig's run.
 
-    result: what was recorded; failures: reason of each device that failed, by name; why: it ended
+    result: of the recording; failures: reason of each device that failed, by name; why: it ended
     early_by: the signal that ended it before its end, 0 = none
     """
 
@@ -64,8 +64,8 @@ class RigRun:
 
 
 def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool) -> RigRun:
-    """Run a rig until its end or Ctrl-C. auto: the viewer where none is asked for; always_record: also without a name
-    for the file, which then gets one"""
+    """Run a rig until its end or Ctrl-C. auto: the viewer if none is requested; always_record: also without a name for
+    the file, which then gets one"""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
@@ -126,7 +126,7 @@ def _recorder(
     *,
     at_end: bool,
 ) -> Recorder | WatchedRecorder | PageRecorder:
-    """Of one file from the beginning to the end, or of what was recent then; on a page, of as many as it asks for."""
+    """Of one file from the beginning to the end, or of the recent items then; on a page, of as many as it requests."""
 
     def make(file: Path | None, viewer: ViewerChoice, *, at_once: bool = False) -> Recorder:
         files = dataclasses.replace(output, record=file, viewer=viewer)
@@ -146,7 +146,7 @@ def _recorder(
 
 
 def _recent(keep_last_s: float | None, viewer: ViewerChoice, stages: Sequence[str]) -> RecentItems | None:
-    """What holds the last seconds, where they can be recorded later."""
+    """Memory of the last seconds, if they can be recorded later."""
     if keep_last_s is not None:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         return RecentItems(keep_last_s, memory // 4)
@@ -158,7 +158,7 @@ def _new_file(rig: Rig) -> Path:
 
 
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs.
+    """The options of the requested stages. Raises InputError if the rig lacks a device of one of them.
 
     streams: of the devices, where they are not the rig's
     """
@@ -210,7 +210,7 @@ class _Ending:
 
     @property
     def early_by(self) -> int:
-        """The signal that ended it before its end; 0 = none did. Ctrl-C is the end of what has no other."""
+        """The signal that ended it before its end; 0 = none did. Ctrl-C is the end of a run without a duration."""
         number = self._asked.signal_number
         return 0 if number == signal.SIGINT and self._seconds is None else number
 
@@ -228,15 +228,15 @@ class _Ending:
                 say("stages: " + ", ".join(f"{name} {rate:.3g}/s {ms:.0f} ms behind" for name, rate, ms in late))
                 self._counts.clear()
         lasted_s = time.monotonic() - self._began
-        early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
+        early = "" if self._seconds is None else f", earlier than the requested {self._seconds:g} s"
         if self._asked.is_set():
             by = self._asked.by or f"by {signal_word(self._asked.signal_number)}"
             self.reason = f"{by} after {lasted_s:.1f} s{early}"
         elif self._source.ended:
-            self.reason = f"after {lasted_s:.1f} s{early}: every device has come to its end"
-            say("every device has come to its end")
+            self.reason = f"after {lasted_s:.1f} s{early}: every device has ended"
+            say("every device has ended")
         elif self._seconds is not None and lasted_s >= self._seconds:
-            self.reason = f"after {self._seconds:g} s, as asked for"
+            self.reason = f"after {self._seconds:g} s, as requested"
         return bool(self.reason)
 
 
@@ -249,7 +249,7 @@ def _result(
     stages: Mapping[str, StageCounts],
     files: Sequence[RecordingSummary] | None,
 ) -> RecordResult:
-    """What was recorded, device by device, as a table and as JSON. files: begun and ended from a page"""
+    """Summary of the recording, device by device, as a table and as JSON. files: begun and ended from a page"""
     devices = dict(last.devices)
     rows = [(name, _to_text(health, failures.get(name))) for name, health in devices.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]
@@ -275,7 +275,7 @@ def _result(
 
 
 def _to_text(health: Health, failure: str | None) -> str:
-    """What came of a device, what it lost, and why where it is known."""
+    """A device's summary: its frames and losses, and their reason if known."""
     why = f"FAILED: {failure}" if failure else health.reason
     return ", ".join(part for part in (f"{health.received} readings", to_text(lost_by(health)), why) if part)
 

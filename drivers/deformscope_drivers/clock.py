@@ -1,4 +1,4 @@
-"""When a reading was taken: one stamp, made once, on a clock that never jumps; and a device's clock beside it."""
+"""Time of a reading: one stamp, made once, on a clock that never jumps; and its relation to a device's clock."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STRETCH_NS, STRETCHES = 1e9, 120
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """When something arrived.
+    """Arrival time of an item.
 
     host_ns: monotonic host clock [ns]; for media without a clock (a video file), the media time since its start [ns]
     device_ticks: the device's own counter or clock, in its own unit; None where it has none
@@ -72,7 +72,7 @@ class Unwrap:
 
 @dataclass(frozen=True, slots=True)
 class ClockRelation:
-    """How a device's clock runs beside the host's.
+    """Relation of a device's clock to the host's.
 
     tick_ns: host time of a device tick [ns]; drift_ppm: its deviation from the nominal tick, None where none is known
     offset_ns: host time at tick 0, as seen through the shortest delay; residual_ns: root mean square of what the
@@ -86,7 +86,7 @@ class ClockRelation:
     anchors: int
 
     def to_host_ns(self, ticks: int) -> float:
-        """When the host would have seen this (unwrapped) tick after the shortest delay."""
+        """Host time of this (unwrapped) tick after the shortest delay."""
         return self.offset_ns + self.tick_ns * ticks
 
 
@@ -94,7 +94,7 @@ class ClockFit:
     """Fits a device's clock to the host's, online and in bounded memory.
 
     A reading arrives late by a delay that is never negative and often small. So of every stretch of time the reading
-    that arrived earliest beside the others is kept as an anchor, and a straight line goes through the anchors.
+    with the least delay becomes an anchor, and a straight line goes through the anchors.
     tick_ns: nominal host time of a tick, where the device's documents name one
     """
 

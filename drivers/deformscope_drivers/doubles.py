@@ -1,4 +1,4 @@
-"""What simulated devices are made of: a state machine that is fed bytes and time, and a line that sends at its pace.
+"""Parts of simulated devices: a state machine that receives bytes and time, and a line that sends at its pace.
 
 A double is pure: it opens no port, starts no thread and reads no clock. `deformscope_drivers.wires` puts it behind a
 pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its own clock.
@@ -11,7 +11,7 @@ from collections import deque
 from typing import Protocol
 
 FIFO_BYTES = 16
-"""What a serial port's chip gathers before it interrupts its host."""
+"""Buffer of a serial port's chip before it interrupts its host."""
 
 
 class Double(Protocol):
@@ -21,19 +21,19 @@ class Double(Protocol):
         """Take bytes that the host sent, in pieces of any size."""
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the device by now and was not handed out before."""
+        """Bytes that have left the device by now and were not handed out before."""
 
     def next_ns(self, now_ns: int) -> int | None:
         """When `due` has something next, without any bytes from the host; None = only bytes from the host matter."""
 
     def power_up(self, now_ns: int) -> None:
-        """Start as after switching on: settings that are not kept are gone, and nothing is left to send."""
+        """Start as after power-on: settings that are not stored are lost, and nothing is left to send."""
 
 
 class Line:
     """A transmitter that sends whole messages, one after the other, at a line's rate.
 
-    bytes_per_s: 11 520 for 115 200 baud 8N1; None = at once (USB and TCP, beside 1 kHz of 16 bytes)
+    bytes_per_s: 11 520 for 115 200 baud 8N1; None = unlimited (USB and TCP, for 1 kHz of 16 bytes)
     """
 
     def __init__(self, bytes_per_s: float | None = None) -> None:

@@ -1,12 +1,12 @@
 """A driver in a process of its own: how it is started, what is sent both ways, and how it ends.
 
 `HostedProcess` is the end of the program that uses the device. It starts `python -m deformscope_drivers.hosted FD` and
-gives it one end of a socket pair and, as the first message, a function of the driver's package with its settings. The
+gives it one end of a socket pair. The first message is a function of the driver's package with its settings. The
 function runs there with a `Channel`, the other end, as its first argument. Messages are pickled tuples that begin with
-their kind: `("opened", report)` when the device is open, `("failed", error)` for a DeviceError that ends the process,
-and what else the driver and the device that uses it agree on.
+their kind: `("opened", report)` when the device is open, and `("failed", error)` for a DeviceError that ends the
+process. Drivers and their devices may add others.
 
-When the program ends, whatever ended it, the socket closes: the function sees that in `Channel.poll` and
+When the program ends, for any reason, the socket closes: the function detects that in `Channel.poll` and
 `Channel.receive`, and ends. When the process ends, hangs or crashes, the program gets `ProcessEnded`, or kills it after
 a time limit. Nothing here imports numpy: the process starts quickly.
 """
@@ -38,8 +38,8 @@ class ProcessEnded(LinkLost):
 class HostedProcess:
     """The program's end of a process that hosts a driver. Messages may be sent from any thread.
 
-    expected, where: for the words of the error that says that the process has ended; status_s: for so long its exit
-    status is waited for then [s], None = not at all, where no time may be lost
+    expected, where: for the words of the error that says that the process has ended; status_s: time to wait for its
+    exit status then [s], None = not at all, for urgent calls
     """
 
     def __init__(self, expected: str, where: str, status_s: float | None) -> None:
@@ -69,8 +69,8 @@ class HostedProcess:
         self.send(serve, *settings)
 
     def opened(self, timeout_s: float, closing: threading.Event | None = None) -> Any:
-        """What the process reports of the device that it has opened; None where it reports nothing in time, or
-        `closing` is set meanwhile. Raises the error with which opening failed there, and ProcessEnded."""
+        """The process's report on the opened device; None without a report in time, or if `closing` is set meanwhile.
+        Raises the error with which opening failed there, and ProcessEnded."""
         until = time.monotonic() + timeout_s
         while time.monotonic() < until and not (closing is not None and closing.is_set()):
             match self.receive(ROUND_S):
@@ -135,8 +135,8 @@ class Channel:
         self._connection, self._sending = connection, threading.Lock()
 
     def send(self, *message: object) -> None:
-        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that has no
-        name there arrives in the words of this one, as a DeviceError: it must not end what moves an arm."""
+        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that is
+        unknown there arrives with its text, as a DeviceError: it must not end the process that moves an arm."""
         with self._sending, contextlib.suppress(OSError):
             try:
                 self._connection.send(message)
@@ -162,13 +162,13 @@ def hosted_command(descriptor: str) -> list[str]:
 
 
 def hosted_environment() -> dict[str, str]:
-    """The process finds packages where this one does, and looks for no others (-S)."""
+    """The process finds packages where this one does, and nowhere else (-S)."""
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
 def ask_hosted(ask: Callable[..., None], *settings: object, timeout_s: float) -> Any:
-    """What `ask(channel, *settings)` reports as opened, in a process that is ended after it; None where the process
-    crashes or does not answer in time. Raises the DeviceError that it raises there."""
+    """Report of `ask(channel, *settings)`, in a process that is ended after it; None if the process crashes or does not
+    answer in time. Raises the DeviceError that it raises there."""
     process = HostedProcess("an answer", ask.__module__, None)
     try:
         process.start(ask, *settings, quiet=True)

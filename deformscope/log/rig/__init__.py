@@ -1,7 +1,7 @@
-"""How a rig is recorded and shown: every item without loss, in batches, and beside them what a person looks at.
+"""The recording and views of a rig: every item without loss, in batches, and views for people.
 
-What is measured stands at `KIND/DEVICE`, one row a frame, each field of it a component (`deformscope.rows`);
-`deformscope.recording.items` reads it back. Every row is at `session`, the time since the recording's start, and frames
+Measurements are at `KIND/DEVICE`, one row per frame, each field of it a component (`deformscope.rows`);
+`deformscope.recording.items` reads them. Every row is at `session`, the time since the recording's start, and frames
 also at `frame`, their place in the device's own stream. In an exploration's recording that place is on `index`, and
 `frame` is the depth camera's for all.
 
@@ -69,7 +69,7 @@ NUMBERS = {WrenchFrame: "wrench", ArmFrame: "arm", HandFrame: "hand"}
 
 
 def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
-    """What is known before the first frame: descriptions, names and colours of series, pads, the arm's shape."""
+    """Descriptions before the first frame: names and colours of series, pads, the arm's shape."""
     for stream in streams:
         rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
         log_numbers_stream(rec, stream)
@@ -105,11 +105,11 @@ def prepare_items(
 ) -> Batch:
     """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
-    start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are kept as PNG
-    rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
+    start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are stored as PNG
+    rather than JPEG, because something is computed from them (about 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes); place: in an exploration
-    shown: what a viewer has already, kept from call to call: it is not sent again and again
-    changes_only: of a device's health, only changes of its state, as `shown` knows it
+    shown: data that a viewer has already, reused from call to call: they are not sent again
+    changes_only: of a device's health, only changes of its state relative to `shown`
     """
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
@@ -146,8 +146,7 @@ def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
 
 
 def warm_up() -> None:
-    """Have rerun and the encoders do once, before any device is opened, what costs up to half a second the first
-    time."""
+    """Have rerun and the encoders start up, before any device is opened, which costs up to half a second."""
     stamp, nothing = Stamp(0), np.zeros(3)
     small: list[Item] = [
         WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),

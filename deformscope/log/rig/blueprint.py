@@ -1,4 +1,4 @@
-"""What a person sees of a rig: pictures above, plots and the devices' health below, and only what is there."""
+"""The view of a rig: pictures above, plots and the devices' health below, for existing devices alone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ high may have no label at its axis but 0: the viewer labels powers of ten alone,
 
 
 def rig_blueprint(streams: Sequence[Stream], *, health: bool = True) -> rrb.Blueprint:
-    """The views of these devices; of doubles they say SIMULATED. health: not where a page shows it beside the viewer"""
+    """The views of these devices; of doubles they say SIMULATED. health: False if a page shows it outside the viewer"""
     return blueprint_of(rig_views(streams, with_health=health))
 
 
@@ -106,7 +106,7 @@ def named(stream: Stream, what: str) -> str:
 
 
 def plot_view(origin: str, name: str, *, below: bool = False, window_s: float = WINDOW_S, **more: Any) -> rrb.View:
-    """below: also what is below the entity; window_s: how far back it shows; more: of the view"""
+    """below: also entities below it; window_s: how far back it shows; more: of the view"""
     now = rrb.TimeRangeBoundary.cursor_relative()
     window = rrb.TimeRangeBoundary.cursor_relative(seconds=-window_s)
     return rrb.TimeSeriesView(

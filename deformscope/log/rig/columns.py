@@ -20,20 +20,20 @@ from deformscope.rows import ENTITIES, FRAMES, OF_DEVICES, to_columns
 Columns = Iterable[rr.ComponentColumn]
 
 AGAIN_NS = 10_000_000_000
-"""What does not change is sent again after this, for viewers that missed it."""
+"""Constants are sent again after this time, for viewers that missed them."""
 
 Shown = dict[str, tuple[object, int]]
-"""What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
-device's picture, the state of each device."""
+"""Data that seldom change, with the host time when a viewer received them [ns]: the scale next to each device's
+picture, the state of each device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where rows stand on an exploration's timelines, beside `session`.
+    """Place of rows on an exploration's timelines, in addition to `session`.
 
-    touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]: on `frame` a
-    row is at the picture that was newest then, so that all devices scrub together, and at its place in its own device's
-    stream on `index`; frame: at this picture instead, None = by the time; start_ns: the host's clock at `session` 0
+    touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]. On `frame` a
+    row is at the picture that was newest then, so that all devices scrub together, and on `index` at its index in its
+    own device's stream; frame: at this picture instead, None = by the time; start_ns: the host's clock at `session` 0
     """
 
     touch: int
@@ -63,7 +63,7 @@ class Place:
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    place: of an exploration: where rows stand on its timelines
+    place: of an exploration: where rows are on its timelines
     """
 
     def __init__(self, place: Place | None = None) -> None:
@@ -105,11 +105,11 @@ class Batch:
 
 
 Sink = rr.RecordingStream | Batch
-"""What a twin logs to."""
+"""Destination of a twin."""
 
 
 def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
-    """Whether what stands beside a device's picture has to be sent: it has changed, or viewers may have missed it."""
+    """Whether the scale next to a device's picture has to be sent: it has changed, or viewers may have missed it."""
     before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
     if what == before and now_ns - since_ns < AGAIN_NS:
         return False
@@ -119,7 +119,7 @@ def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool
 
 
 def root(kind: str, device: str, *below: str) -> str:
-    """The entity of a device, whatever letters its name has."""
+    """The entity of a device, for any letters in its name."""
     return "/".join([kind, rr.escape_entity_path_part(device), *below])
 
 
@@ -135,7 +135,7 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
 
 
 def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[rr.ComponentColumn]:
-    """Every field of these but images, and what their entity and times say; all of one class and, if any, device."""
+    """Every field of these except images, and those of their entity and times; all of one class and, if any, device."""
     kind, found = type(items[0]), list[rr.ComponentColumn]()
     elsewhere = ("device",) * (kind in OF_DEVICES) + ("index",) * (kind in FRAMES)
     for name, column in to_columns(items, elsewhere + leave_out).items():
@@ -145,7 +145,7 @@ def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[r
 
 
 def prepare_costs(rows: Sequence[tuple[int, int | None, StageCost]]) -> Batch:
-    """What stages cost: `session` [ns], and `frame` where all are at one."""
+    """Costs of stages: `session` [ns], and `frame` if all are at one."""
     times_ns, frames, costs = zip(*rows, strict=True)
     at = [] if None in frames else [rr.TimeColumn("frame", sequence=frames)]
     batch = Batch()
@@ -161,7 +161,7 @@ def scalars(rows: Sequence[FloatArray]) -> Columns:
 
 
 def states(colors: Mapping[Any, Rgb]) -> rr.StateConfiguration:
-    """The colours of what a lane over time shows."""
+    """The colours of a lane over time."""
     return rr.StateConfiguration(values=list(map(str, colors)), colors=list(colors.values()))
 
 

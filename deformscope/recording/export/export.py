@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from deformscope.errors import InputError
 from deformscope.frames import Stream
+from deformscope.plain import plain
 from deformscope.recording.export.images import ExportedImages, Note, Videos, counted_images, export_images
 from deformscope.recording.export.table_files import IMAGES, TABLE_FILES, TableFile
 from deformscope.recording.lock import one_at_a_time
@@ -89,11 +90,15 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
     for device, what in counts:
         names[device, what] = _unused([f"{device}-{what}" if what == "color" else device], names.values())
     with _draft(asked.folder, overwrite=asked.overwrite) as draft:
-        images: list[ExportedImages] = []
+        images, files = list[ExportedImages](), list[ExportedFile]()
         match asked.to:
             case "images":
-                images = export_images(tables, counts, names, draft, note)
-                files = [ExportedFile(one.device, _inside(one.folder, draft), one.count) for one in images]
+                places = dict.fromkeys(counts, ".") if len(counts) == 1 else names
+                export_images(tables, {one: draft / place for one, place in places.items()}, note)
+                for (device, what), number in counts.items():
+                    place = places[device, what]
+                    files.append(ExportedFile(device, place, number))
+                    images.append(ExportedImages(device=device, what=what, folder=asked.folder / place, count=number))
             case "video":
                 cameras = {device for device, _ in counts}
                 chosen = {entity: one for entity, one in chosen.items() if one.device in cameras}
@@ -111,11 +116,8 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
             case _:
                 files = _write_tables(tables, chosen, draft, asked.to, about, note)
         about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
-        text = json.dumps(about, indent=2, default=dataclasses.asdict)
+        text = json.dumps(plain(about), indent=2, allow_nan=False)
         (draft / MANIFESTS[not asked.manifest]).write_text(f"{text}\n", encoding="utf-8")
-    images = [
-        ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
-    ]
     return Exported(asked.folder, files, images)
 
 
@@ -179,6 +181,11 @@ def _about(replay: Replay, asked: ExportRequest, tables: RecordingTables) -> dic
     found |= {"citation": asked.credits.citation, "anonymous": asked.anonymous}
     found |= {"clock": "host_ns: the host's monotonic clock", "session_starts_ns": tables.start_ns}
     found |= {"devices": {one.device: _device(one.about) for one in tables.streams.values() if one.about is not None}}
+    left_out = {"reason": "", "label": ""} if asked.anonymous else {}
+    found |= {"complete": bool(replay.outcome.get("complete")), "recovered": "recovered" in replay.outcome}
+    found |= {"stopped": "" if asked.anonymous else replay.outcome.get("stopped", ""), "losses": replay.losses}
+    found |= {"checked": replay.has_ledger}
+    found |= {"discarded": [dataclasses.asdict(one) | left_out for one in replay.discarded]}
     return found | {"provenance": exported(replay.properties, anonymous=asked.anonymous)}
 
 

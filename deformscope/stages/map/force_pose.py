@@ -13,7 +13,7 @@ NAMES = (*(f"F{axis} [N]" for axis in "xyz"), *(f"{axis} [m]" for axis in "xyz")
 
 @dataclass(frozen=True, slots=True)
 class ForcePose:
-    """What force sensor and arm gave of a touch.
+    """Readings of force sensor and arm of a touch.
 
     host_ns: (n,) when each force came, on the host's clock; values: (n, 9) force on the tip [N], position of its middle
     [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated between
@@ -29,7 +29,7 @@ def force_pose(host_ns: IntArray, force_n: FloatArray, state_ns: IntArray, T_sur
     """Forces (n, 3) [N] with the pose at their times: positions linearly, rotations along the shortest turn (slerp).
 
     state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation vector may be a whole turn from the one of at
-    most half a turn: it is the one nearest to the first, so that rows do not jump.
+    most half a turn. The one nearest to the first is returned, so that rows do not jump.
     """
     from scipy.spatial.transform import Rotation, Slerp
 

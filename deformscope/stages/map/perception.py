@@ -1,5 +1,5 @@
-"""What lies between the frames of an exploration and its estimates (Thesis chapter 4): which pixels were used, the
-surface under a touch, the error over beta, and what the fields were trained with."""
+"""Results between the frames of an exploration and its estimates (Thesis chapter 4): the pixels used, the surface under
+a touch, the error over beta, and the training data of the fields."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from deformscope.stages.see.pixel_labels import PixelMasks
 
 @dataclass(frozen=True, slots=True)
 class TrainedField:
-    """What a field of beta was trained with.
+    """Training data of a field of beta.
 
-    kernel: the likeliest, where several are averaged over; noise: deviation of a value beside its own
+    kernel: the likeliest, where several are averaged over; noise: standard deviation of a value in addition to its own
     place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
     """
 
@@ -34,7 +34,7 @@ class TrainedField:
 
 @dataclass(frozen=True, slots=True)
 class TouchSurface:
-    """The surface under a touch as a process of what was seen and of virtual tactile points (Thesis eq. 4.3, 4.4).
+    """The surface under a touch as a process of observed points and of virtual tactile points (Thesis eq. 4.3, 4.4).
 
     dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: by the process under touch
     """
@@ -46,8 +46,8 @@ class TouchSurface:
 
 @dataclass(frozen=True, slots=True)
 class LookPerception:
-    """What the surface before any touch was computed from. masks: None of a robot that gives points, not images
-    learned: by its process, from so many points without outliers"""
+    """Input of the surface before any touch. masks: None of a robot that gives points, not images
+    learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None
     learned: Hyperparameters
@@ -56,13 +56,13 @@ class LookPerception:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchPerception:
-    """What the estimate of a touch was computed from, and what it taught; each None where there is none.
+    """Input of a touch's estimate, and its training data; each None if missing.
 
     number: from 0; masks: of its depth images, but for those that showed nothing of the surface; surface: under it
     error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
     (eq. 4.6), least at its estimate; else of particles from the points that they stand for, while the estimate weighs
     these by their noise; estimate: beta of it, one of those tried
-    stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: what the field of beta was trained with
+    stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: training data of the field of beta
     """
 
     number: int
@@ -82,4 +82,4 @@ class TouchPerception:
 
 
 Perception = LookPerception | TouchPerception | ForcePose
-"""What `--detail full` records beside estimates and maps."""
+"""Content of `--detail full` besides estimates and maps."""

@@ -124,7 +124,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     def turn_3d(a_qq: square, change: square):
         """R - I of eq. 3.9 in space, for A_pq = a_qq + change.
 
-        Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the wanted maximum exactly when
+        Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the required maximum exactly when
         the gradient vanishes and tr(S) I - S is positive definite; if not, the leading eigenvector takes over.
         Second: the compliance (tr(S) I - S)^-1 of the rotation, 0 where none is preferred.
         """
@@ -183,7 +183,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def spanned(a: square, span_axes: square, span_count: int):
-        """What A makes of the axes that a flat cluster spans, and their metric (I beyond)."""
+        """A applied to the axes that a flat cluster spans, and their metric (I beyond)."""
         inside = a * span_axes  # columns beyond span_count are 0
         metric = wp.transpose(inside) * inside
         for k in range(wp.static(dim)):
@@ -193,7 +193,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def measured(a: square, span_axes: square, span_count: int):
-        """Volume, area or length of what the cluster spans, and its root: the length of a side."""
+        """Volume, area or length of a cluster's span, and its root: the length of a side."""
         measure = wp.determinant(a)
         if span_count < wp.static(dim):
             _inside, metric = spanned(a, span_axes, span_count)
@@ -205,7 +205,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
-        """Denominator of eq. 3.17 for what the cluster spans; kept away from 0."""
+        """Denominator of eq. 3.17 for the spanned axes; bounded away from 0."""
         _measure, root = measured(a, span_axes, span_count)
         return wp.max(theta * root + (one - theta), min_denominator)
 
@@ -332,7 +332,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def stretch_root(s: scalar, smallest: scalar, y: scalar):
-        """sqrt(s^2 + 4 mu) for mu = y (y - smallest), as a sum of what is never negative."""
+        """sqrt(s^2 + 4 mu) for mu = y (y - smallest), as a sum of terms that are never negative."""
         away = smallest - two * y
         return wp.sqrt(wp.max((s - smallest) * (s + smallest), zero) + away * away)
 
@@ -405,8 +405,8 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         """From b to the nearest matrix of measure 1 (`reference.project_measure`), less b, and its frame.
 
         Only the first span_count columns of b may differ from 0. With b + change = u diag(stretch) v^T, u and v proper,
-        change = mu u diag(1 / stretch) v^T over those columns. Returns change, u, v, stretch, mu: what `project_change`
-        needs. Finite for every b whose squares are.
+        change = mu u diag(1 / stretch) v^T over those columns. Returns change, u, v, stretch, mu: the input of
+        `project_change`. Finite for every b whose squares are.
         """
         u, s, v = singular_values(b)
         stretch, mu = nearest_stretches(s, span_count)
@@ -426,8 +426,8 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         With x = u^T dP v and m = u^T db v, dP that of the nearest matrix, from P - mu P^-T = b and d det P = 0:
         - x_ij + w x_ji = m_ij off the diagonal, w = mu / (s'_i s'_j): symmetric and antisymmetric part on their own
         - on it z_i = x_ii / s'_i has the sum 0 and (s'_i^2 + mu) z_i = s'_i m_ii + dmu
-        - x_ij (1 - mu / s'_j^2) = m_ij for directions i that a flat cluster does not span
-        Where one of these denominators vanishes two answers are equally near; there x is 0, the answer held as it is.
+        - x_ij (1 - mu / s'_j^2) = m_ij for directions i that a flat cluster does not span If one of these denominators
+        vanishes, two answers are equally near; there x is 0, and the answer does not change.
         """
         m = wp.transpose(u) * change * v
         x = square()

@@ -199,7 +199,7 @@ class GeneralOperator(Operator):
         return self._cluster_fields(self.strain, d * d).reshape(-1, self.body.cluster_count, d, d) + np.eye(d)
 
     def set_law(self, yield_strain: FloatArray, share: FloatArray, maximum: FloatArray) -> None:
-        """What `flow` goes by, (B,) each; share: of S - I that flows at once."""
+        """Parameters of `flow`, (B,) each; share: of S - I that flows at once."""
         self.law = [self.layout.each(each) for each in (yield_strain, share, maximum)]
 
     @functools.cached_property
@@ -219,7 +219,7 @@ class GeneralOperator(Operator):
         return moved, size
 
     def _pack(self, values: FloatArray) -> Field:
-        """(B, C, rows) as fields of clusters are laid out; the last candidate fills what is left of its group."""
+        """(B, C, rows) in the layout of cluster fields; the last candidate fills the rest of its group."""
         layout = self.layout
         rows = self.by_group(values).transpose(3, 0, 2, 1)
         host = np.zeros((values.shape[2], self.cluster_stride))

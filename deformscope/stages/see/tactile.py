@@ -1,4 +1,4 @@
-"""Where, over how much area and how hard a tactile sensor's pads are touched."""
+"""Place, area and force of contacts on a tactile sensor's pads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class TactileContact:
-    """What the pressures on each pad amount to.
+    """Summary of the pressures on each pad.
 
     center_m: (pads, 2) centre of pressure (x along the columns, y along the rows) from the outer corner of the pad's
     first texel [m], NaN without contact; area_m2: (pads,) of the texels in contact [m^2]
@@ -32,8 +32,8 @@ def tactile_contact(
     """Centre of pressure, contact area and force of every pad.
 
     pressure_pa: one (rows, columns) array a pad [Pa]; texel_m: (width, height) of each pad's texels [m]
-    threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa]
-    Raises InputError where pads and texel sizes do not match, and for pressures that are not finite.
+    threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa] Raises InputError if pads and texel
+    sizes do not match, and for pressures that are not finite.
     """
     if len(pressure_pa) != len(texel_m):
         raise InputError(f"a texel size for each of {len(pressure_pa)} pads", str(len(texel_m)))

@@ -1,4 +1,4 @@
-"""Where a camera stands and how its lens projects, from views of a ChArUco board that the arm carries."""
+"""Pose and projection of a camera, from views of a ChArUco board that the arm carries."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CameraEstimate:
 
 @dataclass(frozen=True, slots=True)
 class KnownLens:
-    """How a camera projects. focal_px, center_px: (x, y); distortion: OpenCV's k1, k2, p1, p2, k3"""
+    """Projection of a camera. focal_px, center_px: (x, y); distortion: OpenCV's k1, k2, p1, p2, k3"""
 
     focal_px: tuple[float, float]
     center_px: tuple[float, float]
@@ -40,8 +40,8 @@ def camera_from_views(
 ) -> CameraEstimate:
     """Camera, board and, unless it is known, the lens, from views with the arm's end (n, 4, 4) in each.
 
-    With the lens sought too, all of it is computed again without each view: what the lens leaves unknown is then in the
-    intervals of where the camera stands. Raises InputError as `lens` and `hand_eye` do.
+    If the lens is sought too, everything is computed again without each view: the camera's intervals then include the
+    lens's uncertainty. Raises InputError as `lens` and `hand_eye` do.
     """
     if len(T_base_ee) != len(views):
         raise InputError("a view for each pose", f"{len(views)} views, {len(T_base_ee)} poses")

@@ -1,7 +1,7 @@
 """Features made comparable and few: constant columns dropped, standardised, principal components (Thesis 2.4.2).
 
-All of it is fitted to the training side of a split alone, by scikit-learn; the test side is projected. What is fitted
-are arrays, so that a saved classifier answers without it.
+All of it is fitted to the training side of a split alone, by scikit-learn; the test side is projected. Fitted values
+are arrays, so that a saved classifier answers without the data.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ FLAT = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """What makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
+    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
 
     used: BoolArray
     mean: FloatArray
     scale: FloatArray
 
     def apply(self, features: FloatArray) -> FloatArray:
-        """(n, q) standardised columns of (n, p) features. What was not measured (NaN) becomes the mean."""
+        """(n, q) standardised columns of (n, p) features. Missing values (NaN) become the mean."""
         scaled: FloatArray = (features[:, self.used] - self.mean) / self.scale
         return np.nan_to_num(scaled, copy=False, nan=0.0)
 
@@ -47,9 +47,9 @@ def fit_scaling(features: FloatArray) -> Scaling:
 class Space:
     """Both sides of a split on the principal components of the training side, the largest variance first.
 
-    train: (n, d), test: (m, d) with d up to the rank of the training side: among these, distances between a test point
-    and training points differ from those between the standardised features by the same amount for all of them
-    kept: so many components hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
+    train: (n, d), test: (m, d) with d up to the rank of the training side. Distances between a test point and training
+    points differ from those between the standardised features by the same amount for all of them
+    kept: number of components that hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
     """
 
     train: FloatArray
@@ -64,7 +64,7 @@ class Space:
 
 
 def kept_of(variance: FloatArray, share: float = EXPLAINED) -> int:
-    """How many components hold that share of the variance; falling (d,) variances."""
+    """Number of components that hold that share of the variance; falling (d,) variances."""
     if not variance.size or not variance.sum() > 0.0:
         return 0
     return int(np.searchsorted(np.cumsum(variance) / variance.sum(), share - 1e-12) + 1)
@@ -88,9 +88,9 @@ def loadings(train: FloatArray) -> tuple[FloatArray, FloatArray]:
 def project(train: FloatArray, test: FloatArray, gram: FloatArray | None = None) -> Space:
     """(n, q) and (m, q) standardised features on the training side's components.
 
-    gram: (n + m, n + m) products of all rows, training first, where there are more columns than rows: it is cheaper
-    than the columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities is the
-    sum of theirs.
+    gram: (n + m, n + m) products of all rows, training first, for more columns than rows. It is cheaper than the
+    columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities is the sum of
+    theirs.
     """
     count, raw = train.shape
     if gram is None and raw <= count:

@@ -1,4 +1,4 @@
-"""What Kinova's library exchanges: C structures by their published layout, and the numbers that go into them.
+"""Data of Kinova's library: C structures by their published layout, and the numbers that go into them.
 
 Layouts are facts of the published headers (KinovaTypes.h, BSD-3), naturally aligned; sizes were checked against the
 library 5.2.0. Positions are metres and radians (ThetaX, ThetaY, ThetaZ turn about x, the new y, the new z), joints
@@ -22,7 +22,7 @@ ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
 
 
 class PositionType(IntEnum):
-    """What a trajectory point asks for.
+    """Kind of a trajectory point.
 
     CARTESIAN_POSITION: metres and radians, base frame; ANGULAR_POSITION: degrees
     CARTESIAN_VELOCITY: X, Y, Z in m/s in the base frame, ThetaX, ThetaY, ThetaZ in rad/s in the end effector's frame
@@ -38,13 +38,13 @@ class PositionType(IntEnum):
 
 
 class ShapeType(IntEnum):
-    """Of a protection zone; the header says of all others that they are not used."""
+    """Of a protection zone; the header states that all others are not used."""
 
     PRISM_SQUARE_BASE_Z = 2
 
 
 class HandMode(IntEnum):
-    """What a trajectory point asks of the fingers."""
+    """Finger command of a trajectory point."""
 
     NONE = 0
     POSITION = 1
@@ -52,7 +52,7 @@ class HandMode(IntEnum):
 
 
 class RetractType(IntEnum):
-    """What the arm says of being at home ("ready"), in `QuickStatus`."""
+    """Status of the home pose ("ready"), in `QuickStatus`."""
 
     NORMAL_TO_READY = 0
     READY_STANDBY = 1
@@ -187,7 +187,7 @@ class EthernetCommConfig(ctypes.Structure):
 
 
 class GeneralInformations(ctypes.Structure):
-    """Nearly everything that the arm knows of itself; only what the header documents is worth reading."""
+    """Nearly all information of the arm; only documented fields of the header are useful."""
 
     _fields_ = [
         *_alike(c_double, "TimeAbsolute TimeFromStartup"),
@@ -223,7 +223,7 @@ class ZoneShape(ctypes.Structure):
 
 
 class Zone(ctypes.Structure):
-    """Where the hand may move no faster than its limitation; 0 = not at all."""
+    """Box in which the hand may move no faster than its limitation; 0 = not at all."""
 
     _fields_ = [
         *_alike(c_int, "ID Expansion1"),

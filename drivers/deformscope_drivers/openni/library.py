@@ -1,6 +1,6 @@
 """OpenNI2's C interface, as much of it as reading a depth camera takes, through ctypes.
 
-The Python bindings on PyPI (`openni`, `primesense`) wrap the same functions; both call `oniShutdown` when the
+The Python bindings on PyPI (`openni`, `primesense`) wrap the same functions. Both call `oniShutdown` when the
 interpreter ends, which crashes (measured with Debian's 2.2.0.33), and need a file name that Debian does not have.
 Nothing here is called in the process that records.
 Sources: OpenNI2's public headers OniCAPI.h, OniCTypes.h, OniCEnums.h, OniCProperties.h (Apache-2.0).
@@ -22,7 +22,7 @@ API_VERSION = 2002  # OpenNI 2.2
 SONAME = "libOpenNI2.so.0"
 LIBRARY_NAME = "libOpenNI2.so"
 REDIST = "OPENNI2_REDIST"
-"""Where the vendor's installer says that it put the library."""
+"""Place of the library by the vendor's installer."""
 INSTALL = "sudo apt-get install -y libopenni2-0"
 
 OK = 0
@@ -162,7 +162,7 @@ class Openni:
         return OpenniDevice(self, handle, uri)
 
     def take_events(self) -> list[tuple[str, int]]:
-        """What happened to cameras since the last call: ("disconnected", 0) or ("state", number)."""
+        """Events of cameras since the last call: ("disconnected", 0) or ("state", number)."""
         events, self._events = self._events, []
         return events
 
@@ -266,7 +266,7 @@ class OpenniStream:
         return bool(value.value) if status == OK else None
 
     def frame_count(self) -> int | None:
-        """How many frames a recording has; None for a camera."""
+        """Number of frames of a recording; None for a camera."""
         value, size = c_int(), c_int(sizeof(c_int))
         number = StreamProperty.NUMBER_OF_FRAMES
         status = self._lib.oniStreamGetProperty(self.handle, number, byref(value), byref(size))
@@ -311,12 +311,12 @@ class OpenniStream:
 
 
 def pixel_bytes(pixel_format: int) -> int:
-    """How many bytes a pixel takes."""
+    """Bytes per pixel."""
     return 3 if pixel_format == PixelFormat.RGB888 else 2
 
 
 def load(library: str = "") -> ctypes.CDLL:
-    """Load OpenNI2; raises LibraryMissing. It finds its drivers in `OpenNI2/Drivers` beside itself."""
+    """Load OpenNI2; raises LibraryMissing. It finds its drivers in `OpenNI2/Drivers` in its own folder."""
     tried = _candidates(library)
     for path in tried:
         try:

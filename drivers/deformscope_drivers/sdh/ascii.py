@@ -32,7 +32,7 @@ _ERROR = re.compile(r"E(\d{1,3})")
 
 
 class BadLine(ValueError):
-    """A line that the protocol does not know; `reason` is a word or two."""
+    """A line that is not in the protocol; `reason` is a word or two."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -40,7 +40,7 @@ class BadLine(ValueError):
 
 
 def encode_command(command: Command) -> bytes:
-    """The line of a command. Raises ValueError for what the protocol has no words for; limits are not looked at."""
+    """The line of a command. Raises ValueError for a command outside the protocol; limits are not checked."""
     name, values, axis = command.name, command.values, command.axis
     if name not in CODES:
         raise ValueError(f"the hand has no command {name!r}")
@@ -61,7 +61,7 @@ def encode_command(command: Command) -> bytes:
 
 
 def decode_command(line: str) -> Command:
-    """What the host asks, seen by the hand. Raises BadLine."""
+    """The host's command, decoded by the hand. Raises BadLine."""
     name, axis, text = _parts(line)
     return Command(name, _numbers(text), axis)
 
@@ -93,7 +93,7 @@ def _shown(name: str, index: int, value: float, decimals: int) -> str:
 
 
 def decode_reply(line: str) -> Event:
-    r"""What a line of the hand's says; without \r and \n. Raises BadLine."""
+    r"""Content of a line of the hand's; without \r and \n. Raises BadLine."""
     if line.startswith("@"):
         return DebugLine(line[1:])
     if error := _ERROR.fullmatch(line):
