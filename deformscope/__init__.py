@@ -6,8 +6,8 @@
     table = ds.explore("lab:two-60-150", seed=3)
     print(tension, table, sep="\\n")
 
-Every function raises `deformscope.InputError` for what cannot be used; every result prints as a table, has `to_dict()`
-(the JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is asked for.
+Every function raises `deformscope.InputError` for unusable input. Every result prints as a table, has `to_dict()` (the
+JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is used.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ _NAMES = {
     "version": "__version__",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
-"""The module of each name, imported when the name is first asked for."""
+"""The module of each name, imported at the first use of the name."""
 
 __all__ = [
     "CalibrationResult",

@@ -1,5 +1,5 @@
-"""`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, how stiff each place
-is, the strain at which a thing yields, and what of it relaxes.
+"""`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, relative stiffness of
+each place, yield strain, and relaxing share of the modulus.
 
 deformscope calibrate both pair.npz --picture both.png --json -
 deformscope calibrate both poke1.npz poke2.npz --joint --record both.rrd
@@ -41,7 +41,7 @@ from deformscope.stages.msm.solver import pick_device
 
 
 def both(config: BothConfig) -> None:
-    """`calibrate both`: each pair by itself, or all together."""
+    """`calibrate both`: each pair alone, or all together."""
     quiet_warp()
     device = pick_device(config.fit.device)
     model = Model(basis=config.mode, cluster_size=config.cluster_size or None, volume="project", device=device)
@@ -85,7 +85,7 @@ def run(config: MaterialOptions) -> int:
 
 
 def _pairs(config: BothConfig) -> tuple[list[tuple[str, bytes]], list[Observation]]:
-    """The files, by name and content, and what they hold."""
+    """The files, by name and content, and their pairs."""
     raws = [(one, read_file(one, "a pair file (.npz)")) for one in config.sources]
     seen = [parse_pair(raw, name, noise_m=config.fit.noise_m) for name, raw in raws]
     for remark in size_notes([one.rest for one in seen]):

@@ -26,14 +26,14 @@ from deformscope.recording.reader import Replay, check_magic
 if TYPE_CHECKING:
     from deformscope.recording.stages import RecordedStage
 
-WHOLE = "every byte is as it was recorded"
+WHOLE = "all bytes are as recorded"
 SHOWN_LETTERS = 90
 """Of what a recording says."""
-UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
+UNCHECKED = "not checked, because there is no ledger: a flipped bit would not be detected"
 
 
 class Damaged(InputError):
-    """The recording is not what it was, or was never finished."""
+    """The recording has changed, or was never finished."""
 
 
 def run(config: VerifyConfig) -> int:
@@ -44,7 +44,7 @@ def run(config: VerifyConfig) -> int:
         hint = f"the unfinished one: {part}" if part is not None else ""
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
     if is_being_written(path):
-        raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
+        raise InputError("a finished recording", "one that a run is writing", "again after the run", path)
     check = _check(path)
     if check is None:
         check_magic(path)
@@ -88,13 +88,11 @@ def run(config: VerifyConfig) -> int:
         found["privacy"] = _list_private(path)
     write_json(found, config.json)
     if problems:
-        hint = f"an intact copy, or what can be read of it: deformscope recover {path}"
+        hint = f"an intact copy, or its readable part: deformscope recover {path}"
         raise Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
     if unfinished:
-        kept = f"everything{reached} is there" if reached else "its readable part is there"
-        raise Damaged(
-            "a recording that was finished", f"one of a run cut short; {kept}", f"deformscope recover {path}", path
-        )
+        kept = f"everything{reached} is there" if reached else "its readable part exists"
+        raise Damaged("a finished recording", f"one of an interrupted run; {kept}", f"deformscope recover {path}", path)
     return _name_losses(facts, checked=differs is not None, reached=reached)
 
 
@@ -107,23 +105,23 @@ def _list_stages(path: Path) -> list[RecordedStage]:
     show(*map(table_text, stage_tables(stages)))
     say(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
     if not any(one.computed for one in stages):
-        say("costs: not recorded, as before they were measured, and in deterministic recordings")
+        say("costs: not recorded, as in older and in deterministic recordings")
     return stages
 
 
 def _list_private(path: Path) -> dict[str, str]:
-    """Print what it says of people and machines, by its place."""
+    """Print information on people and machines, by its place."""
     from deformscope.recording.streams import RecordingTables
 
     replay = Replay(path, trust=True)
     found = left_out(replay.properties) | RecordingTables(replay).left_out()
     lines = {place: textwrap.shorten(said, SHOWN_LETTERS, placeholder=" ...") for place, said in found.items()}
-    show_table("what it says of people and machines (export --anonymous leaves it out)", [*lines.items()])
+    show_table("information on people and machines (export --anonymous leaves it out)", [*lines.items()])
     return found
 
 
 def _check(path: Path) -> LedgerCheck | None:
-    """The recording beside its ledger; None = there is no ledger."""
+    """The recording checked by its ledger; None without a ledger."""
     try:
         return check_recording(path)
     except FileNotFoundError:
@@ -135,7 +133,7 @@ def _bytes(check: LedgerCheck) -> str:
         return "TRUNCATED" + (" and DIFFERS" if check.damaged else "")
     if check.problems:
         return "DIFFERS"
-    return WHOLE if check.ended else f"as they were recorded up to the last commit (byte {check.committed})"
+    return WHOLE if check.ended else f"as recorded up to the last commit (byte {check.committed})"
 
 
 def _rows(
@@ -149,7 +147,7 @@ def _rows(
 ) -> list[tuple[str, str]]:
     ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
     if "recovered" in facts.outcome:
-        ended = f"recovered from {facts.outcome['recovered']}, which was cut short"
+        ended = f"recovered from {facts.outcome['recovered']}, which was truncated"
     stopped = facts.outcome.get("stopped")
     devices = {name.rsplit("/", 1)[0] for name in counts if name.endswith("/frames")} | set(facts.losses)
     return [
@@ -168,9 +166,9 @@ def _name_losses(facts: Facts, *, checked: bool, reached: str) -> int:
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")
     if "recovered" in facts.outcome:
-        remarks.append(f"it was recovered{reached}: what came after is lost")
+        remarks.append(f"it was recovered{reached}: later data are lost")
     if not checked:
-        remarks.append("it has no ledger: whether its bytes are as they were recorded is not known")
+        remarks.append("it has no ledger: changed bytes cannot be detected")
     for line in remarks:
         say(f"deformscope: {line}")
     return EXIT_LOSSES if remarks else 0

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SUFFIXES = (".npz", ".csv", ".parquet")
-HOW = "`Tables` in docs/containers.md"
+HOW = "`Tables` in docs/reference/trial-tables.md"
 ABOUT = ("label", "group", "kind", "trial")
 """Columns about a trial; every other one is a feature."""
 SERIES = "series."
@@ -183,4 +183,4 @@ def _parquet(raw: bytes) -> pa.Table:
     try:
         return parquet.read_table(pa.BufferReader(raw))
     except (pa.ArrowException, OSError) as error:
-        raise InputError("a Parquet table", "a file that is none, or damaged", HOW) from error
+        raise InputError("a Parquet table", "a damaged file, or one of another kind", HOW) from error

@@ -22,7 +22,7 @@ from deformscope.runs.result import LibraryResult
 
 
 class OpenRecording(LibraryResult):
-    """A recording of ours: settings, frames and results, read when they are asked for.
+    """A recording of ours: settings, frames and results, read on demand.
 
     path: of the file; its bytes were compared with its ledger when it was opened
     """
@@ -95,7 +95,7 @@ class OpenRecording(LibraryResult):
         return found | {"discarded": self.discarded()}
 
     def tables(self) -> tuple[Table, ...]:
-        rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was cut short")))]
+        rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was interrupted")))]
         rows += [(name, cell_text(value)) for name, value in self.outcome.items() if name in ("stopped", "complete")]
         rows += [("discarded", str(one)) for one in self.discarded()]
         rows += [

@@ -618,14 +618,14 @@ def test_without_its_packages_mcap_is_refused_in_one_line(
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb"])
 def test_the_plots_in_the_docs_are_drawn(library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip(library)
-    page = (RECORDINGS.parent / "docs" / "recording.md").read_text(encoding="utf-8")
-    (script,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f'"{library}.png"' in one)
+    page = (RECORDINGS.parent / "docs" / "howto" / "tables-from-recordings.md").read_text(encoding="utf-8")
+    (script,) = (one for one in re.findall(r"```python[^\n]*\n(.*?)```", page, re.DOTALL) if f'"{library}.png"' in one)
     assert len([line for line in script.splitlines() if line]) <= 10
     exported(EXPLORED, "parquet", tmp_path / "tables", only=("exploration/touch",))
     monkeypatch.chdir(tmp_path)
     plt = pytest.importorskip("matplotlib.pyplot")
     plt.switch_backend("agg")
-    exec(compile(script, "docs/recording.md", "exec"), {})
+    exec(compile(script, "docs/howto/tables-from-recordings.md", "exec"), {})
     (drawn, *_) = plt.gcf().axes
     shown = [line.get_xydata() for line in drawn.lines] or [one.get_offsets() for one in drawn.collections]
     plt.close("all")
