@@ -24,7 +24,7 @@ from deformscope.recording.target import remove_strays
 
 
 def run(config: RecoverConfig) -> None:
-    """Write what can be read of a recording as a new one, with its ledger. The original is only read."""
+    """Write the readable part of a recording as a new one, with its ledger. The original is only read."""
     path = config.recording
     out = config.out or path.with_name(f"{path.stem.split('.part')[0]}.recovered.rrd")
     _check(path, out)
@@ -67,7 +67,7 @@ def _refuse_existing(out: Path) -> None:
 
 
 def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
-    """What the run could not write at its end."""
+    """Data that the run could not write at its end."""
     write_outcome(
         ending,
         facts.application,

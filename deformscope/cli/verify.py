@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 WHOLE = "all bytes are as recorded"
 SHOWN_LETTERS = 90
-"""Of what a recording says."""
+"""Content of a recording."""
 UNCHECKED = "not checked, because there is no ledger: a flipped bit would not be detected"
 
 
@@ -161,7 +161,7 @@ def _rows(
 
 
 def _name_losses(facts: Facts, *, checked: bool, reached: str) -> int:
-    """Name what is not as it should be of a recording that can be read whole."""
+    """Name the faults of a recording that is readable to its end."""
     remarks = []
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")
