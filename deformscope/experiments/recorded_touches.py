@@ -237,7 +237,8 @@ class RecordedTouches(AtOnce):
             for one in touched
             for ns, ticks in zip(one.used.wrench_ns, one.used.wrench_ticks, strict=True)
         )
-        self._given, self.asked = list(given), lambda: False
+        self._given = list(given)
+        self.asked: Callable[[], bool] = lambda: False
         super().__init__(RecordedRobot(self._given))
         self.left_out, self._source = left_out, source
         source.until_ns = source.start_ns
