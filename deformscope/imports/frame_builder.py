@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -201,7 +202,7 @@ class FrameBuilder:
     def values(self, row: Mapping[str, Any], name: str, kind: Any = np.float64, size: int | None = None) -> Any:
         """A field's values, flat, NaN for real ones that are empty; without its columns, `size` times no number. Raises
         KeyError where that is None too."""
-        columns = columns_of(name, row)
+        columns = _columns_of(name, tuple(row))
         is_empty = all(row[one] is None for one in columns)
         if not columns or (is_empty and (columns == [name] or kind is not np.float64)):
             if size is None:
@@ -210,6 +211,10 @@ class FrameBuilder:
         if columns == [name]:
             return np.asarray(row[name], kind).ravel()
         return np.array([np.nan if row[one] is None else row[one] for one in columns], kind)
+
+
+_columns_of = lru_cache(columns_of)
+"""All rows of a stream have the same columns."""
 
 
 def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:

@@ -190,7 +190,7 @@ def test_an_mcap_of_a_newer_version_is_refused(tmp_path: Path, capfd: pytest.Cap
     path = tmp_path / "r.mcap"
     with path.open("wb") as file:
         made = writer.Writer(file)
-        made.start()
+        made.start(profile="ros2")
         made.add_metadata("deformscope", {"schema_version": "2"})
         made.finish()
     pytest.importorskip("rosbags")

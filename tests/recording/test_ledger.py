@@ -292,8 +292,11 @@ def test_discards_at_once_are_all_there(old: bool, tmp_path: Path, monkeypatch: 
     assert {one["reason"] for one in read_discards(path)} == set("0123")
 
 
-def test_a_discard_that_is_cut_off_is_noticed(sample: Path) -> None:
+def test_a_discard_that_is_cut_off_is_noticed(tmp_path: Path) -> None:
     """At the end of a line, as of any other: the last says that the ledger is whole."""
+    sample = tmp_path / "run.rrd"
+    shutil.copy(SAMPLE, sample)
+    write_ledger(sample)
     for reason in ("it slipped", "wrong foam"):
         add_discard(sample, {"reason": reason})
     path = ledger_path(sample)
