@@ -138,23 +138,15 @@ def calibrate(
     )
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
-    identified = identifiability(seen, comparisons, inferred)
+    known = identifiability(seen, comparisons, inferred)
     noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
     rank = inferred.posterior.rank(value) if model.version > 1 else None
     numbers = found_in_numbers(
-        model.parameter,
-        value,
-        ends,
-        bounds,
-        identified,
-        converged=converged,
-        noise=noise,
-        rank=rank,
-        version=model.version,
+        model.parameter, value, ends, bounds, known, converged=converged, noise=noise, rank=rank, version=model.version
     )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
-    here = [setting(seen, model, identified.misfit, inferred.noise)] if model.parameter == "theta" else []
+    here = [setting(seen, model, known.misfit, inferred.noise)] if model.parameter == "theta" else []
     reasons = ordered([*numbers, *shown, *here, *held_off(seen, stated)])
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
@@ -164,7 +156,7 @@ def calibrate(
         interval=ends,
         level=options.level,
         bounds=bounds,
-        verdict=verdict(ends, bounds, identified, reasons),
+        verdict=verdict(ends, bounds, known, reasons),
         stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
         aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
         aee_free=float(free.mean()),
@@ -177,7 +169,7 @@ def calibrate(
         contact_stiffness=None if one_motion else contact_stiffness(seen, options.level),
         metres_per_unit=seen[0].metres_per_unit,
         posterior=inferred.posterior,
-        identifiability=identified,
+        identifiability=known,
         reasons=reasons,
     )
     return Calibration(estimate, comparisons, inferred, left_out)
