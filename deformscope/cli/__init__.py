@@ -92,14 +92,14 @@ COMMANDS: dict[str, Command] = {
     "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
     "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
     "replay": _command("the same stages on recorded inputs, compared", "ReplayConfig", "replay"),
-    "verify": _command("whether a recording is whole", "VerifyConfig", "verify"),
+    "verify": _command("whether a recording is whole", "VerifyConfig", "recordings", "verify"),
     "report": _command("the figures of a recording, as a page", "ReportConfig", "report"),
     "catalog": _command("the recordings of a folder: listed, filtered", "CatalogConfig", "catalog"),
     "catalog compare": _command("how two recordings differ", "CompareConfig", "catalog", "compare"),
     "sweep": _command("a command on every file of a folder", "SweepConfig", "sweep"),
-    "export": _command("a recording in formats of others", "ExportConfig", "export"),
+    "export": _command("a recording in formats of others", "ExportConfig", "recordings", "export"),
     "import": _command("data of others as a recording", "ImportConfig", "import_data"),
-    "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recover"),
+    "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recordings", "recover"),
     "discard": _command(
         "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
     ),

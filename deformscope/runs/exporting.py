@@ -1,20 +1,17 @@
-"""`deformscope export`: a recording in formats of others.
-
-deformscope export r.rrd --to parquet --out tables
-deformscope export r.rrd --to mcap --out bag --only wrench arm
-deformscope export r.rrd --images frames --camera front
-"""
+"""A recording in formats of others: what `deformscope export` writes."""
 
 from __future__ import annotations
 
-from deformscope.cli.common import fit_progress, show_table, write_json
 from deformscope.config import ExportConfig
+from deformscope.pictures.report import Table
 from deformscope.recording.export.export import Credits, ExportRequest, export
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import SCHEMA_VERSION
+from deformscope.runs.result import FoundResult
+from deformscope.terminal import Progress
 
 
-def run(config: ExportConfig) -> None:
+def export_recording(config: ExportConfig, progress: Progress) -> FoundResult:
     """Write it, and list what was written."""
     asked = ExportRequest(
         to=config.format,
@@ -26,12 +23,11 @@ def run(config: ExportConfig) -> None:
         overwrite=config.overwrite,
         manifest=config.to is not None,
     )
-    with fit_progress() as note:
-        found = export(Replay(config.recording), asked, note)
+    found = export(Replay(config.recording), asked, progress)
     if config.format == "images":
         rows = [(f"{one.what} of {one.device}", f"{one.count} in {one.folder}") for one in found.images]
     else:
         rows = [(one.entity, f"{one.rows} in {found.folder / one.file}") for one in found.files]
-    show_table(str(config.recording), rows)
     said = {"recording": config.recording, "schema_version": SCHEMA_VERSION, "format": config.format}
-    write_json(said | {"folder": found.folder, "images": found.images, "files": found.files}, config.json)
+    said |= {"folder": found.folder, "images": found.images, "files": found.files}
+    return FoundResult(said, (Table(rows, caption=str(config.recording)),))
