@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -16,6 +17,7 @@ from tests.executor.test_tasks import paths_of_tests
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 PLAIN = [*TUTORIALS, *sorted((DOCS / "explanation").glob("*.md"))]
 PLAIN += [DOCS / f"{name}.md" for name in ("index", "glossary", "troubleshooting", "upgrading")]
 BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
@@ -51,7 +53,10 @@ def test_every_page_stands_in_the_navigation() -> None:
     )
 
     assert {page_name(page) for page in DOCS.rglob("*.md")} == {
-        one for one in named if not one.startswith("reference/")
+        one for one in named if not one.startswith(("reference/", "notebooks/"))
+    }
+    assert {page_name(page.with_suffix(".md")) for page in NOTEBOOKS} == {
+        one for one in named if one.startswith("notebooks/")
     }
 
 
@@ -71,6 +76,36 @@ def test_a_tutorial_runs_as_typed(page: Path, tmp_path: Path) -> None:
             assert ended.returncode == 0, f"{command[-1]}: {ended.stderr[-2000:]}"
             run += 1
     assert run >= 3
+
+
+def test_notebooks_are_small_and_have_pictures() -> None:
+    assert len(NOTEBOOKS) == 5
+    for path in NOTEBOOKS:
+        assert path.stat().st_size < 250_000
+        assert '"image/png"' in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=page_name)
+def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a kernel of its own, in an empty folder; each cell draws as many pictures as the one that ships."""
+    pytest.importorskip("ipykernel", reason="notebooks need pip install 'deformscope[notebooks]'")
+    client = pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat")
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    ships = nbformat.read(path, 4)
+    notebook = nbformat.read(path, 4)
+
+    client.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
+
+    for cell, before in zip(notebook.cells, ships.cells, strict=True):
+        if cell.cell_type == "code":
+            assert pictures(cell) == pictures(before), cell.source
+
+
+def pictures(cell: Any) -> int:
+    return sum("image/png" in one.get("data", {}) for one in cell.outputs)
 
 
 def test_messages_of_the_troubleshooting_page_are_the_programs() -> None:

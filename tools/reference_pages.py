@@ -2,7 +2,7 @@
 
     python tools/reference_pages.py commands     # print one page
 
-Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
+Notebooks become pages. Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
 keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Files outside
 `docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
 """
@@ -14,6 +14,7 @@ import dataclasses
 import importlib
 import inspect
 import io
+import json
 import os
 import pkgutil
 import re
@@ -40,6 +41,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     for name, make in PAGES.items():
         files.append(File.generated(config, f"reference/{name}.md", content=make()))
+    for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=notebook(path)))
     linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
     for path in sorted(linked):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
@@ -50,6 +53,29 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Let links to files outside `docs/` lead to their copies."""
     above = "../" * page.file.src_uri.count("/")
     return OUTSIDE.sub(rf"]({above}files/\1", markdown)
+
+
+# Notebooks ------------------------------------------------------------------------------------------------------------
+
+
+def notebook(path: Path) -> str:
+    """A notebook as Markdown, with what its cells gave; pictures are within the page."""
+    parts = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(source)
+            continue
+        parts.append(f"```python\n{source}\n```")
+        for one in cell["outputs"]:
+            if "text" in one:
+                parts.append(f"```text\n{''.join(one['text']).rstrip()}\n```")
+            elif picture := one.get("data", {}).get("image/png"):
+                parts.append(f"![What the cell above draws](data:image/png;base64,{''.join(picture.split())})")
+            elif "text/plain" in one.get("data", {}):
+                parts.append(f"```text\n{''.join(one['data']['text/plain'])}\n```")
+    title, *rest = parts[0].split("\n\n", 1)
+    return "\n\n".join([title, f"[Download this notebook]({path.name})", *rest, *parts[1:]]) + "\n"
 
 
 # Commands ------------------------------------------------------------------------------------------------------------
