@@ -2,9 +2,9 @@
 
     python tools/reference_pages.py commands     # print one page
 
-Notebooks become pages. Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
-keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Files outside
-`docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
+Notebooks become pages. Commands come from their own help, recordings from the classes that are recorded, quantities from
+their declaration, keys of a rig file from its sections, and the functions of Python from their docstrings
+(mkdocstrings). Files outside `docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
 """
 
 from __future__ import annotations
