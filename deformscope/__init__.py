@@ -6,8 +6,8 @@
     table = ds.explore("lab:two-60-150", seed=3)
     print(tension, table, sep="\\n")
 
-Every function raises `deformscope.InputError` for what cannot be used; every result prints as a table, has `to_dict()`
-(the JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is asked for.
+Every function raises `deformscope.InputError` for unusable input. Every result prints as a table, has `to_dict()` (the
+JSON of the command line), and shows its pictures in a notebook. Nothing heavy is loaded before it is used.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from deformscope.runs.classification import ClassificationResult
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.exporting import ExportResult
     from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import PredictionResult
@@ -78,6 +79,7 @@ _NAMES = {
     "runs.replay_result": "ReplayResult",
     "runs.squeeze_result": "SqueezeResult",
     "runs.sweep": "SweepResult",
+    "runs.exporting": "ExportResult",
     "runs.result": "FoundResult",
     "runs.joint_calibration": "JointResult",
     "runs.materials": "MaterialResult",
@@ -89,7 +91,7 @@ _NAMES = {
     "version": "__version__",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
-"""The module of each name, imported when the name is first asked for."""
+"""The module of each name, imported at the first use of the name."""
 
 __all__ = [
     "CalibrationResult",
@@ -97,6 +99,7 @@ __all__ = [
     "ClassificationResult",
     "ComparedRecordings",
     "ExplorationResult",
+    "ExportResult",
     "FoundResult",
     "InputError",
     "JointResult",

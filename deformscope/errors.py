@@ -8,15 +8,15 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-
 
 
 def printable(text: str) -> str:
-    """Text of files, devices and paths for a terminal or a page: what controls one, reverses its direction, or is not
-    UTF-8 becomes an escape, as in Python's `repr`; line breaks and tabs stay."""
+    """Text of files, devices and paths for a terminal or a page. Characters that control one, reverse its direction, or
+    are not UTF-8 become escapes, as in Python's `repr`; line breaks and tabs stay."""
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class InputError(Exception):
     """Something a user gave cannot be used.
 
-    The message says, in one line, what was expected, what came, and what to try; a path comes last.
+    The message has, in one line, the expectation, the actual value, and what to try; a path comes last.
     """
 
     def __init__(self, expected: str, came: str, try_this: str = "", where: object = "") -> None:
@@ -35,5 +35,5 @@ class InputError(Exception):
         return made
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Between processes the message goes as it is."""
+        """Between processes the message is unchanged."""
         return type(self).about, (Exception(str(self)), "")

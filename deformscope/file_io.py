@@ -16,8 +16,8 @@ SAMPLE_SCHEME = "sample:"
 
 
 def resolve(path: str | Path) -> Path:
-    """`sample:NAME` becomes the sample's file, or the folder of its images, `sample:NAME/FILE` one of these; anything
-    else stays what it is."""
+    """`sample:NAME` becomes the sample's file, or the folder of its images; `sample:NAME/FILE` becomes one of these
+    images; any other text is unchanged."""
     text = str(path)
     if not text.startswith(SAMPLE_SCHEME):
         return Path(path).expanduser()
@@ -55,7 +55,7 @@ def read_file(path: str | Path, what: str) -> bytes:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes the place of `path` when it is complete; on an error `path` stays as it was."""
+    """A file that replaces `path` when it is complete; an error leaves `path` unchanged."""
     if path.exists() and not path.is_file():  # a device or a pipe cannot be replaced, only written to
         with path.open("wb") as stream:
             yield stream
@@ -89,8 +89,8 @@ _named: set[Path] = set()
 
 
 def new_recording(folder: Path, name: str, suffix: str = ".rrd") -> Path:
-    """A path in the folder, made where it is not there, that nobody took: neither an earlier run, nor another that goes
-    on, nor this one a moment ago. NAME-<stamp>.rrd"""
+    """An unused path in the folder, which is made if missing: not of an earlier run, nor of another present one, nor of
+    this one a moment ago. NAME-<stamp>.rrd"""
     make_folder(folder)
     first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}{suffix}"
     for number in range(1, 100):

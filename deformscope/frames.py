@@ -1,7 +1,7 @@
 """What travels from devices, files and recordings to experiments and into recordings: stamped and frozen.
 
-Every frame says when it was taken (`stamp`), which device it is from (`device`, its name in the rig) and its place in
-that device's stream (`index`, from 0; a place that is missing was lost).
+Every frame has its time (`stamp`), its device (`device`, its name in the rig) and its index in that device's stream
+(`index`, from 0; a missing index was lost).
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class LinkChange:
 
 @dataclass(frozen=True, slots=True)
 class HealthReport:
-    """One look at all devices. host_ns: when [ns]; devices: by name"""
+    """The health of all devices at one time. host_ns: when [ns]; devices: by name"""
 
     host_ns: int
     devices: tuple[tuple[str, Health], ...]
@@ -156,9 +156,9 @@ class HealthReport:
 
 @dataclass(frozen=True, slots=True)
 class SessionNote:
-    """What a person remarked while the devices went on, or what was noticed. host_ns: when [ns]; text: a note in words,
-    an episode's label, the device that was tared, an alarm of a sensor (`deformscope.rig.alarms`), why a stage gives
-    nothing, or why an episode (the newest that began) or the whole recording is discarded"""
+    """A person's remark during the recording, or a detected event. host_ns: when [ns]; text: a note in words, an
+    episode's label, the name of a tared device, an alarm of a sensor (`deformscope.rig.alarms`), or the reason for a
+    stage without results. Also the reason why an episode (the newest that began) or the whole recording is discarded"""
 
     host_ns: int
     about: NoteKind
@@ -189,9 +189,9 @@ class UsedFrames:
 
 @dataclass(frozen=True, slots=True)
 class StageResult:
-    """What a stage computed from the newest frames while the devices went on.
+    """A stage's result from the newest frames, during the recording.
 
-    stage: its name; used: what it was computed from, the frame that it belongs to last
+    stage: its name; used: its input frames, the frame that it belongs to last
     host_ns: when that frame was taken, on the host's clock [ns]
     skipped: frames of that frame's device since the result before that nothing was computed from: newer ones came
     late_s: from when the frame was taken until the result was there [s]
@@ -211,7 +211,7 @@ class StageCost:
     """What a computation took, without what was measured within it as other stages.
 
     stage: its name; wall_ms: on a clock; cpu_ms: of the thread that computed
-    behind_ms: at how long before the newest frame its result stands, None where frames wait for it
+    behind_ms: delay of its result behind the newest frame, None if frames wait for it
     """
 
     stage: str
@@ -222,7 +222,7 @@ class StageCost:
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """An input that is no frame. content: the bytes of a file as they are; of a mask, its PNG"""
+    """An input that is no frame. content: the bytes of a file; of a mask, its PNG"""
 
     name: str
     content: bytes

@@ -43,7 +43,7 @@ def decode_image(encoded: bytes, where: object) -> ImageArray:
     except cv2.error as error:
         raise InputError("an image", "one that cannot be decoded", "write the file again", where) from error
     if image is None:
-        raise InputError("an image", "a damaged, cut or unknown file", "write the file again", where)
+        raise InputError("an image", "a damaged, truncated or unknown file", "write the file again", where)
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError("8 or 16 bits a channel", f"{image.dtype}", "convert it to 8 or 16 bits", where)
     pixels: ImageArray = image if image.dtype == np.uint8 else image.view(np.uint16)  # type: ignore[assignment]
@@ -53,7 +53,7 @@ def decode_image(encoded: bytes, where: object) -> ImageArray:
 def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
     """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small.
 
-    noisy: from a sensor, hence without repetitions to look for: half the time and no more bytes
+    noisy: from a sensor, hence without repetitions for the compressor: half the time and no more bytes
     """
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1, *(NOISY if noisy else ())]
@@ -64,7 +64,7 @@ def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
 
 
 def encode_jpeg(image: ImageArray) -> bytes:
-    """(H, W) grey or (H, W, 3) RGB uint8 as JPEG of quality 90: small, fast, and not quite what it was."""
+    """(H, W) grey or (H, W, 3) RGB uint8 as JPEG of quality 90: small, fast, with losses."""
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     return cv2.imencode(".jpg", np.ascontiguousarray(swapped), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
@@ -93,7 +93,7 @@ def _bare_png(encoded: bytes, where: object) -> bytes:
         length, kind = struct.unpack(">I4s", head) if len(head) == 8 else (0, b"")
         chunk = encoded[place : place + 12 + length]
         if len(head) < 8 or len(chunk) < 12 + length:
-            raise InputError("a whole PNG image", "one that is cut off", "write the file again", where)
+            raise InputError("a whole PNG image", "a truncated one", "write the file again", where)
         if zlib.crc32(chunk[4:-4]) != int.from_bytes(chunk[-4:], "big"):
             raise InputError("a whole PNG image", "one with damaged bytes", "write the file again", where)
         if kind[:1].isupper():

@@ -12,7 +12,8 @@ from deformscope.terminal import say
 
 
 class Interruption(threading.Event):
-    """Set once somebody asked to end. signal_number: with what; 0 before, and where it was otherwise: by, in words"""
+    """Set once a person has requested the end. signal_number: with what; 0 before, and where it was otherwise: by, in
+    words"""
 
     signal_number = 0
     by = ""
@@ -28,7 +29,7 @@ def until_interrupted() -> Iterator[Interruption]:
             raise KeyboardInterrupt
         asked.signal_number = number
         asked.set()
-        say("ending; Ctrl-C again to leave at once")
+        say("ending; Ctrl-C again to leave immediately")
 
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from deformscope.runs.classification import ClassificationResult, TableSource
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.exporting import ExportResult
     from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
@@ -64,8 +65,8 @@ def calibrate_beta(
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
     options: the other fields of `deformscope.config.BetaConfig` and its groups, each the flag of that name of
-    `deformscope calibrate beta`: roi, grid, held, px_per_cm, level, seed, fine, record, viewer...
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    `deformscope calibrate beta`. They are roi, grid, held, px_per_cm, level, seed, fine, record, viewer... Raises
+    InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import BetaConfig
 
@@ -223,8 +224,8 @@ def predict(
 
     model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
     at: (2,) or (3,) place [m]; depth_m or force_n: how far or how hard; tip, size_m: flat (sides), disc or sphere
-    (diameter), default as it was fitted; points_m: (n, 3) of the surface whose deformed positions are wanted too
-    Raises InputError for what cannot be used.
+    (diameter), default as it was fitted; points_m: (n, 3) of the surface whose deformed positions are predicted too
+    Raises InputError for unusable input.
     """
     from deformscope.config.flags import PokeText
     from deformscope.runs.prediction import fitted_model, predicted
@@ -257,7 +258,7 @@ def explore(
     trust_rig: bool = False,
     progress: Say | bool | None = None,
 ) -> ExplorationResult:
-    """Map how soft a surface is: look, touch where it says most about the map, map, and again.
+    """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
     rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most, default 8, or 30 for inclusions
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
@@ -268,8 +269,8 @@ def explore(
     record: a recording to make (.rrd); detail: lean = without what lies between frames and estimates
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
-    terminal or a notebook; True: always, False: never; those of a rig file always, unless there is a function
-    Raises InputError for what cannot be used, and SystemExit where the exploration was stopped before its end.
+    terminal or a notebook; True: always, False: never; without it those of a rig file always, unless there is a
+    function Raises InputError for unusable input, and SystemExit if the exploration was stopped before its end.
     """
     given = {name: value for name, value in locals().items() if name not in ("rig", "touches", "progress")}
     from deformscope.config import ExploreConfig
@@ -311,9 +312,8 @@ def squeeze(
     they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
     model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
     place: who brings the hand to the container; grasp: where an arm is to [mm, deg, deg], None = drawn from the seed
-    progress: as of `explore`
-    Raises InputError for what cannot be used, and where the squeeze did not come to its steady state (a data set keeps
-    it as discarded, with the reason); KeyboardInterrupt where Ctrl-C ended it.
+    progress: as of `explore` Raises InputError for unusable input, and for a squeeze that did not reach its steady
+    state (a data set stores it as discarded, with the reason); KeyboardInterrupt if Ctrl-C ended it.
     """
     given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
     from deformscope.config import SqueezeConfig
@@ -366,7 +366,7 @@ def replay(
 ) -> ReplayResult:
     """Compute a recording again from its inputs, and compare with the numbers that it holds.
 
-    settings: other ones than recorded, of an exploration, by name; what comes of them is not compared to the bit
+    settings: other ones than recorded, of an exploration, by name; their results are not compared to the bit
     progress: as of `calibrate_beta`
     Raises InputError where the numbers differ, or for what cannot be used.
     """
@@ -396,8 +396,8 @@ def sweep(
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> SweepResult:
-    """Call a function with each file as its first argument, in many processes, and keep each result as it comes; the
-    same call again goes on where it was cut off.
+    """Call a function with each file as its first argument, in many processes, and store each result when it is done;
+    the same call again continues an interrupted one.
 
     function: of this library, or of another module; sources: files, or a folder with recordings, pair files and videos
     out: a folder for tasks.jsonl, results.parquet and index.html; vary: values of options, every combination of them
@@ -406,14 +406,14 @@ def sweep(
     Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
     """
     from deformscope.config.executor import ExecutorOptions
-    from deformscope.runs.sweep import SweepOptions, call_function, files_in, function_variations, sweep_on
+    from deformscope.runs.sweep import SweepOptions, call_function, files_in, function_variations, one_thread, sweep_on
 
     out = Path(out)
     with _python_names(), shown_progress(progress) as note:
         how = SweepOptions(ExecutorOptions(executor, address), workers, send, limit_s)
         files: Sequence[Path | str] = files_in(Path(sources), out) if isinstance(sources, str | Path) else list(sources)
         variations = function_variations(function, vary or {}, options)
-        return sweep_on(call_function, files, variations, out, how, progress=note)
+        return sweep_on(call_function, files, variations, out, how, begin=one_thread, progress=note)
 
 
 def classify(
@@ -435,7 +435,7 @@ def classify(
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
     merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
     splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
-    curve_splits: of the learning curve and the steps of a squeeze; duplicates: what happens to equal trials
+    curve_splits: of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
     Raises InputError for what cannot be used.
@@ -484,7 +484,7 @@ def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
 
 def export(
     path: Path | str, out: Path | str, *, to: ExportFormat, progress: Progress | bool | None = None, **options: Any
-) -> FoundResult:
+) -> ExportResult:
     """Write a recording in a format of others; `found["files"]` lists what was written.
 
     out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as of `calibrate_beta`

@@ -1,8 +1,9 @@
-"""Processes that compute or simulate beside this one."""
+"""Child processes that compute or simulate."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -17,19 +18,27 @@ from typing import Any
 SPAWN = multiprocessing.get_context("spawn")
 """How they are made: what other threads hold does not survive a fork."""
 END_S = 5.0
-"""A process ends by itself within this, or is ended."""
+"""Time limit of a process's own end, after which it is killed."""
 NICE, LAST_NICE = 10, 19
-"""What computes beside a robot leaves the processor to what moves it; what follows devices leaves it to all else."""
+"""Child processes of a robot run leave the processor to the control loop; those that follow devices leave it to all
+others."""
 RENEW_S = 0.5
-"""Long waits of the main thread are renewed so often: a signal that arrives just before a wait begins does not end it,
-and its handler runs only once the wait is over."""
+"""Period of renewing long waits of the main thread: a signal that arrives just before a wait begins does not end it,
+and its handler runs only after the wait."""
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def release_memory() -> None:
+    """Give the system back what the process has freed. glibc keeps it, and grows without end where large arrays come
+    and go between small ones that stay. Nothing happens with another C library."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """Processes that are made within have one thread of BLAS, and do not import the user's script: it would run again
-    in each, unless it guards itself by `if __name__ == "__main__"`. A Ctrl-C does not end them while they begin, which
+    """Processes that are made within have one thread of BLAS. They do not import the user's script: it would run again
+    in each, unless it is guarded by `if __name__ == "__main__"`. A Ctrl-C does not end them while they begin, which
     takes seconds; this process takes it when they are made."""
     kept = {name: os.environ.get(name) for name in BLAS_THREADS}
     main = sys.modules["__main__"]
@@ -50,8 +59,8 @@ def starting() -> Iterator[None]:
 
 @contextlib.contextmanager
 def computing(begin: Callable[..., object], *given: Any, nice: int = NICE) -> Iterator[ProcessPoolExecutor]:
-    """One such process of low priority, which calls `begin(*given)` first; at the end of the context it is ended, and
-    what it computes then is given up."""
+    """One such process of low priority, which calls `begin(*given)` first; at the end of the context it is ended, with
+    its present computation."""
     with starting():
         executor = ProcessPoolExecutor(1, SPAWN, _follow_low, (nice, begin, *given))
         process_id = executor.submit(os.getpid)
@@ -96,7 +105,7 @@ def child_process(
 
 
 def follow_parent(*pipes: Connection) -> None:
-    """In such a process, first of all: it ends with its parent, however that ends, or with the other end of a pipe, and
+    """First call in such a process: it ends with its parent, for any reason, or with the other end of a pipe, and
     leaves signals to its parent. A Ctrl-C at a terminal reaches all of them."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

@@ -1,10 +1,10 @@
 """The one codec between frozen dataclasses and the columns of a recording: what is read is equal to what was written.
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
-`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat, an
-array's shape beside it as `FIELD_shape` where it is not (n,). What is None is left out; a dataclass that may be None
-has at least one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`;
-`IMAGES` says where it stands.
+`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat. An
+array's shape is `FIELD_shape` unless it is (n,). What is None is left out; a dataclass that may be None has at least
+one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its
+place.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ SqueezeResult = (
     | ContainerSighting
     | HandPlacement
 )
-"""What comes of a squeeze."""
+"""Results of a squeeze."""
 
 ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
@@ -136,7 +136,7 @@ ENTITIES: dict[type, str] = {
     InputFile: "input",
     StageCost: "cost",
 }
-"""Where each kind stands in a recording."""
+"""The place of each kind in a recording."""
 
 SERIES: dict[type, str] = {ForcePose: "exploration/force_pose"}
 """Results that are rows at times of their own: `host_ns` (n,), and `values` (n, k) as scalars that a viewer plots."""
@@ -151,7 +151,7 @@ OF_DEVICES: dict[type, str] = {
     RawBytes: "raw",
     LinkChange: "link",
 }
-"""The same of what comes from a device, whose name follows: `wrench/DEVICE`."""
+"""Items of a device, whose name follows: `wrench/DEVICE`."""
 
 FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
 """Of these the index is no component but the row's place on the timeline `index` of an exploration, else `frame`."""
@@ -216,7 +216,7 @@ def from_components(
     """What `to_components` took apart; raises KeyError where a part is missing that is not of `LATER`.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
-    read_image: what becomes of an encoded image, of which the second argument says which it is
+    read_image: replacement of an encoded image, which the second argument identifies
     """
     made: dict[str, Any] = dict(given or {})
     for field in _fields(cast("Any", kind)):

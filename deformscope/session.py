@@ -1,9 +1,9 @@
 """The loop: frames and answers in, results and commands out, all of it recorded.
 
-An experiment is a generator. It is sent what a source gives (a frame of a video, or all that came from a rig's devices
-since the last time), None once a source has ended, and an `Answer` to each command that it gave. It yields a `Step`:
-results, and a command where it acts. Neither a robot's motion nor a computation is waited for: frames go on being
-recorded and sent in, until the answer is there.
+An experiment is a generator. It receives a source's items (a frame of a video, or all items of a rig's devices since
+the last time), None once a source has ended, and an `Answer` to each of its commands. It yields a `Step`: results, and
+a command where it acts. Neither a robot's motion nor a computation blocks: frames are recorded and sent in, until the
+answer is there.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BATCH_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Where results stand in a session with a robot.
+    """Time of results in a session with a robot.
 
     now_ns: on the robot's clock; touch: 0 before the first, then the number of the one they belong to, from 1
     seen_ns: when the dent was last seen that they are of, None where they are of none; cell_m: of a plan's maps [m]
@@ -43,7 +43,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Compute:
-    """A command: call a function beside the loop (where the loop runs by itself); its value is the answer.
+    """A command: call a function outside the loop (for devices on their own clock); its value is the answer.
 
     stage: as its cost is named
     """
@@ -55,7 +55,7 @@ class Compute:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What came of the last command. value: what was computed, or what the robot gave"""
+    """The result of the last command. value: what was computed, or what the robot gave"""
 
     value: Any
 
@@ -64,11 +64,11 @@ class Answer:
 class Step:
     """What an experiment has to say.
 
-    results: stage results, each of a type that `deformscope.log` knows how to show
+    results: stage results, each of a type with a view in `deformscope.log`
     frame: the index of the frame that the results belong to; None = the frame just sent
-    moment: where they stand instead, in a session with a robot
-    command: a `Compute`, a future that somebody else is to fill, as a person does who is asked, or something that the
-    robot carries out; an experiment gives one at a time
+    moment: their time instead, in a session with a robot
+    command: a `Compute`, a future that another party will fill, such as a person's answer, or a command that the robot
+    carries out; an experiment gives one at a time
     batch_s: how long what devices give is then gathered, without a robot
     costs: of the computations behind the results; the loop adds them
     notes: what was noticed
@@ -88,8 +88,8 @@ Experiment = Generator[Step, ColorFrame | None, SummaryT]
 steps (each naming its frame) and returns its summary."""
 
 RigExperiment = Generator[Step, Sequence[Item] | Answer | None, SummaryT]
-"""The same with batches of a rig's items, and with answers to its commands; what goes wrong with a command is raised
-in it where it waits for the answer."""
+"""The same with batches of a rig's items, and with answers to its commands; an error of a command is raised in it where
+it waits for the answer."""
 
 
 class SessionRecorder(Protocol):
@@ -113,7 +113,7 @@ class SessionRig(Protocol):
 class SessionRobot(Protocol):
     """What carries commands out (`deformscope.experiments.touching_robot`).
 
-    stopped: fails once it must not go on, also while it carries nothing out
+    stopped: fails once it must stop, also without a command
     """
 
     stopped: Future[None]
@@ -122,11 +122,11 @@ class SessionRobot(Protocol):
         """Begin with a command. keep: to be called now and then by a robot that is done before it returns"""
 
     def reports(self) -> list[Step]:
-        """What it began since the last call."""
+        """Its new actions since the last call."""
 
 
 class Inline(Executor):
-    """Computes at once, where time stands still meanwhile."""
+    """Computes immediately, while simulated time is stopped."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """As an `Executor`; an interruption is raised here."""
@@ -159,7 +159,7 @@ def measuring(stage: str) -> Iterator[None]:
 
 
 def with_costs(stage: str, call: Callable[..., ValueT], *arguments: object) -> tuple[ValueT, list[StageCost]]:
-    """A value, and what it cost by stage, in whatever process or thread it is computed."""
+    """A value, and its cost by stage, in any process or thread."""
     costs = list[StageCost]()
     kept = _measured.set(costs)
     try:
@@ -204,7 +204,7 @@ def run(
             recorder.write(step)
 
     def keep(wait_s: float = 0.0) -> ColorFrame | Sequence[Item] | None:
-        """Record what came."""
+        """Record the items."""
         for step in robot.reports() if robot is not None else ():
             write(step)
         if frames is None:
@@ -276,8 +276,8 @@ def ask(
 
 
 def finish(rig: SessionRig, recorder: SessionRecorder) -> HealthReport:
-    """Close a rig's devices, and record all that came until then and a last look at them, whose counts are those of the
-    whole session; nothing that came is left."""
+    """Close a rig's devices, and record all remaining items and their last health, whose counts are those of the whole
+    session; no item is lost."""
     rig.close()
     last = rig.look()
     recorder.write([*rig.rest(), last])

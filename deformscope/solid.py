@@ -86,7 +86,7 @@ class PosedSolid:
 
 
 def merged(solids: Sequence[PosedSolid]) -> Solid:
-    """One surface of all of them where they are; which points lie inside of several it does not tell."""
+    """One surface of all of them at their poses; it does not determine which points lie inside of several."""
     first = np.cumsum([0, *(len(one.solid.vertices_m) for one in solids)])
     triangles = [one.solid.triangles + np.uint32(number) for one, number in zip(solids, first, strict=False)]
     return Solid(np.concatenate([one.vertices_m for one in solids]), np.concatenate(triangles))

@@ -1,4 +1,4 @@
-"""What is said to somebody at a terminal while something runs: all of it on stderr."""
+"""Messages to a person at a terminal during a run: all of them on stderr."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def say(remark: str) -> None:
 
 
 def is_watched() -> bool:
-    """Whether somebody reads stderr as it comes: at a terminal, or in a notebook."""
+    """Whether a person reads stderr during the run: at a terminal, or in a notebook."""
     return sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel")
 
 
 @contextmanager
 def messages_to(progress: Say | bool | None) -> Iterator[None]:
     """What a call of the library says within: to this function; True: to stderr; None: there where it is watched;
-    False: to nobody."""
+    False: no output."""
     shown = is_watched() if progress is None else progress
     token = _listener.set(shown if callable(shown) else None if shown else lambda remark: None)
     try:

@@ -1,4 +1,4 @@
-"""`python -m studies NAME [flags]`: finds the study asked for in this folder and runs it."""
+"""`python -m studies NAME [flags]`: finds the study in this folder and runs it."""
 
 from __future__ import annotations
 

@@ -3,12 +3,12 @@
 python -m studies beta --jobs 8 --json coverage-beta.json
 python -m studies beta --only "outliers,lost tracks" --objects 100
 
-Do the intervals hold where the data are not as assumed? Random bodies of known beta or theta whose observed
-positions carry errors that neighbours share over several cells, outliers, lost tracks, or a held particle that is off.
+Do the intervals hold where the data are not as assumed? Random bodies of known beta or theta whose observed positions
+have errors that neighbours share over several cells, outliers, lost tracks, or a wrong held particle.
 
-Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third of the bodies is in space. Rows
-that are named "other solver" are bodies and errors of `studies.independent`: the whole tool is off, or the camera's
-scale or lens is wrong, and noise by its roughness.
+Bodies, sizes of noise and truths are those of `studies.random_bodies`; a third of the bodies is in space. Rows named
+"other solver" are bodies and errors of `studies.independent`: the whole tool is displaced, or the camera's scale or
+lens is wrong, and noise by its roughness.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ LOST = (0.0, 0.8)
 """Share of its motion up to which a lost track follows its particle, even between these."""
 
 THETA_BETA = 0.9
-"""beta of the bodies whose theta is looked for."""
+"""beta of the bodies whose theta is sought."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +133,8 @@ class DisturbedCase:
 
 @dataclass(frozen=True, slots=True)
 class DisturbedOutcome:
-    """What came of one object. disturbed, found: particles whose track was made wrong or lost or whose held position
-    is off, and those that were left out; both: how many are in both"""
+    """Result of one object. disturbed, found: particles with a wrong or lost track or a wrong held position, and those
+    that were left out; both: how many are in both"""
 
     outcome: Outcome
     disturbed: int = 0
@@ -243,9 +243,9 @@ def _directions(rng: np.random.Generator, count: int, d: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class DisturbedCoverageConfig(StudyOptions):
-    """Count how often the intervals hold the truth where data are not as assumed: errors that neighbours share over 1
-    to 6 cells, with and without white noise, outliers, lost tracks, a held particle that is off, whole motions; and, on
-    bodies of another solver, a tool or a camera that is off, and noise by its roughness."""
+    """Count how often the intervals hold the truth on data that violate the assumptions: errors that neighbours share
+    over 1 to 6 cells, with and without white noise, outliers, lost tracks, a wrong held particle, whole motions. On
+    bodies of another solver, also a displaced tool, a wrong camera, and noise by its roughness."""
 
     objects: Annotated[int, flags.least(3)] = 400
     """Random objects for each kind of error, a third of them in space; each takes some .3 s of a core."""
@@ -358,7 +358,7 @@ def _errors_of(name: str) -> Disturbance | Errors:
 
 
 def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
-    """Objects of the kinds of errors that are asked for."""
+    """Objects of the requested kinds of errors."""
     return [Trials("random objects", try_disturbed, cases(options, names_of(options.only, NAMES), "beta"))]
 
 

@@ -1,4 +1,4 @@
-"""`python -m studies borders`: what maps lose by not knowing what kind of border there is, beside an oracle that does.
+"""`python -m studies borders`: loss of maps by an unknown kind of border, relative to an oracle that has it.
 
 python -m studies borders
 python -m studies borders --scenes ring --touches 12 --objects 8
@@ -43,7 +43,7 @@ GOOD = 0.85
 
 @dataclass(frozen=True, slots=True)
 class BorderOutcome:
-    """One exploration. oracle: that knew the family; right: the number of regions is"""
+    """One exploration. oracle: with the true family; right: the number of regions is"""
 
     scene: str
     seed: int
@@ -67,8 +67,7 @@ def try_border(case: tuple[str, int, int, bool]) -> BorderOutcome:
 
 @dataclass(frozen=True, slots=True)
 class BorderConfig(StudyOptions):
-    """Explore scenes as `explore` does and as an oracle that knows what kind of border there is, and compare their
-    maps."""
+    """Explore scenes as `explore` does and as an oracle with the true kind of border, and compare their maps."""
 
     scenes: Annotated[tuple[str, ...], arg(metavar="NAME...")] = ("two-60-150",)
     """Scenes of the laboratory whose kind of border is known."""

@@ -1,11 +1,11 @@
-"""`python -m studies contents`: whether probabilities of contents by touch and vision mean what they say, over time.
+"""`python -m studies contents`: calibration of probabilities of contents by touch and vision, over time.
 
 python -m studies contents
 python -m studies contents --train 100 --trials 100 --jobs 16 --json contents.json
 
 Each simulated carton is squeezed with each content once, in a room of its own temperature for five cartons. A
-classifier is trained on the squeezes of the first seeds, one on each third of these, and each names those of the
-others, whose cartons and rooms it has never met.
+classifier is trained on the squeezes of the first seeds, one on each third of these. Each classifies those of the
+others, whose cartons and rooms were not in its training.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from studies.seeds import reported
 
 CONTENTS = ("empty", "water", "yogurt", "rice", "flour")
 FIRST = 1000
-"""Number of the first carton and of the first room, which no command draws by itself."""
+"""Number of the first carton and of the first room, which no command draws."""
 CARTONS = 5
 """That share a room."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContentsConfig(StudyOptions):
-    """Count how well calibrated the probabilities of contents are 0.2, 0.5 and 1 s after first contact and in the end,
-    on squeezes of other cartons than those of the training. Each squeeze takes some 2 s of a core."""
+    """Count the calibration of the probabilities of contents 0.2, 0.5 and 1 s after first contact and in the end, on
+    squeezes of other cartons than those of the training. Each squeeze takes some 2 s of a core."""
 
     train: Annotated[int, flags.least(30)] = 300
     """Squeezes that the classifier is trained on, from seed SEED on."""

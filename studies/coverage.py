@@ -48,7 +48,7 @@ class CoverageConfig(StudyOptions):
     """Random objects for each kind of noise; a fifth as many with beta = 0, near 1, of finite elements, and for each
     kind of data that are wrong."""
     quick: bool = False
-    """15 objects each: what it looks like, in a minute."""
+    """15 objects each: a preview, in a minute."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
     out: Annotated[Path | None, flags.one_word("DIR", Path), flags.unset] = None

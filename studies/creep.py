@@ -6,13 +6,13 @@ python -m studies creep --objects 1 --laws 200
 
 Touches of foams that creep, keep a dent or are slid over, in finite elements: are fit and verdict right?
 
-What is drawn for each: hardness, thickness, Poisson's ratio, one or two branches that relax by RELAXES in all with
-times of TIMES_S, and how far the arm's compliance is off its calibration. The truth of a stiffness is that of the same
-slab pressed without memory, all of its modulus and what is left of it; the truth of a loss that of the true forces.
-Plastic foams creep too, and keep KEEPS of each dent. A tip that goes aside while it presses sticks, or slides once it
-has felt a part of what sticking would come to.
+Random quantities of each: hardness, thickness, Poisson's ratio, one or two branches that relax by RELAXES in all with
+times of TIMES_S, and the deviation of the arm's compliance from its calibration. The truth of a stiffness is that of
+the same slab pressed without memory, with its full and with its relaxed modulus; the truth of a loss that of the true
+forces. Plastic foams creep too, and keep KEEPS of each dent. A tip with lateral motion during a press sticks, or slides
+once its lateral force reaches a share of the sticking one.
 
-Beside these: foams of laws that the fit knows and of laws that it does not know, by another generator (`creep_laws`).
+In addition: foams of laws that the fit has and of laws that it does not have, by another generator (`creep_laws`).
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def true_loss(depth_m: FloatArray, force_n: FloatArray, held: int) -> float:
 @dataclass(frozen=True, slots=True)
 class CreepCoverageConfig(StudyOptions):
     """Count how often the intervals of a creeping foam's stiffness, relaxation and energy loss hold the truth: touches
-    of finite elements with a memory, a quarter as many of foams without one."""
+    of finite elements with a memory, and a quarter as many of foams without one."""
 
     objects: flags.ManyFlag = 60
     """Foams that creep, from seed SEED on; each takes some 5 s."""
@@ -186,7 +186,7 @@ def trials(options: CreepCoverageConfig) -> list[Trials[Any, Any]]:
 def report(
     options: CreepCoverageConfig, seconds: float, tried: Sequence[KnownEstimate], laws: Sequence[LawOutcome]
 ) -> StudyReport:
-    """A table of each kind, and what they were taken for."""
+    """A table of each kind, and their verdicts."""
     kinds = by(tried, lambda one: one.kind)
     lines = {kind: interval_rows(some, QUANTITIES) for kind, some in kinds.items()}
     verdicts = {kind: counts(one.verdict for one in some) for kind, some in kinds.items()}
@@ -195,7 +195,7 @@ def report(
     ]
     names = get_args(CreepBehaviour)
     taken = [(kind, *(some.get(name, 0) for name in names)) for kind, some in verdicts.items()]
-    tables.append(Table(taken, ("touches of", *names), "what they were taken for"))
+    tables.append(Table(taken, ("touches of", *names), "verdicts by kind"))
     found = {"hold_s": options.hold, "rows": lines, "verdicts": verdicts}
     if laws:
         counted, found["laws"] = law_table(laws)

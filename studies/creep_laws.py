@@ -1,4 +1,4 @@
-"""Foams of known laws, touched by hereditary integrals: how often what a hold says of them is right (`studies.creep`).
+"""Foams of known laws, touched by hereditary integrals: how often the results of a hold are right (`studies.creep`).
 
 The touches share no code with the fit (`studies.independent.viscoelastic`).
 """
@@ -22,10 +22,10 @@ RELAXES = (0.1, 0.4)
 FIRST_SEED = 2000
 """Of the touches that are reported; those from 1000 on are for choosing constants."""
 FORCE_AFTER = {30.0: (0.5, 5.0, 30.0), 8.0: (0.5, 2.0, 8.0), 2.0: (0.5, 1.0, 2.0)}
-"""By the hold [s]: after which times the force that is kept is compared [s]."""
+"""By the hold [s]: times after which the remaining force is compared [s]."""
 UP = np.array([0.0, 0.0, 1.0])
 SURER = (0.7, 0.9)
-"""Probabilities of creep without end that are counted beside the one from which it is named."""
+"""Probabilities of creep without end that are counted in addition to the one of the reason."""
 NAMES = ("share", "mean time", "relaxed", "at once")
 
 
@@ -106,8 +106,8 @@ class LawCase:
 
 @dataclass(frozen=True, slots=True)
 class LawOutcome:
-    """law; reasons: codes; held: whether intervals of NAMES hold, None where nothing is claimed; kept: whether those
-    of the force that is kept do, after the times of FORCE_AFTER; share_width: over the share itself, None: a bound;
+    """law; reasons: codes; held: whether intervals of NAMES hold, None where nothing is claimed; kept: whether those of
+    the remaining force do, after the times of FORCE_AFTER; share_width: over the share itself, None: a bound;
     endless: probability that it creeps without end"""
 
     law: str
@@ -207,7 +207,10 @@ COUNTED: tuple[Quantity[Sequence[LawOutcome]], ...] = (
 def law_table(outcomes: Sequence[LawOutcome]) -> tuple[Table, list[dict[str, object]]]:
     """A line for each law: how often a reason was named, and how often intervals hold, of those that were given."""
     lines = rows(by(outcomes, lambda one: one.law).values(), COUNTED)
-    title = "laws of viscoelasticity by hereditary integrals: reasons, and 90 % intervals that hold (of so many)"
+    title = (
+        "laws of viscoelasticity by hereditary integrals: reasons, and share of 90 % intervals that hold (of "
+        "their number)"
+    )
     return table(lines, COUNTED, title), lines
 
 

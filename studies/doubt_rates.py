@@ -1,10 +1,10 @@
-"""How often a calibration names each reason to doubt it: on data that are what the model takes them for, where that is
-a false alarm, and on data that are wrong in a known way.
+"""How often a calibration gives each reason to doubt it: on data that satisfy the model's assumptions, which are false
+alarms, and on data with known errors.
 
-Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which no beta
-is true of, are those of `studies.unseen_pokes` with an even modulus. Bodies of "other solver" are those of
-`studies.independent`: clusters, and plane stress or strain of one material whose whole faces are stretched, pressed or
-sheared by 2 to 10 %.
+Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which have no true
+beta, are those of `studies.unseen_pokes` with a uniform modulus. Bodies of "other solver" are those of
+`studies.independent`. They are clusters, and plane stress or strain of one material whose whole faces are stretched,
+pressed or sheared by 2 to 10 %.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class DoubtCase:
 
 @dataclass(frozen=True, slots=True)
 class Doubted:
-    """What was said of one object. codes: of the reasons; truths: all betas that are in it; none of finite elements"""
+    """Result of one object. codes: of the reasons; truths: all betas that are in it; none of finite elements"""
 
     data: Data
     codes: tuple[DoubtCode, ...]

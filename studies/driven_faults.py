@@ -1,4 +1,4 @@
-"""Arms that are driven to where they must not go, and programs that are killed: whether the arm stands in time.
+"""Arms that are driven to forbidden poses, and programs that are killed: whether the arm stops in time.
 
 What `fault_study` injects strikes devices in the midst of a touch; here what commands the arm is itself wrong.
 """
@@ -75,7 +75,7 @@ NOTICED_AS = {
 class DrivenRun:
     """seed: of everything; rogue: not by the robot's own commands but past them, as another program would
 
-    left: of what it was driven to at the worst: deg to the joint's limit, m to table or itself, smallest singular value
+    left: least distance to its target: deg to the joint's limit, m to table or itself, smallest singular value
     ended_s, moved_later, standstill: as in `fault_study.FaultRun`
     """
 
@@ -90,14 +90,14 @@ class DrivenRun:
 
     @property
     def in_time(self) -> bool:
-        """Stopped for what it was driven to, before it was there, and for good."""
+        """Stopped for the driven motion, before its target, and permanently."""
         stopped = self.noticed in NOTICED_AS[self.driven] and self.ended_s <= ENDED_WITHIN_S + 1e-9
         return stopped and self.left > 0.0 and not self.moved_later
 
 
 @dataclass(frozen=True, slots=True)
 class _Drive:
-    """A pose to begin from, the motion, and what is left to where it leads, of joint angles (n,)."""
+    """A pose to begin from, the motion, and the remaining distance to its target, of joint angles (n,)."""
 
     model: str
     start_deg: FloatArray
@@ -275,8 +275,8 @@ class _Noting(KukaDouble):
 
 
 def run_killed(seed: int) -> KilledRun:
-    """A program that moves an arm in a process of its own, on the host's clock, is ended by SIGKILL: its velocity would
-    hold for a minute."""
+    """A program that moves an arm in a child process, on the host's clock, is ended by SIGKILL: its velocity would hold
+    for a minute."""
     random = np.random.default_rng([seed, 0xD9])
     double, port = _Noting(again_s=0.1), free_port()
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}

@@ -1,4 +1,4 @@
-"""Faults at random moments of simulated touches: when each is noticed, and when the arm stands.
+"""Faults at random moments of simulated touches: when each is detected, and when the arm is at rest.
 
 Each run has its own foam, tip, tilt, moment and fault, all drawn from its seed, and goes through the real drivers.
 """
@@ -49,15 +49,15 @@ ALLOWED_S = {
     **dict.fromkeys(ARM, 0.1),
     **dict.fromkeys(CAMERA, 2 / 30),
 }
-"""Within which each must be noticed: a camera's two frame periods count from when its pictures matter, an arm that
-turns by itself, or whose angles are frozen, from when it moves for the first time."""
+"""Time limits of detection. A camera's two frame periods count from when its pictures matter; an arm that turns on its
+own, or whose angles are frozen, counts from its first motion."""
 AS_IT_MOVES = (Injected.ARM_TURNS, Injected.ARM_FROZEN)
 UNSEEN_M = 0.002
-"""An arm whose angles are frozen and that hardly moves may be noticed later, but before its tip has gone so far unseen:
-a fifth of a tip's radius. Its force is seen all the while."""
+"""An arm whose angles are frozen and that hardly moves may be detected later, but before its tip has moved by this
+undetected: a fifth of a tip's radius. Its force is seen all the while."""
 TURNED_DEG = 6.0
-"""An arm that turns by itself is noticed by how far it has turned, not by time: by the 5 deg beside what was commanded
-that the supervisor allows, and by what it turns in 30 ms."""
+"""An arm that turns on its own is detected by its angle, not by time: by the 5 deg from the command that the supervisor
+allows, and by its rotation in 30 ms."""
 ENDED_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
 
 
@@ -96,8 +96,8 @@ class FaultRun:
     ended_s: after it was noticed, until nothing waited in the arm that would move it; moved_later: a stopped arm was
     moved again; moving: it moved when the fault came; max_force_n: greatest true contact force
     standstill: from when it was stopped until it stood
-    unseen_m: way of the tip from the fault until it was noticed; turned_deg: how far the arm's end was then turned
-    beside what was commanded; both as they truly were
+    unseen_m: way of the tip from the fault until it was noticed; turned_deg: rotation of the arm's end relative to the
+    command; both are true values
     """
 
     seed: int
@@ -134,7 +134,7 @@ class FaultScene:
 def make_scene(
     seed: int, *, modulus_pa: float | None = None, tip: str | None = None, tilt_deg: float | None = None
 ) -> FaultScene:
-    """A foam, a tip and a tilt drawn from the seed (or as given), and an arm that stands above it."""
+    """A foam, a tip and a tilt drawn from the seed (or as given), and an arm at rest above it."""
     random = np.random.default_rng([seed, 0xF0])
     low, high = map(math.log, MODULI_PA)
     drawn_pa, drawn_tip = math.exp(random.uniform(low, high)), str(random.choice(["sphere", "flat"]))
@@ -252,7 +252,7 @@ def _judge(
 
 
 def turned_aside_deg(robot: Robot, lab: TouchLab) -> float:
-    """How far the arm's end truly is turned beside what was commanded; nan before anything was."""
+    """True rotation of the arm's end relative to the command; nan before any command."""
     commanded = robot.rotation.rotation
     if commanded is None:
         return math.nan

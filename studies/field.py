@@ -5,8 +5,8 @@ python -m studies field --kinds "two, stretch" "three, shear" --objects 20 --jso
 python -m studies field --independent --objects 20
 
 Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements (`field_bodies`); and
-plates that share nothing with the estimator (`independent.orthotropic_elements`): one material, as stiff in every
-direction or not, seen by a camera that is off or not, and some that differ from place to place.
+plates that share nothing with the estimator (`independent.orthotropic_elements`). These have one material, isotropic or
+not, seen by an exact or a wrong camera, and some differ from place to place.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ class FieldOutcome:
     """How one body's field was determined.
 
     right: the verdict and number of materials are the true ones; ratio: stiffest over softest, over the true one
-    border: how far the farthest wrong cell is from one of the material that it was given [spacings], 0 = none is wrong;
-    NaN where there are no materials, or another number
+    border: distance of the farthest wrong cell from one of its assigned material [spacings], 0 = none is wrong; NaN
+    without materials, or with another number
     held: share of the places whose interval holds the truth; beta_ratio: of 1 - beta, over the true ratio of stiffness
     claims: places differ; reasons: to doubt it; directions: ratio of moduli along those that are named, over the
     true one, None where none are
@@ -238,7 +238,7 @@ QUANTITIES: dict[str, Callable[[Sequence[FieldOutcome]], str]] = {
     "intervals hold ratio, places": lambda some: (
         f"{np.mean([one.covered for one in some]):.2f}, {np.mean([one.held for one in some]):.2f}"
     ),
-    "says that places differ": lambda some: of_cases(Rate.of(one.claims for one in some)),
+    "reports that places differ": lambda some: of_cases(Rate.of(one.claims for one in some)),
     "smooth-error named": lambda some: str(sum("smooth-error" in one.reasons for one in some)),
     "ratio of directions over the true one": lambda some: _span([one.directions for one in some]),
     "1 - beta over the true ratio": lambda some: f"{np.median([one.beta_ratio for one in some]):.2f}",

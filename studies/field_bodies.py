@@ -72,7 +72,7 @@ def lattice(shape: tuple[int, ...]) -> FloatArray:
 
 
 def shared_noise(rest: FloatArray, reach: float) -> FloatArray:
-    """(K, K) root of the covariance of noise of unit variance that neighbours share (Matern 3/2) over so many
+    """(K, K) root of the covariance of noise of unit variance that neighbours share (Matern 3/2) over this number of
     spacings."""
     gap = np.sqrt(3.0) * cdist(rest, rest) / (reach * SPACING_M)
     return np.linalg.cholesky((1.0 + gap) * np.exp(-gap) + 1e-9 * np.eye(len(rest)))

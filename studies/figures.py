@@ -72,8 +72,8 @@ def report(options: FiguresConfig, _: float, searched: Sequence[tuple[SearchOutc
 
 
 def pushed(body: HeldLattice, beta: float) -> tuple[FloatArray, FloatArray]:
-    """(K, 2) where a sheet on its ground comes to rest under a push down on the middle three of its top, the fixed
-    point of x = g(x + f dt^2 / m) with alpha = 1; and (3, 2) where these are at rest."""
+    """(K, 2) equilibrium of a sheet on its ground under a push down on the middle three of its top, the fixed point of
+    x = g(x + f dt^2 / m) with alpha = 1; and (3, 2) rest positions of these."""
     rest, (columns, rows) = body.seen.rest, body.shape
     ground = np.flatnonzero(rest[:, 1] == 0.0)
     model = body.model.body(body.seen).holding(ground)

@@ -6,13 +6,13 @@ python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditio
 
 Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
-Two ways. In full: finite elements press the slab, a shape-matching model is fitted to what the surface did, and
-predicts other places, tips and forces; some minutes a slab, however many scatters. Fast: what finite elements were
-found to do with a border (`PokedSlab.apparent`) stands for both, and the field of stiffness alone is tried, by the
-thousand.
+Two ways. In full: finite elements press the slab, and a shape-matching model is fitted to the surface's motion. It
+predicts other places, tips and forces; about a minute or more per slab, for any number of scatters. Fast: the effect of
+a border in finite elements (`PokedSlab.apparent`) replaces both, and only the field of stiffness is tested, thousands
+of times.
 
-Either under scatter of the force from poke to poke that the model is not given; a seed has one pattern of it on slabs
-of all kinds.
+Both have a scatter of the force from poke to poke that the model is not given; a seed has one pattern of it on slabs of
+all kinds.
 """
 
 from __future__ import annotations
@@ -55,19 +55,19 @@ TIPS = (TIP, *OTHER_TIPS)
 """Of unseen pokes, in turn [m]."""
 
 ELEMENT = 0.5
-"""Size of the finite elements at the tip, as a share of its half width: forces are then 2 % above those of elements a
-third of it, whatever the tip, in a quarter of the time."""
+"""Size of the finite elements at the tip, as a share of its half width. Forces are then 2 % above those of elements a
+third of it, for any tip, in a quarter of the time."""
 
 WRONG = 0.2
 """A force that is off by more is counted."""
 
 
 Condition = Literal["as told", "nu 0.45", "thickness told 10 % more", "twice as deep"]
-"""What differs from the foam and the pokes that the model is meant for; `twice as deep`: unseen pokes go about twice as
+"""Differences from the foam and the pokes that the model is made for; `twice as deep`: unseen pokes are about twice as
 deep as the fitted ones."""
 
 NEARLY_INCOMPRESSIBLE, TOLD_MORE, DEEPER = 0.45, 1.1, 2.0
-"""Poisson's ratio; told thickness over the true one; depth of unseen pokes over that of fitted ones."""
+"""Poisson's ratio; stated thickness over the true one; depth of unseen pokes over that of fitted ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ def _fast(case: ForceCase, drawn: PokedSlab, factor: FloatArray) -> TriedSlab:
 
 @dataclass(frozen=True, slots=True)
 class _Pressed:
-    """What does not depend on the scatter of forces: a fitted model, and unseen pokes with what it predicts."""
+    """The part that does not depend on the scatter of forces: a fitted model, and unseen pokes with its predictions."""
 
     model: FittedModel
     unseen: tuple[tuple[Press, SeenPoke, Prediction, Score], ...]
@@ -196,7 +196,7 @@ def _press(drawn: PokedSlab, condition: Condition, device: str) -> _Pressed:
 
 
 def _in_full(case: ForceCase, drawn: PokedSlab, factor: FloatArray, pressed: _Pressed) -> TriedSlab:
-    """Forces that are off by these factors (24,) change the stiffness alone that pokes meet."""
+    """Force errors by these factors (24,) change only the stiffness of pokes."""
     model = dataclasses.replace(pressed.model, stiffness=pressed.model.stiffness * factor[drawn.fitted])
     assert model.between is not None
     pokes = []
@@ -240,8 +240,8 @@ def _judged(drawn: PokedSlab, which: int, force: float, predicted: float, ends: 
 
 @dataclass(frozen=True, slots=True)
 class ForceCoverageConfig(StudyOptions):
-    """Count how often the intervals of a predicted force hold the true one: random slabs of one material, halves, stiff
-    and soft discs and gradual ones, half of whose 24 pokes are fitted, under scatter that the model is not given."""
+    """Count how often the intervals of a predicted force hold the true one. Random slabs of one material, halves, stiff
+    and soft discs and gradual ones have 24 pokes, half of them fitted, with scatter that the model is not given."""
 
     slabs: flags.ManyFlag = 20
     """Slabs of each kind, from seed SEED on. A slab takes some 3 s."""
@@ -263,7 +263,7 @@ class ForceCoverageConfig(StudyOptions):
 
     def check(self) -> None:
         if self.conditions != ("as told",) and not self.full:
-            raise InputError("--full with --conditions", "none: the fast way knows no condition but `as told`")
+            raise InputError("--full with --conditions", "none: the fast mode has only the condition `as told`")
         if not self.scatter or any(not 0.0 <= one < 1.0 for one in self.scatter):
             raise InputError("shares from 0 to below 1 after --scatter", " ".join(f"{one:g}" for one in self.scatter))
 
@@ -311,7 +311,7 @@ COLUMNS = (
 
 
 def force_rows(tried: Sequence[TriedSlab]) -> list[Row]:
-    """All slabs together, then each kind by itself."""
+    """All slabs together, then each kind alone."""
     groups: list[Pokes] = []
     for slabs in by(tried, lambda one: (one.case.condition, one.case.scatter)).values():
         for kind in (None, *KINDS):

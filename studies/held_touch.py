@@ -28,7 +28,7 @@ STICKS = 0.8
 
 @dataclass(frozen=True, slots=True)
 class HeldTouch:
-    """A touch that was held under its force and went back, as recorded, and as it was.
+    """A touch with a hold and a retract, as recorded, and its truth.
 
     time_s, position_m, force_n, true_depth_m, true_force_n: as of `Approach`; loading, held: how many samples lead up
     to the set force, and how many were taken until the way back; slid_m: how far it slid until then
@@ -58,9 +58,10 @@ def held_touch(
 ) -> HeldTouch:
     """Come down along the normal at a place (2,), keep the force for a while and go back, on foam with a memory.
 
-    The force is kept as `robot.touch` keeps it: a speed in proportion to what is missing, no faster than the approach.
-    lean: how far the tip goes aside along x for its way down; it sticks, STICKS times as stiff across as along, until
-    `sensing.friction` is reached, and slides
+    The force is controlled as in `robot.touch`: a speed in proportion to the missing force, no faster than the
+    approach.
+    lean: lateral motion of the tip along x relative to its depth; it sticks, STICKS times as stiff across as along,
+    until `sensing.friction` is reached, and slides
     """
     xy_m = np.asarray(xy_m, dtype=np.float64)
     normal = world.scene.normal(xy_m)

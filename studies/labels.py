@@ -2,7 +2,7 @@
 
 python -m studies labels --trials 200 --json labels.json
 
-The trials are of a generator that shares no code with the program (`studies/independent/labelled_rows.py`), the truth
+The trials are of a generator that shares no code with the program (`studies/independent/labelled_rows.py`). The truth
 is that of the classifier that `classify --save` writes, on 800 trials of 160 new containers.
 """
 
@@ -29,8 +29,8 @@ SPLITS = 12
 
 @dataclass(frozen=True, slots=True)
 class LabelsConfig(StudyOptions):
-    """Count the intervals of `classify` on tables with groups told, untold, and with copies. A table takes some 0.7 s
-    of a core."""
+    """Count the intervals of `classify` on tables with groups, without groups, and with copies. A table takes some 0.7
+    s of a core."""
 
     trials: flags.ManyFlag = 200
     """Tables of each case, from seed 2000 + SEED on."""
@@ -38,7 +38,7 @@ class LabelsConfig(StudyOptions):
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """Of one table. told, truth: accuracy; first: the interval that stands first; second: that of `best`; noted:
+    """Of one table. told, truth: accuracy; first: the first interval of the output; second: that of `best`; noted:
     whether copies were found"""
 
     case: Case

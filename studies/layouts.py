@@ -1,8 +1,8 @@
 """Random layouts of arm and table: how far joints stay inside their ranges as an arm touches there, and how it slows
 down before singularities.
 
-Each seed draws an arm, where the table is to it and how it is turned, and a stick; then some touches, as `explore`
-makes them: a table of checks, ways to above each place, the touch.
+Each seed draws an arm, the table's pose relative to it, and a stick; then some touches, as `explore` makes them: a
+table of checks, paths to above each place, the touch.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ SIZE_M, TOP_M = (0.6, 0.4), 0.05
 MODULUS_PA = 60e3
 TOUCHES = 3
 LOOK_EVERY = 5
-"""Control periods from one look at how far a singularity is to the next."""
+"""Control periods between two checks of the distance to a singularity."""
 SINGULAR_BELOW = 0.006
-"""Smallest singular value that counts as a singularity [m/rad; rad/rad]: between two looks 1 deg apart it changes by
-about so much where it goes through zero."""
+"""Smallest singular value that counts as a singularity [m/rad; rad/rad]: between two checks 1 deg apart it changes by
+about this much where it goes through zero."""
 WALK_DEG = np.arange(0.0, 16.0)
 NEAR_DEG = (5.0, 10.0, 15.0)
 """Ends of the distances to a singularity by which shares are counted."""
@@ -56,10 +56,10 @@ NEAR_DEG = (5.0, 10.0, 15.0)
 class LayoutRun:
     """seed: of everything; arm: its model; refused: why it may not begin there, empty where it began
 
-    endings: of each touch; faults: of those that were stopped; refused_touches: not begun, for want of a way
+    endings: of each touch; faults: of those that were stopped; refused_touches: not begun, for lack of a path
     margin_deg: least of a joint to the end of its range in any of the arm's cycles, from when the robot might move
-    near: (deg to a singularity along the motion, as a walk in steps of 1 deg finds it, share of the velocity asked for
-    that was sent) of looks at an arm whose tip is led and that has one within reach of the walk
+    near: (deg to a singularity along the motion, by a walk in steps of 1 deg, and sent share of the requested
+    velocity), of periods in which an arm leads its tip and has a singularity within the walk
     far: how many looks have none, and their mean share
     """
 
@@ -124,7 +124,7 @@ def _table(random: np.random.Generator) -> FloatArray:
 
 
 def _touches(robot: Robot, plans: Sequence[TouchPlan]) -> tuple[tuple[TouchEnding, ...], tuple[Fault, ...], int]:
-    """How each ended, until one was stopped; the faults of those; how many did not begin for want of a way."""
+    """The end of each, until one was stopped; the faults of those; number of touches without a path."""
     endings: list[TouchEnding] = []
     faults: list[Fault] = []
     refused = 0
@@ -171,8 +171,8 @@ class _Looks:
 
 
 def walk_to_singularity_deg(chain: Chain, joints_deg: FloatArray, direction: FloatArray) -> float:
-    """How far the fastest joint may turn along joint rates (n,), the fastest 1, until the arm is singular, in steps of
-    1 deg; inf beyond the last step."""
+    """Angle of the fastest joint along joint rates (n,), the fastest 1, until the arm is singular, in steps of 1 deg;
+    inf beyond the last step."""
     least = least_singular(jacobian_of(chain.forward(joints_deg + WALK_DEG[:, None] * direction)))
     there = np.flatnonzero(least < SINGULAR_BELOW)
     return float(WALK_DEG[there[0]]) if len(there) else float("inf")

@@ -2,9 +2,9 @@
 
     limit(0.07)        # share of lumps as `lab:buried` draws them, within 30 touches, in foam that scatters by 7 %
 
-One that knows the scatter's deviation and length, the lump's size, depth and contrast, and where to look: 20 touches
-spread evenly and 10 around the lump, each where it adds most. What it then needs is that its readings are FOUND times
-as probable with the lump as without one or with one elsewhere. Nobody who has to seek it finds more.
+An oracle with the scatter's deviation and length, and the inclusion's size, depth, contrast and place: 20 touches
+spread evenly and 10 around the inclusion, each where it adds most. It then needs readings that are FOUND times as
+probable with the lump as without one or with one elsewhere. Nobody who has to seek it finds more.
 """
 
 from __future__ import annotations

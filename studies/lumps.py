@@ -3,8 +3,8 @@
 python -m studies lumps --objects 40 --json lumps.json
 python -m studies lumps --foam 110 --lump rigid --errors
 
-Lumps in foam, sought with `explore --goal inclusions`: how many are found within how many touches, how often one is
-where there is none, and whether what is missed is missed as often as it was said.
+Lumps in foam, sought with `explore --goal inclusions`: share found within numbers of touches, false alarms without a
+lump, and calibration of the miss probability.
 
 Touches are pressed into finite elements and estimated as the robot's are, without wires (`surface_robot`).
 """
@@ -45,7 +45,7 @@ FOAMS = (0.02, 0.04, 0.07, 0.1)
 
 @dataclass(frozen=True, slots=True)
 class LumpCase:
-    """One search. scene: `BURIED`'s, or one with other hardnesses; clean: nothing is kept from the estimator;
+    """One search. scene: `BURIED`'s, or one with other hardnesses; clean: no hidden errors;
     smallest_m: radius of the smallest lump that must not be missed; set_force_n: of a touch"""
 
     scene: str
@@ -70,9 +70,10 @@ class LumpAfter:
 
 @dataclass(frozen=True, slots=True)
 class LumpOutcome:
-    """What came of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
+    """Outcome of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
     foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found
-    radius_m, interval_m: of the found lump nearest to the true one, within_m: as said of its middle; depth: its class
+    radius_m, interval_m: of the found lump nearest to the true one, within_m: stated accuracy of its middle; depth: its
+    class
     xy_m: (t) places that were touched
     """
 
@@ -92,7 +93,7 @@ class LumpOutcome:
     seconds: float
 
     def at(self, touches: int) -> LumpAfter:
-        """What is known with so many touches at most."""
+        """Results after at most this number of touches."""
         return self.after[min(touches, len(self.after)) - 1]
 
     def hit(self, touches: int) -> bool:
@@ -186,8 +187,8 @@ def _off_m(found: InclusionsResult, truth: tuple[float, float, float, float] | N
 
 
 def details(outcomes: Sequence[LumpOutcome]) -> dict[str, float]:
-    """Of the lumps that were found in the end: how far off, and how often what was said of them holds the truth;
-    touches that were made. nan where none was found."""
+    """Of the lumps found in the end: their errors, and how often the stated intervals hold the truth; number of
+    touches. nan if none was found."""
     with_lump = [one for one in outcomes if one.truth is not None]
     without = [one for one in outcomes if one.truth is None]
     hits = [(one, one.truth) for one in with_lump if one.truth is not None and one.hit(one.case.touches)]
@@ -220,9 +221,9 @@ def _mean(values: Sequence[float] | FloatArray, of: Callable[..., Any] = np.mean
 
 @dataclass(frozen=True, slots=True)
 class LumpCoverageConfig(StudyOptions):
-    """Count how many lumps `explore --goal inclusions` finds within how many touches, how often it finds one where
-    there is none, and whether what it says of missed ones is right: fields of 20 by 20 cm of finite elements, with a
-    lump of 2 cm radius 1 to 2 cm deep and without."""
+    """Count how many lumps `explore --goal inclusions` finds within numbers of touches, its false alarms without a
+    lump, and the calibration of its miss probability. Fields of 20 by 20 cm of finite elements have a lump of 2 cm
+    radius 1 to 2 cm deep, or none."""
 
     objects: flags.ManyFlag = 40
     """Fields with a lump, and as many without, from seed SEED on; each takes some 25 s."""
@@ -237,7 +238,7 @@ class LumpCoverageConfig(StudyOptions):
     set_force: Annotated[float, arg(metavar="N")] = 5.0
     """Force to press with [N]."""
     errors: bool = False
-    """With all errors of the laboratory, foam that scatters among them; else nothing is kept from the estimator."""
+    """With all errors of the laboratory, foam that scatters among them; else without hidden errors."""
 
 
 def trials(options: LumpCoverageConfig) -> list[Trials[LumpCase, LumpOutcome]]:
@@ -265,7 +266,7 @@ def alarm_rate(outcomes: Sequence[LumpOutcome], touches: int) -> Rate:
 
 
 AfterTouches = tuple[int, Sequence[LumpOutcome]]
-"""Searches with so many touches at most."""
+"""Searches with at most this number of touches."""
 
 QUANTITIES: tuple[Quantity[AfterTouches], ...] = (
     Quantity("touches", lambda after: after[0], {"touches": int}),
@@ -275,7 +276,7 @@ QUANTITIES: tuple[Quantity[AfterTouches], ...] = (
     Quantity(
         "missed_said",
         lambda after: float(np.mean([one.at(after[0]).missed for one in after[1]])),
-        {"said to be missed": number(3)},
+        {"stated miss probability": number(3)},
     ),
     Quantity(
         "missed",
@@ -301,7 +302,7 @@ FOAM_QUANTITIES: tuple[Quantity[Sequence[LumpOutcome]], ...] = (
     Quantity(
         "limit",
         lambda some: limit(float(np.sqrt(np.prod(foam_of(some[0]) or 0.0)))),
-        {"could be found at all": number(2)},
+        {"detectable in principle": number(2)},
     ),
     Quantity("alarms", lambda some: alarm_rate(some, some[0].case.touches), {"false alarms": of_cases}),
 )
@@ -319,7 +320,7 @@ def foam_rows(outcomes: Sequence[LumpOutcome]) -> list[Row]:
 
 
 def report(options: LumpCoverageConfig, seconds: float, outcomes: Sequence[LumpOutcome]) -> StudyReport:
-    """After some numbers of touches, by the foam's scatter, and what is said of those that were found."""
+    """After some numbers of touches, by the foam's scatter, and the stated values of the found ones."""
     seeds = reported(options.objects, options.output.seed)
     lines, foams, found = lump_rows(outcomes), foam_rows(outcomes), details(outcomes)
     title = f"{len(seeds)} fields with a lump and {len(seeds)} without, seeds {seeds.start} to {seeds.stop - 1}"
@@ -336,7 +337,7 @@ def _format_counts(counted: dict[str, float]) -> dict[str, str]:
         "touches until found, median": f"{counted['touches_to_find']:.3g}, at most {counted['most_to_find']:.3g}",
         "touches made": f"{counted['touches_with']:.3g} with a lump, {counted['touches_without']:.3g} without (means)",
         "middle off, median": f"{1e3 * counted['off_m']:.1f} mm",
-        "middle within what was said (90 %)": f"{counted['within']:.2f}",
+        "middle within the stated distance (90 %)": f"{counted['within']:.2f}",
         "radius within its interval (90 %)": f"{counted['radius_held']:.2f}",
         "radius off, rms": f"{1e3 * counted['radius_off_m']:.1f} mm",
         "depth told": f"in {counted['depth_told']:.2f}, right in {counted['depth_right']:.2f} of these",

@@ -8,9 +8,9 @@ Deformations and motions of known materials: how often `calibrate axes`, `yield`
 What is drawn for each: the material, how it is pushed, and the noise, which neighbours share over a reach.
 
 axes: a plate of this model, pushed anywhere at its top: its betas are the model's, so that no other truth of them is
-yield: a block of this model, pressed and let go, that yields; beta is fitted with it
-viscous: a block of finite elements, pressed, held and let go, whose moduli relax in one branch (stresses that relax,
-integrated here, where the fit knows how they creep) and which may keep a part of the push for good
+yield: a block of this model, pressed and released, that yields; beta is fitted with it
+viscous: a block of finite elements, pressed, held and released, whose moduli relax in one branch (stresses that relax,
+integrated here, while the fit uses their creep) and which may have a permanent set
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def _viscous(seed: int) -> KnownEstimate:
 
 
 def recovering(time_s: FloatArray, share: float, relax_s: float, kept: float) -> FloatArray:
-    """(T,) share of the push at each time of a standard linear solid that is pressed, held, and let go."""
+    """(T,) share of the push at each time of a standard linear solid that is pressed, held, and released."""
     fine = np.linspace(0.0, time_s[-1], FINE * (len(time_s) - 1) + 1)
     left = float(np.exp(-fine[1] / relax_s))
     middle = share * float(np.exp(-0.5 * fine[1] / relax_s))
@@ -214,7 +214,7 @@ def report(options: MaterialsCoverageConfig, seconds: float, tried: Sequence[Kno
     verdicts = {kind: counts(one.verdict for one in some) for kind, some in kinds.items()}
     tables = [interval_table(some, "motions", f"calibrate {kind}") for kind, some in lines.items()]
     taken = [(kind, "; ".join(f"{name}: {count}" for name, count in some.items())) for kind, some in verdicts.items()]
-    tables.append(Table(taken, ("motions of", "verdicts"), "what they were taken for"))
+    tables.append(Table(taken, ("motions of", "verdicts"), "verdicts by kind"))
     return StudyReport(tables, {kind: {"rows": lines[kind], "verdicts": verdicts[kind]} for kind in kinds})
 
 

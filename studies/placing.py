@@ -34,14 +34,14 @@ CAMERA_HZ = 5.0
 """Fewer images than a real camera's: they cost most of a trial."""
 LEVEL = 0.95
 DISTURBED = ("travel", "approach", "retreat")
-"""The phases in which somebody moves or topples the container, in turn."""
+"""The phases in which a person moves or topples the container, in turn."""
 FORCES = ("force above the soft stop", "force above the hard stop")
-"""A container that was pushed into the hand's way may be felt before it is seen."""
+"""A container that was pushed into the hand's way may be touched before the camera sees it."""
 
 
 class PlacedTrial:
-    """One squeeze of the laboratory that an arm places. found: what came of it; phases: that began; on_phase: called
-    as they do; asks: somebody is asked before the arm moves, and does this meanwhile"""
+    """One squeeze of the laboratory that an arm places. found: the outcome; phases: that began; on_phase: called as
+    they do; asks: a person is asked before the arm moves, and does this meanwhile"""
 
     def __init__(self, arm: str = "jaco", container: str = "cylinder-03", seed: int = 4, content: str = "rice") -> None:
         made = container_lab(content, container, seed=seed, camera_hz=CAMERA_HZ, arm=arm)
@@ -67,7 +67,7 @@ class PlacedTrial:
         return self.found
 
     def at(self, phase: str, action: Callable[[], None], later_s: float = 0.3) -> None:
-        """Do something so long after a phase has begun for the first time."""
+        """Do something at a time after a phase has begun for the first time."""
 
         def began(name: str) -> None:
             if name == phase:
@@ -90,7 +90,7 @@ class PlacedTrial:
 
 @dataclass(frozen=True, slots=True)
 class PlacingCase:
-    """disturbed: in which phase somebody moves or topples the container, empty = nobody does"""
+    """disturbed: the phase in which a person moves or topples the container, empty = none"""
 
     arm: str
     seed: int
@@ -99,7 +99,7 @@ class PlacingCase:
 
 @dataclass(frozen=True, slots=True)
 class PlacedRun:
-    """What came of a case. stop: kind and reason of what ended it, also on the way back, empty = nothing
+    """Outcome of a case. stop: kind and reason of what ended it, also on the way back, empty = nothing
     drawn: grasps, and of those that were refused why; changes: of the container in the looks after the first
     struck: how the container was disturbed, empty = not, as it did not come so far; closed: the fingers closed
     off_mm: of the container in the end, from where it stood first
@@ -179,19 +179,19 @@ def try_placing(case: PlacingCase) -> PlacedRun:
 
 @dataclass(frozen=True, slots=True)
 class PlacingStudyConfig(StudyOptions):
-    """Count how often a simulated arm places the hand at a container, why not, and whether a container that somebody
-    moves or topples on the way there, or on the way back, is noticed."""
+    """Count how often a simulated arm places the hand at a container, and the reasons of failures. Also count whether
+    it detects a container that a person moves or topples on the way there, or on the way back."""
 
     arm: Literal["jaco", "kuka"] = "jaco"
     """The arm's double."""
     trials: flags.ManyFlag = 60
-    """Containers that nobody touches; each takes some 7 s of a core."""
+    """Containers that no person touches; each takes about 7 s of a core."""
     disturbed: Annotated[int, flags.least(0)] = 50
-    """Containers that somebody moves or topples."""
+    """Containers that a person moves or topples."""
 
 
 def trials(options: PlacingStudyConfig) -> list[Trials[PlacingCase, PlacedRun]]:
-    """Containers that nobody touches, and those that somebody does: of the seeds after those."""
+    """Containers that no person touches, and those that a person disturbs: of the seeds after those."""
     seeds = reported(options.trials + options.disturbed, options.output.seed)
     cases = [PlacingCase(options.arm, seed) for seed in seeds[: options.trials]]
     moved = [
@@ -213,7 +213,7 @@ def report(
     rows += [(f"looks afterwards: {change}", count) for change, count in changes.most_common()]
     rows.append(("grasps drawn", drawn))
     rows += [(f"refused: {why}", count) for why, count in refused.most_common()]
-    tables = [Table(rows, caption=f"{options.arm}: containers that nobody touches")]
+    tables = [Table(rows, caption=f"{options.arm}: containers that no person touches")]
     struck = [one for one in disturbed if one.struck]
     lines = []
     for phase in DISTURBED:
@@ -225,7 +225,7 @@ def report(
         lines.append(("all", "", *np.sum([line[2:] for line in lines], axis=0).tolist()))
         names = ("container", "while", "trials", "noticed by image", "by the fingers", "not noticed")
         told = _share(sum(bool(one.noticed) for one in struck), len(struck))
-        caption = f"{options.arm}: containers that somebody moves or topples; noticed {told}"
+        caption = f"{options.arm}: containers that a person moves or topples; noticed {told}"
         tables.append(Table(lines, names, caption))
     return StudyReport(
         [*tables, Table([("all", f"{seconds:.0f} s")], caption="Time")],

@@ -1,8 +1,8 @@
 """Where the particles go when something else is done to the body: predicted positions, with intervals.
 
-What is not certain: the parameter (its posterior), what the model cannot do (the misfit of the fit, grown with the size
-of the deformation), the noise of the prescribed positions through what they do to the simulation, and, for particles
-that will be measured as those of the fit were, the noise of that measurement.
+Uncertain are the parameter (its posterior), the model (the misfit of the fit, scaled with the size of the deformation),
+and the noise of the prescribed positions through its effect on the simulation. For particles that will be measured as
+those of the fit, the noise of that measurement is added.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ def rows(groups: Iterable[GroupT], quantities: Sequence[Quantity[GroupT]]) -> li
 def table(
     lines: Sequence[Row], quantities: Sequence[Quantity[Any]], title: str, shown: Mapping[str, str] | None = None
 ) -> Table:
-    """A line for each row. shown: the columns, and what they are called here; None: all"""
+    """A line for each row. shown: the columns, and their names here; None: all"""
     columns = {name: (one.key, write) for one in quantities for name, write in one.columns.items()}
     names = shown if shown is not None else {name: name for name in columns}
     chosen = [columns[name] for name in names]
@@ -73,12 +73,12 @@ def table(
 
 
 def number(digits: int) -> Callable[[float], str]:
-    """Writes a number with so many digits."""
+    """Writes a number with this number of digits."""
     return f"{{:.{digits}f}}".format
 
 
 def percent(digits: int) -> Callable[[float], str]:
-    """Writes a share with so many digits."""
+    """Writes a share with this number of digits."""
     return f"{{:.{digits}%}}".format
 
 

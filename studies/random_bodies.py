@@ -1,9 +1,9 @@
 """Do 90 % intervals hold 90 % of the truths? Random bodies of known beta, each kind of noise, and data without any
 information, through the same calibration as a user's.
 
-A body is a lattice in the plane or in space whose first layer stands still while a patch of its last one is moved.
-Its truth is the engine's static state for a random beta, in float64; what is "measured" has noise on top. The ranks of
-the truths in their posteriors are even if these are right (simulation-based calibration, Talts et al. 2018).
+A body is a lattice in the plane or in space whose first layer is fixed while a patch of its last one is moved. Its
+truth is the engine's static state for a random beta, in float64; what is "measured" has noise on top. The ranks of the
+truths in their posteriors are even if these are right (simulation-based calibration, Talts et al. 2018).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
+    """Outcome of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
     seconds: processor time of the fit; codes: of the reasons to doubt it"""
 
     condition: str
@@ -147,8 +147,8 @@ class RandomBody:
 
 
 def random_body(rng: np.random.Generator, dim: int) -> RandomBody:
-    """4 to 8 by 4 to 12 particles in the plane, 3 to 5 a side in space; one to some of the far side moved by about a
-    spacing; clusters of 2 to 5 a side."""
+    """4 to 8 by 4 to 12 particles in the plane, 3 to 5 per side in space; one to some of the far side moved by about a
+    spacing; clusters of 2 to 5 per side."""
     shape = (int(rng.integers(4, 9)), int(rng.integers(4, 13))) if dim == 2 else tuple(map(int, rng.integers(3, 6, 3)))
     rest = lattice(shape)
     near = np.flatnonzero(rest[:, 0] <= 0.0)
@@ -264,7 +264,7 @@ def _turned(rest: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 QUICK_OBJECTS = 15
 PART_APART = 5
-"""One object at 0 and one near 1 for so many in between; and so many finite element bodies."""
+"""Number of objects in between for one object at 0 and one near 1; and for as many finite element bodies."""
 
 NOTHING_CASES = 200
 

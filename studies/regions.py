@@ -62,7 +62,7 @@ TOUCHES = 8
 """As `explore` makes by default."""
 CELL_M = 0.01
 BLUR_M = (0.006, 0.009)
-"""What a contact feels; the estimator assumes 0.0075."""
+"""Blur of a contact; the estimator assumes 0.0075."""
 BINS = 5
 FIXED = 1.0
 
@@ -73,9 +73,9 @@ Truth = Literal["prior", "scenes", "maps"]
 class RegionCondition:
     """Where truths come from, and what the session keeps from the estimator.
 
-    errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at so many of their
-    deviations, the sign by the seed, instead of drawn; materials: on maps of an independent generator
-    (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change
+    errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at this number of
+    their standard deviations, with the sign by the seed, instead of random; materials: on maps of an independent
+    generator (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change
     """
 
     name: str
@@ -99,7 +99,7 @@ REGION_CONDITIONS = (
     RegionCondition("scatter over 12 cm", "scenes", LabErrors(scatter_length_m=0.12)),
     RegionCondition("clean", "scenes", LabErrors.none()),
 )
-"""The first is the stated prior; then the laboratory with all its errors, one of them at a value of its own; the last
+"""The first is the stated prior; then the laboratory with all its errors, one of them at a different value. The last
 two violate the model on either side: a scatter that neighbours share, and none."""
 
 INDEPENDENT_CONDITIONS = tuple(
@@ -120,7 +120,7 @@ class RegionCase:
 
 @dataclass(frozen=True, slots=True)
 class RegionOutcome:
-    """What came of one exploration.
+    """Outcome of one exploration.
 
     true_count: of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
     levels, levels_covered: of the true regions, where their number is right, and those in their 90 % intervals;
@@ -128,6 +128,7 @@ class RegionOutcome:
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
     cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: count may be more
+    met: true regions in which a touch was made: no other can be counted
     """
 
     condition: str
@@ -147,6 +148,7 @@ class RegionOutcome:
     touches: int
     cells_held: float = np.nan
     at_least: bool = False
+    met: int = 0
 
     @property
     def right(self) -> bool:
@@ -157,9 +159,8 @@ class RegionOutcome:
 class KnownSurface:
     """A surface and the session it is touched in.
 
-    true: labels and levels; places_m: (p, 2) that can be touched; felt: (p,) log stiffness [N/mm] that a contact feels
-    there, scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: of each
-    touch alone
+    true: labels and levels; places_m: (p, 2) that can be touched; felt: (p,) log stiffness [N/mm] of a contact there,
+    scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: of each touch alone
     """
 
     true: TrueMap
@@ -237,7 +238,7 @@ def _from_maps(materials: int, seed: int) -> KnownSurface:
 def _from_prior(
     rng: np.random.Generator, prior: RegionPrior, grid: MapGrid, places_m: FloatArray
 ) -> tuple[TrueMap, FloatArray]:
-    """A map of the prior, and what a contact feels at places (p, 2): off where it feels two regions."""
+    """A map of the prior, and the stiffness of contacts at places (p, 2): mixed where a contact covers two regions."""
     count = int(rng.choice(len(prior.regions) + 1, p=[*prior.regions, prior.gradual])) + 1
     if count > len(prior.regions):
         return _smooth(rng, prior, grid, places_m)
@@ -276,7 +277,7 @@ def _smooth(
 
 
 def _from_scene(name: str, seed: int, grid: MapGrid, places_m: FloatArray, blur_m: float) -> tuple[TrueMap, FloatArray]:
-    """A layout of the laboratory; a contact feels the mean stiffness over a Gaussian of `blur_m`."""
+    """A layout of the laboratory; a contact averages stiffness over a Gaussian of `blur_m`."""
     scene = built_in(name, seed)
     node, weight = np.polynomial.hermite_e.hermegauss(7)
     around = np.stack(np.meshgrid(node, node), axis=-1).reshape(-1, 2) * blur_m
@@ -299,7 +300,7 @@ def _true(labels: IntArray, level: FloatArray) -> TrueMap:
 
 
 def explore_known(case: RegionCase) -> RegionOutcome:
-    """One exploration, until the plan says enough."""
+    """One exploration, until the end of the plan."""
     condition, prior = case.condition, RegionPrior()
     surface = known_surface(condition, case.seed, prior)
     doubt = LabErrors().arm if condition.errors is None else condition.errors.arm or LabErrors().arm
@@ -314,6 +315,10 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         shown = posterior.region_map()
     truth = surface.true
     right = shown.region_count == truth.region_count
+    met = 0
+    if truth.labels is not None:
+        at = [np.argmin(((posterior.grid.centres_m - one.xy_m) ** 2).sum(axis=1)) for one in posterior.touches]
+        met = len(np.unique(truth.labels.ravel()[at]))
     levels = covered = 0
     width = wrong = np.nan
     z: tuple[float, ...] = ()
@@ -347,6 +352,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         touches=len(posterior.touches),
         cells_held=float((np.abs(shown.field - truth.log_stiffness) <= Z_90 * shown.field_sd).mean()),
         at_least=shown.at_least,
+        met=met,
     )
 
 
@@ -397,8 +403,8 @@ def clopper_pearson(hits: int, cases: int, level: float = 0.9) -> tuple[float, f
 
 @dataclass(frozen=True, slots=True)
 class RegionCoverageConfig(StudyOptions):
-    """Count how often a map's levels lie in their intervals, and its number of regions is right: surfaces of known
-    truth, drawn from the stated prior and from violations of it, touched in closed form and explored as `explore`
+    """Count how often a map's levels lie in their intervals, and its number of regions is right. Surfaces of known
+    truth are drawn from the stated prior and from violations of it, touched in closed form and explored as `explore`
     does."""
 
     objects: Annotated[int, flags.least(5)] = 300
@@ -432,6 +438,7 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     ),
     Quantity("level_width", lambda some: _or_nan(np.median, [one.width for one in some]), {"width": number(3)}),
     Quantity("number_right", lambda some: Rate.of(one.right for one in some), {"number right": share(2)}),
+    Quantity("met_right", lambda some: Rate.of(one.count == one.met for one in some), {"as many as met": share(2)}),
     Quantity("number_claimed", lambda some: float(np.mean([one.claimed for one in some])), {"claimed": number(2)}),
     Quantity(
         "true_number_probability",

@@ -5,8 +5,8 @@ python -m studies removal --layouts 4 --picture removal.png --json removal.json
 
 Which points of foam stay, and which of the robot do.
 
-A laboratory's robot with gripper, stick and cable (`lab.robot_body`) is seen before foam, above it and as it presses;
-the estimator knows it as its rig file describes it, and the camera's place with an error.
+A laboratory's robot with gripper, stick and cable (`lab.robot_body`) is seen before foam, above it and during a press.
+The estimator has its rig file's description, and the camera's pose with an error.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ REMOVALS: tuple[Removal, ...] = ("capsules", "hull", "mesh")
 SCENE = "two-60-150"
 OFF_M, OFF_RAD = 0.005, float(np.radians(1.0))
 DOUBT_M: Mapping[About, float] = {"nothing": 0.0, "surface": OFF_M + 0.2 * OFF_RAD, "camera": OFF_M + 0.8 * OFF_RAD}
-"""What [camera] doubt_m is then: how far off the robot seems at 0.2 m from what it is turned about, or at 0.8 m."""
+"""The [camera] doubt_m of this: the robot's apparent displacement at 0.2 m from the centre of the turn, or at 0.8 m."""
 NOISE_PER_M: Mapping[Sensor, float] = {"plain": 1.425e-3, "primesense": 1.425e-3, "realsense": 3.75e-3}
 """Deviation of depth z is that times z^2 [m], as the cameras have it."""
 DEVIATIONS, STEP_M = 4.0, 0.002
 """What differs from the foam's depth by more is none of it."""
 BLEEDING_PX = 2
-"""Pixels so near the robot may have its depth, or one between."""
+"""Distance in pixels from the robot within which a pixel may have its depth, or one between."""
 TILT_RAD = float(np.radians(10.0))
 PRESSED_M = (0.002, 0.012)
 ABOVE_M = 0.05
@@ -74,7 +74,7 @@ BORDER_M = 0.05
 class RobotPicture:
     """One picture with the robot in it.
 
-    depth_m: (H, W) measured; exact: what it would be without the sensor's errors; pose: of the arm, as it reports
+    depth_m: (H, W) measured; exact: without the sensor's errors; pose: of the arm, as it reports
     center_m: (3,) of the tip; foam: (H, W) pixels that fell on foam and have its depth; robot: pixels on the robot, or
     within BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher
     """
@@ -90,8 +90,8 @@ class RobotPicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemovedPoints:
-    """Points of a picture in a box. points_m: (n, 3); foam, robot: (n,) what they truly are; beside: (n,) not taken for
-    the robot's; kept: nor as outliers, which follow; seconds: that telling the robot's apart took"""
+    """Points of a picture in a box. points_m: (n, 3); foam, robot: (n,) their true classes; beside: (n,) not classified
+    as robot; kept: nor as outliers, which follow; seconds: that telling the robot's apart took"""
 
     points_m: FloatArray
     foam: BoolArray
@@ -105,8 +105,8 @@ class RemovedPoints:
 class RemovalCount:
     """One picture, seen with a sensor, with the camera's place off about something, in a box.
 
-    foam, foam_kept: points of foam, and how many of them are not taken for the robot's; foam_outliers: of these, how
-    many the filter of outliers takes afterwards, as it does without a robot
+    foam, foam_kept: points of foam, and number of them not classified as robot; foam_outliers: of these, how many the
+    filter of outliers takes afterwards, as it does without a robot
     robot, robot_left: points of the robot, and how many stay after both; seconds: that telling them apart took
     """
 
@@ -165,7 +165,7 @@ class RemovalScene:
         return SENSORS[sensor].measure(exact.depth_m, self.view.intrinsics.fx_px, self._random)
 
     def T_surface_camera(self, about: About) -> FloatArray:
-        """(4, 4) where the estimator takes the camera to be: off by `OFF_M` and `OFF_RAD` in random directions, turned
+        """(4, 4) the estimator's pose of the camera: displaced by `OFF_M` and `OFF_RAD` in random directions, turned
         about its own place or about the surface's middle."""
         T = self.view.surface_from_camera
         if about == "nothing":
@@ -271,7 +271,7 @@ def removal_png(seed: int) -> bytes:
     scene = RemovalScene(seed)
     picture = scene.picture("realsense", pressing=True)
     T = scene.T_surface_camera("surface")
-    panels: list[tuple[str, npt.NDArray[np.uint8]]] = [("what the camera sees", picture.exact.color)]
+    panels: list[tuple[str, npt.NDArray[np.uint8]]] = [("content of the image", picture.exact.color)]
     for removal in REMOVALS:
         geometry = scene.geometry(T, DOUBT_M["surface"], known_as(removal))
         found = removed(picture, geometry, scene.box("all above", picture.center_m))
@@ -291,7 +291,7 @@ def removal_png(seed: int) -> bytes:
             axes.imshow(image)
             axes.set_title(title)
             axes.set_axis_off()
-        words = ("kept", "taken for the robot", "foam that is lost", "robot that is left")
+        words = ("kept", "classified as robot", "lost foam", "remaining robot")
         handles = [
             mpl.patches.Patch(color=tuple((np.array(tint) / 255.0).tolist()), label=word)
             for word, tint in zip(words, (KEPT, TAKEN, LOST, LEFT), strict=True)
@@ -313,8 +313,8 @@ def _as_seen(
 
 @dataclass(frozen=True, slots=True)
 class RemovalCoverageConfig(StudyOptions):
-    """Count which points of simulated pictures stay, of foam and of a robot with gripper, stick and cable, by how the
-    robot is taken out: capsules, convex hulls (Thesis 4.4) or meshes; with the camera's place exact, and off by 5 mm
+    """Count the remaining points of simulated images, of foam and of a robot with gripper, stick and cable, by the
+    method of removal: capsules, convex hulls (Thesis 4.4) or meshes. The camera's pose is exact, or displaced by 5 mm
     and 1 degree."""
 
     layouts: flags.ManyFlag = 6
@@ -324,8 +324,8 @@ class RemovalCoverageConfig(StudyOptions):
 
 
 TITLES: dict[Where, str] = {
-    "sample": "In the sample's box, as explorations crop it: foam kept (worst picture) / robot left (worst picture)",
-    "around a touch": "Within 8 cm of the tip while it presses: foam kept (worst picture) / robot left (worst picture)",
+    "sample": "In the sample's box, as explorations crop it: foam left (worst picture) / robot left (worst picture)",
+    "around a touch": "Within 8 cm of the tip during a press: foam left (worst picture) / robot left (worst picture)",
 }
 ABOUT = {
     "nothing": "exact",
@@ -382,7 +382,7 @@ def report(options: RemovalCoverageConfig, seconds: float, tried: Sequence[list[
     return StudyReport(
         tables,
         {"layouts": options.layouts, "doubt_m": DOUBT_M, "rows": lines},
-        (Figure(png, "Taken for the robot, by how it is taken out"),),
+        (Figure(png, "Classified as robot, by method of removal"),),
         {options.picture: png},
     )
 
@@ -396,7 +396,7 @@ def _removal_table(where: Where, lines: Sequence[Row]) -> Table:
             some = [chosen[sensor, about, removal] for removal in REMOVALS]
             points = some[0]["robot_points"] // some[0]["pictures"]
             written.append((sensor, words, points, *map(_shares, some), f"{some[-1]['foam_outliers']:.2%}"))
-    return Table(written, ("camera", "its place is off by", "robot points", *REMOVALS, "then outliers"), TITLES[where])
+    return Table(written, ("camera", "error of its pose", "robot points", *REMOVALS, "then outliers"), TITLES[where])
 
 
 def _shares(row: Row) -> str:

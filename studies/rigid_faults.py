@@ -37,7 +37,7 @@ class SensorFault(StrEnum):
     """What is wrong with the force sensor, or with what the camera saw."""
 
     RIGHT = "nothing is wrong"
-    DEAD = "the sensor feels nothing"
+    DEAD = "the sensor measures nothing"
     SMALL = "its forces are 1000 times too small"
     SCALE = "it has the scale of another model"
     SATURATED = "it saturates at 2 N"
@@ -45,8 +45,8 @@ class SensorFault(StrEnum):
     EXCHANGED = "its axes are exchanged"
     FROZEN = "it freezes after the tare"
     STUCK = "its axis along the stick freezes after the tare"
-    HIGHER = "the surface is 45 mm higher than the camera saw"
-    DIES = "it feels nothing any more after the tare"
+    HIGHER = "the surface is 45 mm higher than the camera measured"
+    DIES = "the sensor measures nothing any more after the tare"
 
 
 FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
@@ -57,7 +57,7 @@ FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
     SensorFault.REVERSED: lambda load_n: -load_n,
     SensorFault.EXCHANGED: lambda load_n: np.roll(load_n, 1),
 }
-"""(3,) what it makes of a load (3,) [N]."""
+"""(3,) its output for a load (3,) [N]."""
 ARMS = ("kuka", "kuka with motor currents", "jaco")
 STIFFNESSES_N_M = (5e3, 2e4, 1e5)
 """Of arm, sensor and stick in series."""

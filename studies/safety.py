@@ -1,4 +1,4 @@
-"""`python -m studies safety`: whether the arm stands in time, and stays away from limits and singularities.
+"""`python -m studies safety`: whether the arm stops in time, and avoids limits and singularities.
 
 python -m studies safety --faults 1000 --layouts 200 --rigid 88 --jobs 8 --json safety.json
 python -m studies safety --faults 100 --layouts 0 --rigid 0
@@ -29,11 +29,11 @@ from studies.silent_kuka import FARTHEST_M, SilentRun, run_silent
 
 @dataclass(frozen=True, slots=True)
 class SafetyCoverageConfig(StudyOptions):
-    """Count whether a simulated arm stands in time when things go wrong, of all kinds in turn, how long and how far it
-    takes to stand, and how far it stays from joint limits and singularities on random layouts of arm and table."""
+    """Count whether a simulated arm stops in time after faults, of all kinds in turn, and its time and distance to
+    rest. On random layouts of arm and table, count its distance from joint limits and singularities."""
 
     arm: Literal["jaco", "kuka"] = "jaco"
-    """Whose faults: jaco = all kinds, or kuka = answers that end while the arm moves, of controllers with HOLDON 0 and
+    """Source of faults: jaco = all kinds, or kuka = answers that end during a motion, of controllers with HOLDON 0 and
     1; 500 faults are 50 of each."""
     faults: Annotated[int, flags.least(0)] = 1000
     """Faults; each takes some 2 s of a core. 0 = none."""
@@ -44,7 +44,7 @@ class SafetyCoverageConfig(StudyOptions):
 
 
 def trials(options: SafetyCoverageConfig) -> list[Trials[int, Any]]:
-    """Faults, layouts and rigid surfaces; those that are not asked for have no cases."""
+    """Faults, layouts and rigid surfaces; those without a request have no cases."""
 
     def seeds(count: int) -> Sequence[int]:
         return reported(count, options.output.seed) if count else ()
@@ -102,7 +102,7 @@ def fault_table(runs: Sequence[AnyRun]) -> Table:
         "until then, max",
         f"ended [ms], max ({1e3 * ENDED_WITHIN_S:g})",
     )
-    names += ("stands after [ms]: median, max", "tip [mm]: median, max", "joint [deg], max", "left, least")
+    names += ("at rest after [ms]: median, max", "tip [mm]: median, max", "joint [deg], max", "left, least")
     return Table([*lines, _fault_line("all", runs)], names, "Injected faults")
 
 
@@ -181,7 +181,7 @@ def _greatest(runs: Sequence[RigidRun]) -> str:
 
 
 def layout_table(runs: Sequence[LayoutRun]) -> Table:
-    """How many layouts were begun, how their touches ended, and what was kept of joints' ranges."""
+    """Number of layouts, the ends of their touches, and remaining distance to joint limits."""
     begun = [run for run in runs if not run.refused]
     refused = Counter(run.refused for run in runs if run.refused)
     endings = Counter(ending for run in begun for ending in run.endings)
@@ -191,13 +191,13 @@ def layout_table(runs: Sequence[LayoutRun]) -> Table:
     rows += [(f"touches: {ending}", count) for ending, count in endings.most_common()]
     rows += [(f"stopped on its way: {fault}", count) for fault, count in faults.most_common()]
     rows.append(
-        ("least way of a joint to its range's end", f"{min((run.margin_deg for run in begun), default=0):.1f} deg")
+        ("least distance of a joint to its limit", f"{min((run.margin_deg for run in begun), default=0):.1f} deg")
     )
     return Table(rows, caption="Random layouts of arm and table")
 
 
 def slowing_table(runs: Sequence[LayoutRun]) -> Table:
-    """By distance to a singularity along the motion, which share of the velocity asked for was sent."""
+    """By distance to a singularity along the motion, the sent share of the requested velocity."""
     rows = [
         (f"up to {high:g} deg" if np.isfinite(high) else "farther", count, f"{share:.2f}")
         for high, (count, share) in shares_by_distance(runs).items()

@@ -20,7 +20,7 @@ chosen on them."""
 
 
 def independent(count: int, first: int = 0) -> range:
-    """`count` of these seeds, from the `first` of them on. Raises InputError where there are not so many."""
+    """`count` of these seeds, from the `first` of them on. Raises InputError if there are not enough."""
     return range(INDEPENDENT.start + (seeds := reported(count, first)).start, INDEPENDENT.start + seeds.stop)
 
 
@@ -29,5 +29,5 @@ def reported(count: int, first: int = 0) -> range:
     seeds = range(first, first + count)
     if count < 1 or first < REPORTED.start or (first < TUNING.stop and seeds.stop > TUNING.start):
         expected = f"seeds from {REPORTED.start} to {REPORTED.stop - 1}, or from {TUNING.stop} on"
-        raise InputError(expected, f"{count} from {first}", "the next ones are kept for choosing constants")
+        raise InputError(expected, f"{count} from {first}", "the next ones are reserved for choosing constants")
     return seeds

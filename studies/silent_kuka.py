@@ -1,4 +1,4 @@
-"""A moving KUKA whose answers end: how far its flange goes on, by what ends them and by the controller's HOLDON.
+"""A moving KUKA whose answers end: motion of its flange afterwards, by the reason and by the controller's HOLDON.
 
 On the host's clock, through the arm's own process and UDP; each run draws cycle, lag, acceleration and moment.
 """
@@ -68,14 +68,14 @@ class SilentRun:
 
     @property
     def in_time(self) -> bool:
-        """Refused where the controller holds corrections; else it stands within FARTHEST_M."""
+        """Refused if the controller holds corrections; else it stops within FARTHEST_M."""
         return (
             not self.error and self.refused == bool(self.holdon) and self.moved_m <= FARTHEST_M and not self.moved_later
         )
 
 
 class _Cable(KukaDouble):
-    """A controller whose cable can be pulled: it goes on, hears nothing and is not heard."""
+    """A controller whose cable can be disconnected: it continues without receiving or sending."""
 
     pulled = False
 

@@ -26,7 +26,7 @@ SMALL = {"parameter": "beta", "value": 0.5, "interval": [0.4, 0.6], "verdict": "
 
 @dataclass(frozen=True, slots=True)
 class TasksOptions(StudyOptions):
-    """Sweep so many tasks that compute nothing, once, and once more when all are known."""
+    """Sweep a number of tasks that compute nothing, once, and again with all stored."""
 
     tasks: flags.ManyFlag = 1000
     """Tasks."""
@@ -103,9 +103,9 @@ def report(options: TasksOptions, seconds: float, found: list[TasksCost]) -> Stu
     rows = [
         ("tasks, rows of results", f"{cost.case.tasks}, {cost.rows}"),
         ("workers", str(cost.case.workers)),
-        ("whole sweep", f"{cost.swept_s:.1f} s, {cost.cpu_s:.1f} s of it computed by who asks"),
-        ("the same again, all known", f"{cost.again_s:.1f} s, {cost.again_cpu_s:.1f} s of it computed"),
-        ("peak memory of the process that asks", f"{cost.peak_mb:.0f} MB, {cost.before_mb:.0f} MB before it began"),
+        ("whole sweep", f"{cost.swept_s:.1f} s, {cost.cpu_s:.1f} s of it in the calling process"),
+        ("again, with all tasks stored", f"{cost.again_s:.1f} s, {cost.again_cpu_s:.1f} s of CPU"),
+        ("peak memory of the calling process", f"{cost.peak_mb:.0f} MB, {cost.before_mb:.0f} MB before it began"),
         (JOURNAL, f"{cost.journal_mb:.1f} MB"),
         (RESULTS, f"{cost.results_mb:.2f} MB"),
     ]

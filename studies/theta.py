@@ -3,10 +3,10 @@
 python -m studies theta --only "another" --objects 100
 
 Does a theta hold for another depth or resolution? Cubes of finite elements have a Poisson's ratio, but no theta: the
-value depends on how far they are pressed and on the lattice of their particles.
+value depends on their compression and on the lattice of their particles.
 
-Each cube is pressed twice, to two depths, on two lattices or both. What is counted is how often the interval of the one
-fit holds the value of the other, and what the verdict makes of it.
+Each cube is pressed twice, to two depths, on two lattices or both. Counted is how often the interval of one fit holds
+the value of the other, by verdict.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ COLUMNS = {
 
 
 def trials(options: DisturbedCoverageConfig) -> list[Trials[DisturbedCase, DisturbedOutcome]]:
-    """Objects of the kinds of errors, and cubes at the settings, that are asked for."""
+    """Requested objects of the kinds of errors, and cubes at the settings."""
     names = names_of(options.only, (*DISTURBED, *SETTINGS))
     disturbed, settings = ([name for name in names if (name in SETTINGS) is kind] for kind in (False, True))
     return [
@@ -101,7 +101,7 @@ def report(
     tables, found = summary(options, "theta", seconds, disturbed)
     lines = disturbed_rows(settings)
     if lines:
-        title = f"{options.level:.0%} intervals that hold the theta found at another setting"
+        title = f"{options.level:.0%} intervals that contain the theta of another setting"
         tables.append(table(lines, QUANTITIES, title, COLUMNS))
     return StudyReport(tables, found | {"settings": lines})
 

@@ -1,7 +1,7 @@
 """A body of finite elements is no shape-matching model: no beta is true of it. There the test is prediction: fitted to
 one poke, do the 90 % predictive intervals hold the particles of a poke that was not seen?
 
-Bodies: a sheet in plane stress (a thin box, one of whose faces is a plane of symmetry) or a block, of a random
+Bodies: a sheet in plane stress (a thin box, one of whose faces is a plane of symmetry) or a block. They have a random
 Poisson's ratio and a Young's modulus that varies by up to a factor of 7; a patch of the far side is pushed, pulled or
 sheared.
 """
@@ -49,7 +49,7 @@ class UnseenPrediction:
 
 
 class FoamBody:
-    """A random elastic body whose particles stand on a lattice; rest: (K, d) [m]; even: of one modulus."""
+    """A random elastic body whose particles lie on a lattice; rest: (K, d) [m]; even: of one modulus."""
 
     def __init__(self, rng: np.random.Generator, dim: int, *, even: bool = False) -> None:
         sides = ((5, 9), (6, 12)) if dim == 2 else ((4, 7),) * 3

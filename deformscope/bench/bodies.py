@@ -58,8 +58,8 @@ def cube(side: int) -> BenchBody:
 def poked(side: int) -> BenchBody:
     """The same cube with the middle ninth of its top held and pressed as far.
 
-    Between plates that hold it all over, a cube without volume conservation is pressed alike in every column, which
-    conjugate gradients solve in about as many iterations as there are layers: such static states are all too easy.
+    Between plates that hold it all over, a cube without volume conservation is pressed alike in every column. Conjugate
+    gradients solve it in about as many iterations as there are layers: such static states are too easy.
     """
     body = cube(side)
     tool = slice(side // 3, max(side - side // 3, side // 3 + 1))
@@ -71,7 +71,7 @@ def poked(side: int) -> BenchBody:
 
 
 def sheet() -> BenchBody:
-    """7 x 15 particles in the plane; the bottom row stands, the top middle particle is pushed in."""
+    """7 x 15 particles in the plane; the bottom row is held, the top middle particle is pushed in."""
     rows, columns = SHEET
     rest = np.indices(SHEET, dtype=np.float64).reshape(2, -1).T
     held = np.array([*range(columns), (rows - 1) * columns + columns // 2])

@@ -1,4 +1,4 @@
-"""A process's first static state: `python -m deformscope.bench.first_result DEVICE` prints when it had it."""
+"""A process's first static state: `python -m deformscope.bench.first_result DEVICE` prints its time."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def fit(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
             beside=ours,
             facts={"steps": sum(steps), "settled": SETTLED},
             found=partial(judged.answer, "sweep"),
-            note="100 betas in turn, time stepping until settled (steps counted beforehand)",
+            note="100 betas in turn, time stepping until settled (steps counted before)",
         )
         yield from compare("fit", [ours, thesis], plan.rounds)
 
@@ -104,7 +104,7 @@ def _sweep(judged: _Judged, steps: list[int]) -> None:
 
 
 def _steps_needed(engine: Msm, held_position: FloatArray, beta: float) -> int:
-    """Time steps from rest until settled, looked for in strides of a quarter and then placed between two looks by the
+    """Time steps from rest until settled, searched in strides of a quarter and interpolated between two checks by the
     rate at which the residual falls."""
     state, done, last = engine.start(), 0, np.inf
     while done < STEPS_MOST:

@@ -16,7 +16,7 @@ from deformscope.version import __version__
 
 
 def machine(device: str) -> dict[str, object]:
-    """Facts for the JSON. load: of the last minute, when asked; what others run makes every figure larger."""
+    """Facts for the JSON. load: mean of the last minute; other processes make every figure larger."""
     gpu = None if device == "cpu" else wp.get_device(device)
     return {
         "cpu": _cpu(),

@@ -1,8 +1,8 @@
 """The step that the engine is compared with: NumPy, float64, vectorised over all clusters, rotations by batched SVD.
 
-It takes a step to the goals (eq. 3.15) of a full lattice of unit masses with a linear basis and theta = 0, as well as
-plain NumPy can: sums over windows go axis by axis, so that a window of w particles a side costs some 3 w additions a
-channel instead of w^3, and one `np.linalg.svd` call turns all clusters.
+It takes a step to the goals (eq. 3.15) of a full lattice of unit masses with a linear basis and theta = 0, in fast
+plain NumPy. Sums over windows go axis by axis, so that a window of w particles per side costs about 3 w additions per
+channel instead of w^3. One `np.linalg.svd` call turns all clusters.
 """
 
 from __future__ import annotations

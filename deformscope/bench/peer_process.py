@@ -1,10 +1,10 @@
 """The other engines, each in a process of its own: `python -m deformscope.bench.peer_process ENGINE SIDE`.
 
-A process of its own, because pypbd is one global simulation and takes its number of threads from the environment, and
+A child process, because pypbd is one global simulation and takes its number of threads from the environment, and
 because these libraries print, change warp's settings and may crash. Lines on stdout: one JSON object about the body
-that was built; then, for every number of steps that arrives on stdin, the seconds of wall clock and of processor time.
+that was built. Then, for every number of steps on stdin, the seconds of wall clock and of processor time.
 
-Every body is a lattice of SIDE^3 particles whose bottom layer stands.
+Every body is a lattice of SIDE^3 particles whose bottom layer is held.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ ENGINES: dict[str, Callable[[int], Built]] = {"pypbd": pypbd, "mujoco": mujoco, 
 
 
 def main(engine: str, side: int) -> None:
-    """Build, report, and step as often as asked."""
+    """Build, report, and step on request."""
     lines = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever the engine prints
     facts, start, step, position = ENGINES[engine](side)

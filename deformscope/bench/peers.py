@@ -1,4 +1,4 @@
-"""Other engines, run in child processes that answer how long so many steps took."""
+"""Other engines, run in child processes that report the time of a number of steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class PeerFailed(Exception):
-    """The engine's process ended by itself. The message is the last line that it said."""
+    """The engine's process failed. The message is the last line that it said."""
 
 
 def require_peers() -> None:
@@ -29,14 +29,14 @@ def require_peers() -> None:
 
 
 def search_path() -> str:
-    """Where a child process finds what this one found."""
+    """Module path of this process, for a child process."""
     return os.pathsep.join(str(Path(folder).resolve()) for folder in sys.path)
 
 
 class Peer:
     """One engine with a cube of side^3 particles, on one thread. `with Peer("pypbd", 11) as peer: peer.steps(100)`.
 
-    facts: what it says of the body that it built
+    facts: its description of the body that it built
     """
 
     def __init__(self, engine: str, side: int) -> None:
@@ -68,7 +68,7 @@ class Peer:
         self._stderr.close()
 
     def steps(self, count: int) -> Timing:
-        """One run of so many steps from the start: the time of one."""
+        """One run of a number of steps from the start: the time of one."""
         assert self._process.stdin is not None
         print(count, file=self._process.stdin, flush=True)
         wall_s, cpu_s = (float(word) for word in self._answer().split())
@@ -80,5 +80,5 @@ class Peer:
         if not line:
             self._stderr.seek(0)
             said = self._stderr.read().strip().splitlines()
-            raise PeerFailed(said[-1] if said else "it ended without a word")
+            raise PeerFailed(said[-1] if said else "it ended without an error message")
         return line

@@ -1,4 +1,4 @@
-"""What is to be measured, and for how long."""
+"""Cases to measure, and their durations."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class BenchPlan:
         return 3.0 if self.quick else 20.0
 
     def rounds(self, seconds: float, least: int = 1) -> int:
-        """How often to repeat a round that takes so long."""
+        """Number of repeats of a round with this duration."""
         if self.repeats is not None:
             return self.repeats
         budget_s, most = (0.5, 3) if self.quick else (4.0, 9)

@@ -68,7 +68,7 @@ class Report:
 
 
 def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlier: Earlier | None = None) -> Report:
-    """All of it. The machine's load is that of the end. earlier: rows of another run, which these are set beside."""
+    """All of it. The machine's load is that of the end. earlier: rows of another run, which these are compared with."""
     then = {} if earlier is None else earlier
     plain = tuple(row.plain(then.get((row.case, row.what, row.who, row.unit))) for row in rows)
     return Report(FORMAT, complete, machine(plan.device), plan, plain)

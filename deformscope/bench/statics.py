@@ -100,7 +100,7 @@ def theta(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
 
 
 def gradient(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """The gradient of an error over every cluster's beta, beside one static state."""
+    """The gradient of an error over every cluster's beta, compared with one static state."""
     for body, size in ((poked(MIDDLE), CLUSTER), (sheet(), 4)):
         what = f"{body.named}, clusters of {size}^{body.rest.shape[1]}"
         note(f"gradient: {what}")

@@ -1,4 +1,4 @@
-"""Time stepping: what one step takes, and how much memory, beside NumPy and other engines."""
+"""Time stepping: time and memory of one step, compared with NumPy and other engines."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def peer_contestant(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "
 
 
 def candidates_at_once(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """Simulation steps a second of many candidates in one launch, beside one simulation of another engine."""
+    """Simulation steps a second of many candidates in one launch, compared with one simulation of another engine."""
     body = cube(MIDDLE)
     engine = plan.engine(body, precision="float32")
     for candidates in (100,) if plan.cpu else (100, 1000):

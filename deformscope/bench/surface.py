@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 POINTS, QUICK_POINTS = 12_000, 3000
 SIZE_M = (0.6, 0.4)
 HOLE_M, HOLE_RADIUS_M = (0.35, 0.2), 0.06
-"""Where no camera saw anything: what is believed there must be as exact."""
+"""Places without camera points: the estimate there must be as exact."""
 NOISE_M, BUMPS_M, LENGTH_M = 1.5e-3, 8e-3, 0.06
 ASKED_M, MAP_M = 0.02, 0.005
 BYTES = 8

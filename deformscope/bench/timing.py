@@ -1,4 +1,4 @@
-"""Clocks, and rows of results: what ran, how long each time, and beside what."""
+"""Clocks, and rows of results: the case, its times, and its reference row."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OURS = "deformscope"
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """One run. wall_s: what it took [s]; cpu_s: what all threads of its process worked meanwhile [s]."""
+    """One run. wall_s: its duration [s]; cpu_s: what all threads of its process worked meanwhile [s]."""
 
     wall_s: float
     cpu_s: float
@@ -36,7 +36,7 @@ class TimingRow:
     case: which part of the bench; what: was done; who: did it; unit: of the samples; samples: one a round
     costs: median over rounds of its cost over that of the row it is compared with, None where there is none
     beside: what that row is; same: False where it solves another problem (context, no comparison of like with like)
-    facts: what else is known, by name with its unit; note: what a reader must know
+    facts: other values, by name with their unit; note: a remark for readers
     """
 
     case: Case
@@ -77,7 +77,7 @@ class TimingRow:
         return ""
 
     def plain(self, against: Mapping[str, Any] | None = None) -> dict[str, object]:
-        """As it stands in the JSON. against: the row of an earlier run that did the same, as its JSON has it."""
+        """As in the JSON. against: the row of an earlier run that did the same, as its JSON has it."""
         then = None if against is None else against["median"]
         return {
             "case": self.case,
@@ -125,7 +125,7 @@ class Contestant:
 
 
 def clock(work: Callable[[], object]) -> Timing:
-    """Run it once. What it returns is thrown away after the clock has stopped."""
+    """Run it once. Its return value is discarded after the clock has stopped."""
     gc.collect()
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     kept = work()

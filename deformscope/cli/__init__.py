@@ -1,10 +1,10 @@
-"""The `deformscope` command: finds the command asked for, reads its flags, runs it, and reports errors in one line.
+"""The `deformscope` command: finds the requested command, reads its flags, runs it, and reports errors in one line.
 
     deformscope --help
     deformscope flow before.png after.png --out flow.npz
 
-To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)` that
-imports what is heavy inside and returns an exit status where it is not always 0, and a line in `COMMANDS`.
+To add a command: a frozen dataclass of its flags in `deformscope/config/`, a file here with `run(config)`, and a line
+in `COMMANDS`. `run` imports heavy modules inside, and returns an exit status if it is not always 0.
 """
 
 from __future__ import annotations
@@ -54,69 +54,63 @@ def _command(summary: str, config: str, module: str, function: str = "run") -> C
 
 
 COMMANDS: dict[str, Command] = {
-    "demo": _command("the main job on what is built in", "DemoConfig", "demo"),
-    "explore": _command("map how soft a surface is, by touching it", "ExploreConfig", "explore"),
+    "demo": _command("map a simulated table, without hardware", "DemoConfig", "demo"),
+    "explore": _command("map the stiffness of a surface by touching it", "ExploreConfig", "explore"),
     "calibrate beta": _command("find beta from images or pair files", "BetaConfig", "calibrate"),
     "calibrate theta": _command("find theta from images or pair files", "ThetaConfig", "calibrate"),
     "calibrate both": _command("find beta and theta together from pair files", "BothConfig", "materials", "both"),
     "calibrate axes": _command("find a beta along each axis from images or pair files", "AxesConfig", "materials"),
-    "calibrate field": _command("how stiff each place is, from one deformation", "FieldConfig", "materials"),
-    "calibrate yield": _command("the strain at which a thing yields, from its motion", "YieldConfig", "materials"),
+    "calibrate field": _command("relative stiffness of each place, from one deformation", "FieldConfig", "materials"),
+    "calibrate yield": _command("yield strain, from a motion under load and release", "YieldConfig", "materials"),
     "calibrate viscous": _command(
-        "what relaxes, how fast, and what stays, from a push and its end", "ViscousConfig", "materials"
+        "relaxing share, relaxation time and permanent share, from a push and its release", "ViscousConfig", "materials"
     ),
-    "predict": _command("poke a fitted model where it was not poked", "PredictConfig", "predict"),
+    "predict": _command("predict pokes that were not fitted", "PredictConfig", "predict"),
     "squeeze": _command("squeeze a container: one trial, or the name of its content", "SqueezeConfig", "squeeze"),
-    "classify": _command(
-        "what is in a container, from squeezing it: how well it is known", "ClassifyConfig", "classify"
-    ),
+    "classify": _command("evaluate classifiers of contents from squeezes", "ClassifyConfig", "classify"),
     "flow": _command("dense optical flow of two images", "FlowConfig", "flow"),
-    "doctor": _command("whether a rig would work, and what to do if not", "DoctorConfig", "doctor"),
-    "devices": _command("what is plugged in, and its health", "DevicesConfig", "devices"),
-    "calibrate tip": _command("find where the tip is on the arm, by tilting it", "TipConfig", "calibrate_setup"),
-    "calibrate place": _command("find where the surface is, by touching its corners", "PlaceConfig", "calibrate_setup"),
-    "calibrate camera": _command(
-        "find where the camera stands, by a board on the arm", "CameraConfig", "calibrate_setup"
+    "doctor": _command("check a rig, and name remedies", "DoctorConfig", "doctor"),
+    "devices": _command("connected devices and their health", "DevicesConfig", "devices"),
+    "calibrate tip": _command("find the tip's position on the arm, by tilting it", "TipConfig", "calibrate_setup"),
+    "calibrate place": _command("find the surface's pose, by touching its corners", "PlaceConfig", "calibrate_setup"),
+    "calibrate camera": _command("find the camera's pose, by a board on the arm", "CameraConfig", "calibrate_setup"),
+    "calibrate force": _command(
+        "find the force sensor's orientation, by pushing the tip", "ForceConfig", "calibrate_setup"
     ),
-    "calibrate force": _command("find how the force sensor sits, by pushing the tip", "ForceConfig", "calibrate_setup"),
-    "calibrate time": _command("find how clocks differ, by tapping the tip", "TimeConfig", "calibrate_setup"),
+    "calibrate time": _command("find clock offsets, by tapping the tip", "TimeConfig", "calibrate_setup"),
     "calibrate arm": _command(
-        "measure the compliance of the arm, on something rigid", "ArmConfig", "calibrate_setup", "arm"
+        "measure the arm's compliance, on something rigid", "ArmConfig", "calibrate_setup", "arm"
     ),
-    "arm where": _command("where the arm is: joints, end and tip", "WhereConfig", "arm", "where"),
+    "arm where": _command("the arm's pose: joints, end and tip", "WhereConfig", "arm", "where"),
     "arm files": _command("write the files for a KUKA's controller", "FilesConfig", "arm", "files"),
     "arm home": _command("send the arm to its home pose", "HomeConfig", "arm", "home"),
     "arm go": _command("bring the tip over a place of the surface", "GoConfig", "arm", "go"),
     "arm jog": _command("move the tip by keys, in small steps", "JogConfig", "arm", "jog"),
     "record": _command("record all devices of a rig", "RecordConfig", "record", "record"),
-    "live": _command("watch all devices of a rig", "LiveConfig", "record", "live"),
+    "live": _command("show all devices of a rig", "LiveConfig", "record", "live"),
     "double": _command("run simulated devices on real transports", "DoubleConfig", "double"),
-    "replay": _command("the same stages on recorded inputs, compared", "ReplayConfig", "replay"),
-    "verify": _command("whether a recording is whole", "VerifyConfig", "recordings", "verify"),
+    "replay": _command("run the same stages on recorded inputs, and compare", "ReplayConfig", "replay"),
+    "verify": _command("check whether a recording is complete", "VerifyConfig", "recordings", "verify"),
     "report": _command("the figures of a recording, as a page", "ReportConfig", "report"),
-    "catalog": _command("the recordings of a folder: listed, filtered", "CatalogConfig", "catalog"),
-    "catalog compare": _command("how two recordings differ", "CompareConfig", "catalog", "compare"),
-    "sweep": _command("a command on every file of a folder", "SweepConfig", "sweep"),
-    "export": _command("a recording in formats of others", "ExportConfig", "recordings", "export"),
-    "import": _command("data of others as a recording", "ImportConfig", "import_data"),
-    "recover": _command("a whole recording out of one that was cut short", "RecoverConfig", "recordings", "recover"),
-    "discard": _command(
-        "mark a recording, or an episode of it, as not to be used", "DiscardRecordingConfig", "discard"
-    ),
+    "catalog": _command("list and filter the recordings of a folder", "CatalogConfig", "catalog"),
+    "catalog compare": _command("compare two recordings", "CompareConfig", "catalog", "compare"),
+    "sweep": _command("run a command on every file of a folder", "SweepConfig", "sweep"),
+    "export": _command("write a recording in other formats", "ExportConfig", "recordings", "export"),
+    "import": _command("make a recording from data of other robots", "ImportConfig", "import_data"),
+    "recover": _command("make a complete recording from a truncated one", "RecoverConfig", "recordings", "recover"),
+    "discard": _command("mark a recording, or an episode of it, as unusable", "DiscardRecordingConfig", "discard"),
     "dataset list": _command("the trials of a data set of squeezes", "DatasetConfig", "dataset", "listing"),
-    "dataset relabel": _command("correct what its index says of trials", "RelabelConfig", "dataset", "relabel"),
-    "dataset discard": _command("leave trials out, with the reason", "DiscardConfig", "dataset", "discard"),
-    "dataset merge": _command("take over the trials of other data sets", "MergeConfig", "dataset", "merge"),
-    "dataset repair": _command("take in recordings that the index lacks", "RepairConfig", "dataset", "repair"),
+    "dataset relabel": _command("correct labels of trials in the index", "RelabelConfig", "dataset", "relabel"),
+    "dataset discard": _command("discard trials, with the reason", "DiscardConfig", "dataset", "discard"),
+    "dataset merge": _command("copy trials of other data sets", "MergeConfig", "dataset", "merge"),
+    "dataset repair": _command("add recordings that the index lacks", "RepairConfig", "dataset", "repair"),
     "reproduce cubes": _command(
         "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "reproduce_cubes"
     ),
-    "reproduce shapes": _command(
-        "what beta and theta do to a body, to be scrubbed (Thesis 3.4)", "ShapesConfig", "reproduce_shapes"
-    ),
+    "reproduce shapes": _command("effect of beta and theta on a body (Thesis 3.4)", "ShapesConfig", "reproduce_shapes"),
     "reproduce foams": _command("experiment 3.B: beta of five virtual foams", "FoamsConfig", "reproduce_foams"),
     "reproduce pokes": _command(
-        "pokes that were not fitted, predicted, on slabs of known truth", "PokesConfig", "reproduce_pokes"
+        "predict pokes that were not fitted, on slabs of known truth", "PokesConfig", "reproduce_pokes"
     ),
     "reproduce table41": _command(
         "maps of simulated tables over seeds (Thesis table 4.1)", "Table41Config", "reproduce_table41"
@@ -128,9 +122,9 @@ COMMANDS: dict[str, Command] = {
         "contents of squeezed containers (Thesis chapter 2)", "ContainersConfig", "reproduce_containers"
     ),
     "reproduce squeezes": _command(
-        "new squeezes beside what was simulated: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
+        "new squeezes compared with the simulated truth: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
-    "bench": _command("what MSM costs on this machine", "BenchConfig", "bench"),
+    "bench": _command("cost of MSM on this machine", "BenchConfig", "bench"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""
 
@@ -142,15 +136,12 @@ HEADINGS = {
 }
 """What `deformscope --help` has above a command."""
 
-BEGIN = """\
-deformscope: how soft a thing is, and where.
-
-The first time, map a simulated foam by clicking: open the address that this prints, and press Explore.
-
-  deformscope explore lab:two-60-150 --paused --viewer page
-
-deformscope --help   all commands"""
-"""What it says without arguments."""
+BEGIN = (
+    "deformscope: how soft a thing is, and where.\n\nFor a first run, map a simulated foam: open the printed "
+    "address and press Explore.\n\n  deformscope explore lab:two-60-150 --paused --viewer page\n\ndeformscope "
+    "--help   all commands"
+)
+"""Message of a call without arguments."""
 TRACEBACK = "DEFORMSCOPE_TRACEBACK"
 EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
 EXIT_SIGNALLED = 128
@@ -171,7 +162,7 @@ PACKAGES = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit status; nothing is raised, and no traceback shown unless asked for.
+    """Run one command line and return its exit status; nothing is raised, and a traceback is shown only on request.
 
     0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
     128 + its number: ended by a signal
@@ -222,7 +213,7 @@ def _ended_by_signals() -> Iterator[list[int]]:
 
 
 def quiet_libraries() -> None:
-    """Libraries that complain on stderr by themselves would bury the one line that says what to do."""
+    """Silence libraries that complain on stderr on their own, and would hide the error's one line."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
@@ -245,7 +236,8 @@ def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequ
     except InputError as error:
         return _fail(str(error), EXIT_INPUT)
     except Exception as error:
-        return _fail(_explain(error), EXIT_UNEXPECTED)
+        refused = isinstance(error, OSError) and error.strerror and not _missing_library(error)
+        return _fail(_explain(error), EXIT_INPUT if refused else EXIT_UNEXPECTED)
 
 
 # Finding the command -------------------------------------------------------------------------------------------------
@@ -290,7 +282,7 @@ def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
 
 
 def find_command(args: list[str]) -> tuple[str, list[str]]:
-    """The command's full name, or a group's where its help is asked for, and the arguments left."""
+    """The command's full name, or a group's for its help, and the remaining arguments."""
     first, both = args[0], " ".join(args[:2])
     if both in COMMANDS:
         return both, args[2:]
@@ -300,7 +292,7 @@ def find_command(args: list[str]) -> tuple[str, list[str]]:
         study = next((word for word in args[1:2] if not word.startswith("-")), first)
         raise InputError(
             "a command of an installed deformscope",
-            "one that validates it",
+            "a command that validates it",
             f"python -m studies {study}, in a checkout",
         )
     groups = {name.split()[0] for name in COMMANDS if " " in name}
@@ -373,8 +365,8 @@ def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
 
 @contextlib.contextmanager
 def _plain_terminal() -> Iterator[None]:
-    """Make tyro draw its errors in one way whatever the terminal: it has no public way to get at their parts, puts them
-    into boxes of many lines, and would break a line within what the user typed."""
+    """Make tyro draw its errors in one way on any terminal. It has no public access to their parts, puts them into
+    boxes of many lines, and would break a line within the user's words."""
     columns = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = "4000"
     try:
@@ -425,7 +417,7 @@ def _usage_error(boxed: str, prog: str) -> InputError:
 
 
 def _check_files(options: CommandOptions) -> None:
-    """No output may be out of reach, be another's output too, or stand where an input is."""
+    """No output may be out of reach, be another's output too, or replace an input."""
     written = options.writes()
     if not written:
         return
@@ -469,7 +461,7 @@ def _explain(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "expected enough memory; got too little | try: fewer particles, candidates or smaller images"
     words = " ".join(str(error).split())[:500]
-    return f"unexpected {type(error).__name__}: {words} | set {TRACEBACK}=1 to see where"
+    return f"unexpected {type(error).__name__}: {words} | set {TRACEBACK}=1 for the traceback"
 
 
 def _missing_library(error: BaseException) -> str:

@@ -41,14 +41,14 @@ FACTS: dict[str, Callable[[Any], str]] = {
 """What of a row's facts the table shows, and how."""
 
 REMARK = (
-    "costs: median over rounds of this row over the row it is beside (the first of its body by deformscope). "
-    "against: median over that of the earlier run; on another machine, or under another load, it says nothing. "
-    "Dim rows solve another problem."
+    "costs: median over rounds of this row over its reference row (the first of its body by deformscope). "
+    "against: median over that of the earlier run; it is comparable only on the same machine under the same "
+    "load. Dim rows solve another problem."
 )
 
 
 def run(config: BenchConfig) -> None:
-    """Measure, and show what there is when it ends, also where it ends early."""
+    """Measure, and show the results at the end, also after an interruption."""
     quiet_warp()
 
     device = pick_device(config.device)
@@ -117,7 +117,7 @@ def number(value: float | None) -> str:
 
 
 def details(row: TimingRow) -> str:
-    """What a reader must know of a row besides its figures."""
+    """Remarks on a row besides its figures."""
     parts = [text(row.facts[name]) for name, text in FACTS.items() if row.facts.get(name) is not None]
     threads = row.facts.get("threads")
     if isinstance(threads, float) and abs(threads - 1) > 0.1:
@@ -128,7 +128,7 @@ def details(row: TimingRow) -> str:
     moved, bandwidth = row.facts.get("bytes"), row.facts.get("bandwidth_bytes_s")
     if isinstance(moved, int) and isinstance(bandwidth, float) and row.median is not None:
         times = row.median / 1e3 / (moved / bandwidth)
-        parts.append(f"{times:.2g} times what moving {moved / 1e6:.0f} MB takes at {bandwidth / 1e9:.0f} GB/s")
+        parts.append(f"{times:.2g} times the time that moving {moved / 1e6:.0f} MB takes at {bandwidth / 1e9:.0f} GB/s")
     if row.doubt:
         parts.append(row.doubt)
     return "; ".join([*parts, *([row.note] if row.note else [])])

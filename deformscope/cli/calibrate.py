@@ -22,7 +22,7 @@ from deformscope.stages.fit.estimate import Estimate
 
 
 def run(config: BetaConfig | ThetaConfig) -> int:
-    """Fit, print the tables, write what was asked for. Returns the command's exit status."""
+    """Fit, print the tables, write the requested files. Returns the command's exit status."""
     if asked_on_page(config, at_terminal=at_terminal()):
         from deformscope.page.fit_command import set_on_page
 
@@ -53,7 +53,7 @@ def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Res
 
 
 def write_summaries(config: BetaConfig | ThetaConfig, found: Sequence[CalibrationResult]) -> None:
-    """Write the picture and the report that were asked for."""
+    """Write the requested picture and report."""
     files, shown = config.summary, [one.shown for one in found]
     if files.picture is not None:
         write_file(files.picture, results_png(shown))

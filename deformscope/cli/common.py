@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 EXIT_LOSSES = 3
 """The exit status of a command whose result is whole, but of which something was lost; it names what."""
 PAGE_LOOK_S = 0.2
-"""Seconds between looks at whether a page's server still runs."""
+"""Seconds between checks whether a page's server still runs."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
 
@@ -59,11 +59,11 @@ def quiet_warp() -> None:
     quiet.quiet_warp()
     compiled = any(Path(str(wp.config.kernel_cache_dir)).glob("wp_deformscope_*"))
     if not compiled and is_watched() and multiprocessing.parent_process() is None:
-        say("compiling kernels once, about 30 s: they are kept for later starts")
+        say("compiling kernels once, about 30 s: later starts use the stored ones")
 
 
 def begin_worker() -> None:
-    """What a worker does before its first task: it has one thread, and says nothing."""
+    """First call in a worker: one thread, and no output."""
     import cv2
 
     quiet_warp()
@@ -100,7 +100,7 @@ def recorder_of(
 
 
 def pictures_of(drawn: Mapping[str, Path]) -> tuple[Figure, ...]:
-    """PNG files that a study has drawn, by what they show."""
+    """PNG files that a study has drawn, by their titles."""
     return tuple(Figure(path.read_bytes(), caption) for caption, path in drawn.items())
 
 
@@ -111,18 +111,17 @@ def settings_of(config: RecordedOptions) -> dict[str, object]:
 
 
 def at_terminal() -> bool:
-    """Whether somebody sits there who reads stdout and types."""
+    """Whether a person reads stdout and types there."""
     return sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def keep_page() -> None:
-    """What was shown on a page stays there until Ctrl-C where somebody sits at a terminal; elsewhere, and then, the
-    page's server ends."""
+    """A page stays open until Ctrl-C if a person is at a terminal; elsewhere, and then, the page's server ends."""
     from deformscope.page.server.page_server import end_pages, running_pages
 
     if at_terminal() and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
-            say(f"the page stays until Ctrl-C: {', '.join(page.address for page in pages)}")
+            say(f"the page stays open until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():
                 time.sleep(PAGE_LOOK_S)
     end_pages()
@@ -134,7 +133,7 @@ def keep_page() -> None:
 def write_json(value: object, target: str | None) -> None:
     """Write `value` to a file, or to stdout where `target` is `-`; None writes nothing.
 
-    Frozen dataclasses, arrays, paths, tuples and mappings may stand anywhere inside; what is not finite becomes null.
+    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; what is not finite becomes null.
     """
     if target is None:
         return
@@ -188,7 +187,7 @@ def _redirected(stream: TextIO) -> Iterator[None]:
 
 
 def write_file(path: Path | None, content: bytes) -> None:
-    """Write a file in one go; None = it is not wanted."""
+    """Write a file in one go; None writes nothing."""
     if path is not None:
         with replacing(path) as file:
             file.write(content)
@@ -200,14 +199,14 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         raise InputError(f"a file after {flag}", "a folder", where=path)
     if path.exists() and not path.is_file():  # a device or a pipe: opening it could wait for a reader
         if not os.access(path, os.W_OK):
-            raise InputError(f"a file after {flag} that can be written", "one that cannot", where=path)
+            raise InputError(f"a writable file after {flag}", "one that cannot", where=path)
         return
     if path.exists() and not replace:
         raise InputError(f"a new file after {flag}", "one that exists", "another name, or --overwrite", path)
     path = Path(os.path.realpath(path))
     if not path.parent.is_dir():
         came = "something else" if path.parent.exists() else "none"
-        raise InputError(f"a folder to hold the file of {flag}", came, f"mkdir -p {path.parent}", path)
+        raise InputError(f"a folder for the file of {flag}", came, f"mkdir -p {path.parent}", path)
     probe = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         if path.exists():
@@ -215,4 +214,4 @@ def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
         probe.open("xb").close()
         probe.unlink()
     except OSError as error:
-        raise InputError(f"a file after {flag} that can be written", str(error.strerror), where=path) from error
+        raise InputError(f"a writable file after {flag}", str(error.strerror), where=path) from error

@@ -1,4 +1,4 @@
-"""`deformscope dataset`: look at a data set of squeezes, correct it, and make one of several.
+"""`deformscope dataset`: list a data set of squeezes, correct it, and merge several.
 
 deformscope dataset list squeezes
 deformscope dataset relabel squeezes lab-0-box-07-00003 --content flour
@@ -27,7 +27,7 @@ def listing(config: DatasetConfig) -> None:
 
 
 def relabel(config: RelabelConfig) -> None:
-    """Correct what the index says of trials."""
+    """Correct the index's labels of trials."""
     _dataset(config.folder).change(config.trial, **config.changes())
     _show(config.folder, config.json)
 

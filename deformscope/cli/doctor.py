@@ -32,14 +32,14 @@ from deformscope_drivers.priority import SENDING, may_be_prompt
 FREE_BYTES_WANTED = 5 << 30
 FIRST_READING_S = 10.0
 """A camera, or a double on a busy machine, may take seconds to begin."""
-TRY = "deformscope devices lists what is plugged in; double = true runs a simulated one in its place"
-NOT_HOMED = "it was not homed since it was switched on, and refuses to move | try: deformscope arm home RIG"
+TRY = "deformscope devices lists connected devices; double = true runs a simulated one instead"
+NOT_HOMED = "not homed since power-on, so it refuses to move | try: deformscope arm home RIG"
 CheckStatus = Literal["ok", "look", "FAIL"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: in words"""
+    """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: the finding as text"""
 
     what: str
     verdict: CheckStatus
@@ -47,7 +47,7 @@ class Finding:
 
 
 class Unfit(InputError):
-    """The rig would not work as it is."""
+    """The rig would not work with these faults."""
 
 
 def run(config: DoctorConfig) -> None:
@@ -98,14 +98,14 @@ def _nothing_yet(name: str) -> RigStep | None:
 
 
 def _list_of(steps: tuple[RigStep, ...], following: str) -> str:
-    """The way to an exploration, step by step, and what comes next."""
+    """The way to an exploration, step by step, with the next step."""
     width = max(len(step.what) for step in steps)
     lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
     return "\n".join([*lines, *([f"next: {following}"] if following else [])])
 
 
 def _minutes(step: RigStep) -> str:
-    """What it takes, of a step that is not done."""
+    """Duration of a step that is not done."""
     return f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
 
 
@@ -121,43 +121,43 @@ def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
 
 
 def _sections(rig: Rig) -> list[Finding]:
-    """What a robot that moves by itself will want, and this file does not say."""
+    """Keys that a robot needs for motion, and the file lacks."""
     kinds = {entry.driver.kind for entry in rig.devices}
     arm, depth, real, camera = "arm" in kinds, "depth" in kinds, not rig.surface.scene, rig.camera
     wanted = (
         (
             arm and rig.workspace.low_m is None,
             "workspace",
-            "no box: nothing will move by itself. Add low_m and high_m to [workspace]",
+            "no box: no command moves the arm. Add low_m and high_m to [workspace]",
         ),
         (
             depth and camera.focal_px is None,
             "camera",
-            "no focal_px, center_px: the camera's own are used, if it has any",
+            "no focal_px, center_px: the camera's own values are used, if it has any",
         ),
         (
             depth and arm and real and camera.T_arm_camera is None,
             "camera",
-            "no T_arm_camera: what it sees cannot be touched",
+            "no T_arm_camera: the arm cannot touch what the camera sees",
         ),
         (
             arm and real and rig.surface.T_arm_surface is None,
             "surface",
-            "no T_arm_surface: explore cannot know where the surface is",
+            "no T_arm_surface: explore needs the pose of the surface",
         ),
         (
             arm and real and rig.tool.compliance_m_per_n is None,
             "tool",
-            "no compliance_m_per_n: explore wants it. deformscope calibrate arm measures it",
+            "no compliance_m_per_n: explore needs it. deformscope calibrate arm measures it",
         ),
     )
     return [Finding(what, "look", words) for lacks, what, words in wanted if lacks]
 
 
 def _exploring(rig: Rig, measured: bool) -> list[Finding]:
-    """Whether `explore` would begin with this file, where it looks as if it were meant to; nothing is opened.
+    """Whether `explore` would begin with this file, if it seems to be meant for it; nothing is opened.
 
-    measured: nothing is left to do before it, or there is no list of what is: what it lacks is named here
+    measured: no step is left before it, or there is no list of steps: missing keys are named here
     """
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
@@ -172,7 +172,7 @@ def _exploring(rig: Rig, measured: bool) -> list[Finding]:
             return []
         return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
     return [
-        Finding("explore", "ok", "the file has all that it wants; whether it can be reached is checked before a touch")
+        Finding("explore", "ok", "the file has all keys; whether the arm reaches the surface is checked before a touch")
     ]
 
 
@@ -187,7 +187,7 @@ def _placing(rig: Rig) -> list[Finding]:
         return [
             Finding("place", "look", f"squeeze --place {arms[0]} lacks {', '.join(lacks)}: a person places the hand")
         ]
-    return [Finding("place", "ok", f"squeeze --place {arms[0]} has all that it wants of this file")]
+    return [Finding("place", "ok", f"squeeze --place {arms[0]} finds all its keys in this file")]
 
 
 def _shape(rig: Rig) -> list[Finding]:
@@ -217,9 +217,9 @@ def _real_time(rig: Rig) -> list[Finding]:
     if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
         return []
     if may_be_prompt():
-        words = "what steers the robot and hears its devices runs before all that is not real time"
+        words = "real-time priority: control and device threads preempt other processes"
         return [Finding("real time", "ok", words)]
-    words = "a busy machine may stop the robot, since its devices are heard too late"
+    words = "a busy machine may delay device data, and the supervisor then stops the robot"
     if not hasattr(os, "sched_setscheduler"):
         return [Finding("real time", "look", f"not on this system: {words}")]
     limits = f'Add "USER - rtprio {SENDING}" to /etc/security/limits.conf and log in again; a container may forbid it'
@@ -245,7 +245,7 @@ def _doubts(health: Health) -> list[str]:
     doubts = (
         (health.skipped_bytes, f"{health.skipped_bytes} bytes fit no frame ({reasons}): cable, ground, baud rate"),
         (health.lost, f"{health.lost} readings were lost on the way: USB hub, load of this machine"),
-        (health.reconnects, f"the link was lost and found {health.reconnects} times: cable, power"),
-        (health.stuck, "the same reading again and again: is the sensor plugged into its box?"),
+        (health.reconnects, f"the link failed and recovered {health.reconnects} times: cable, power"),
+        (health.stuck, "the sensor repeats the same reading: is it plugged into its box?"),
     )
     return [words for shows, words in doubts if shows]

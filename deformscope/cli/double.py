@@ -44,7 +44,7 @@ def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
         for name, driver, settings in _wanted(what):
             if driver not in WIRED:
                 known = ", ".join(WIRED)
-                raise InputError(f"drivers that speak bytes: {known}; a rig file; or lab:NAME", repr(driver))
+                raise InputError(f"drivers with a byte protocol: {known}; a rig file; or lab:NAME", repr(driver))
             config = settings if settings is not None else DRIVERS[driver].config_class()()
             bus = f"{SHARED_BUS}?port={FIRST_PORT + len(running)}"
             running.append((name, driver, stack.enter_context(wire_of(driver, config, bus))))
@@ -52,7 +52,7 @@ def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
 
 
 def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
-    """Name, driver and configuration of every double asked for; None = as the driver has it."""
+    """Name, driver and configuration of every requested double; None = the driver's default."""
     wanted: list[tuple[str, str, Any]] = []
     for word in what:
         if word in DRIVERS:
@@ -62,7 +62,7 @@ def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
             rig = load_rig(word)
             wired = [d for d in rig.devices if d.driver.name in WIRED]
             if others := [d.name for d in rig.devices if d not in wired]:
-                say(f"{', '.join(others)}: doubled only within a command, by double = true in the rig file")
+                say(f"{', '.join(others)}: simulated only within a command, by double = true in the rig file")
             if not wired:
                 raise InputError(f"a rig with devices of {', '.join(WIRED)}", "none", where=word)
             wanted += [(d.name, d.driver.name, d.config) for d in wired]

@@ -38,7 +38,7 @@ def run(config: ExploreConfig) -> int:
     losses = explored.losses if explored is not None else {}
     if not losses or config.output.record is None:
         return 0
-    say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+    say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     return EXIT_LOSSES
 
 
@@ -78,7 +78,7 @@ class _Outputs:
 
 def _unwritten(path: Path | str, error: Exception) -> InputError:
     words = error.strerror if isinstance(error, OSError) and error.strerror else f"{type(error).__name__}: {error}"
-    return InputError("an output that can be written", " ".join(words.split()).lower(), where=path)
+    return InputError("a writable output file", " ".join(words.split()).lower(), where=path)
 
 
 def _map_file(config: ExploreConfig, maps: MapEstimate) -> bytes:
@@ -98,11 +98,11 @@ def _list() -> None:
     from deformscope.lab.faults import Injected
     from deformscope.lab.scenes import BUILT_IN, BURIED, DRAWN
 
-    print("simulated scenes; other hardnesses in newtons go as well (lab:two-80-200):")
+    print("simulated scenes; other hardnesses in newtons are possible (lab:two-80-200):")
     for name in BUILT_IN | BURIED:
         kind = next((kind for kind in DRAWN if name.startswith(kind)), name)
         drawn = ", ".join(f"{one.what} {one.low:g} to {one.high:g}" for one in DRAWN[kind])
         print(f"  lab:{name:<22} {drawn or 'nothing is drawn'}")
-    print("what can go wrong in them (--fault KIND@TOUCH):")
+    print("faults that can be injected (--fault KIND@TOUCH):")
     for injected in Injected:
         print(f"  {injected.word:<26} {injected}")

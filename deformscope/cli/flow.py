@@ -26,7 +26,7 @@ from deformscope_drivers.clock import Stamp
 
 
 def run(config: FlowConfig) -> None:
-    """Compute the flow there and back, write what was asked for, and print the motion and its error."""
+    """Compute the flow there and back, write the requested files, and print the motion and its error."""
     before, after = read_image(config.before), read_image(config.after)
     if before.shape[:2] != after.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (before, after))

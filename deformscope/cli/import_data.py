@@ -24,5 +24,5 @@ def run(config: ImportConfig) -> int:
     show(result)
     write_json(result.as_json(), config.output.json)
     if losses := result.found.get("losses"):
-        say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+        say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     return EXIT_LOSSES if losses else 0

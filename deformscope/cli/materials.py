@@ -1,5 +1,5 @@
-"""`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, how stiff each place
-is, the strain at which a thing yields, and what of it relaxes.
+"""`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, relative stiffness of
+each place, yield strain, and relaxing share of the modulus.
 
 deformscope calibrate both pair.npz --picture both.png --json -
 deformscope calibrate both poke1.npz poke2.npz --joint --record both.rrd

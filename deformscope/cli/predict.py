@@ -75,7 +75,7 @@ def run(config: PredictConfig) -> None:
             recorder.write(Step((one.findings(),), frame=index))
         for index, (tables, measured) in enumerate(zip(against, compared, strict=True), start=len(found)):
             png, body = dents_png([measured.prediction], [measured]), moved_body(measured.prediction)
-            figure = Figure(png, "A cut through the dent along x, with what was measured")
+            figure = Figure(png, "A cut through the dent along x, with the measured surface")
             recorder.write(Step((Findings(tables, (figure,), (body,)),), frame=index))
     if config.picture is not None:
         write_file(config.picture, dents_png(every, compared))

@@ -15,12 +15,12 @@ from deformscope.runs.rig_run import RigRun, run_rig
 
 
 def record(config: RecordConfig) -> int:
-    """Record a rig, headless unless a viewer is asked for. Returns the command's exit status."""
+    """Record a rig, headless unless a viewer is requested. Returns the command's exit status."""
     return _shown(run_rig(config, "none", always_record=True), config)
 
 
 def live(config: LiveConfig) -> int:
-    """Watch a rig in rerun's window, and record it if asked to. Returns the command's exit status."""
+    """Show a rig in rerun's window, and record it on request. Returns the command's exit status."""
     return _shown(run_rig(config, "native", always_record=False), config)
 
 
@@ -30,7 +30,7 @@ def _shown(run: RigRun, config: RigRunOptions) -> int:
     write_json(run.result.as_json(), config.output.json)
     recorded, losses = run.result.found["recording"] is not None, run.result.found["losses"]
     if losses and recorded:
-        say(f"deformscope: the recording is whole, with losses: {named(losses)}")
+        say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     if run.early_by:
         say(f"deformscope: ended {run.why}")
         return 128 + run.early_by

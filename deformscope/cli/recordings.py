@@ -41,11 +41,14 @@ def recover(config: RecoverConfig) -> None:
     write_json(found.as_json(), config.json)
 
 
-def export(config: ExportConfig) -> None:
-    """Write it, and list what was written."""
+def export(config: ExportConfig) -> int:
+    """Write it, and list what was written. Returns the command's exit status."""
     from deformscope.runs.exporting import export_recording
 
     with fit_progress() as progress:
         found = export_recording(config, progress)
     show(found)
     write_json(found.as_json(), config.json)
+    for line in found.remarks:
+        say(f"deformscope: {line}")
+    return EXIT_LOSSES if found.remarks or not found.checked else 0

@@ -97,7 +97,7 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
     say(f"figures and tables: {out}")
     drawn = pictures_of(
         {
-            "Figure 4.4: what the sweep of beta is given": out / "figure44.png",
+            "Figure 4.4: input of the sweep of beta": out / "figure44.png",
             "Figure 4.5: beta over hardness": out / "figure45.png",
             "Figure 4.6: dents of the same touch": out / "figure46.png",
             "Figure 4.7: truth, fields of beta, variance and contacts": out / "figure47.png",

@@ -31,16 +31,16 @@ if TYPE_CHECKING:
 KEPT_TOGETHER = 40
 """Trials that are written together: each writing takes seconds."""
 THREE = {"liquid": ("water", "yogurt"), "granular": ("flour", "rice")}
-"""The thesis's three classes, beside `empty`."""
+"""The thesis's three classes; `empty` is separate."""
 COMPARISON_TEXT = (
-    "The thesis squeezed real cartons; these are simulated ones, whose constants come from handbooks and were fixed "
-    "before any classifier ran on them. Nearest neighbours on components as in the thesis, with 90 % intervals; unlike "
-    "there, whole containers are left out of the training."
+    "The thesis squeezed real cartons. These are simulated ones; their constants come from handbooks and "
+    "were fixed before any classifier ran on them. Nearest neighbours on components as in the thesis, with "
+    "90 % intervals; unlike in the thesis, whole containers are left out of the training."
 )
 
 
 def run(config: ContainersConfig) -> None:
-    """Squeeze what is not there yet, evaluate, draw the figures, and put the thesis's statements beside ours."""
+    """Squeeze missing trials, evaluate, draw the figures, and compare the thesis's statements with the laboratory's."""
     from deformscope.files.squeeze_dataset import SqueezeDataset
     from deformscope.reproduce.container_findings import compare_findings
     from deformscope.reproduce.containers import squeeze_jobs
@@ -73,7 +73,7 @@ def run(config: ContainersConfig) -> None:
 
 
 def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: ContainersConfig) -> None:
-    """The trials that the folder lacks; kept as they are done, so that the command goes on where it was cut off."""
+    """The trials that the folder lacks; each is stored when done, so that an interrupted command continues."""
     from deformscope.cli.study import Trials, tried
     from deformscope.experiments.squeeze_trial import feature_settings
     from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -95,7 +95,7 @@ def _squeeze(dataset: SqueezeDataset, jobs: list[SqueezeJob], config: Containers
 
 
 def _evaluated(table: LabelledTable, config: ContainersConfig, name: str) -> ClassificationResult:
-    """Accuracies of one set of classes: of the cardboard boxes, as in the thesis; others are what it transfers to."""
+    """Accuracies of one set of classes: of the cardboard boxes, as in the thesis; others are targets of transfers."""
     from deformscope.lab.container_setup import KINDS
     from deformscope.runs.classification import QUICK_SPLITS, classify_table
     from deformscope.stages.squeeze.evaluation import EvaluationOptions

@@ -103,18 +103,18 @@ def _draw(
     sems: Sequence[dict[str, object]],
     times: Sequence[dict[str, object]],
 ) -> dict[str, Path]:
-    """Draw and write; the pictures by what they show."""
+    """Draw and write; the pictures by their titles."""
     out = config.out
     theta, errors = out / "figure-3.10.png", out / "figure-3.11.png"
     figures.draw_theta(theta, found)
     figures.draw_errors(errors, found)
     drawn = {"theta over Poisson's ratio (Thesis figure 3.10)": theta, "error (Thesis figure 3.11)": errors}
     if len({one.cube.resolution for one in found}) > 1:
-        name = "theta over the resolution, as it is and with held particles of equal mass"
+        name = "theta over the resolution, with particle masses as they are and with held particles of equal mass"
         drawn[name] = out / "resolution.png"
         figures.draw_resolution(drawn[name], found)
     if config.compare != "none":
-        name = "overlapping clusters beside one cluster"
+        name = "overlapping clusters compared with one cluster"
         drawn[name] = out / "clusters.png"
         figures.draw_clusters(drawn[name], found, config.cluster_size)
     searches = ("searches.csv", figures.search_rows(found))
@@ -176,7 +176,7 @@ def _rows(summary: dict[str, Any], found: Sequence[CubeResult], config: CubesCon
     ]
     rows += _drift(summary["sem"], found)
     everywhere = "at every resolution and depth"
-    to_bound = f"{everywhere}, up to the end of its range, where several are"
+    to_bound = f"{everywhere}, up to the end of its range where it has several minima"
     rises_to_bound = to_bound if summary["theta_rises_to_bound"] else "NOT everywhere"
     rows.append(("theta rises with nu", everywhere if summary["theta_rises"] else rises_to_bound))
     most = 100 * summary["aee_m_most"]

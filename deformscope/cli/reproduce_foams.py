@@ -46,7 +46,7 @@ def run(config: FoamsConfig) -> None:
 
 
 def setup_of(config: FoamsConfig) -> FoamSetup:
-    """As it is asked for."""
+    """The requested setup."""
     setup = FoamSetup()
     if config.quick:
         return FoamSetup(foams=(setup.foams[0], setup.foams[-1]), images=4, element_m=0.007)
@@ -85,7 +85,7 @@ def report(
 def _draw(
     out: Path, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control], size: int
 ) -> dict[str, Path]:
-    """The pictures by what they show."""
+    """The pictures by their titles."""
     drawn = {}
     for held in HELD:
         path = out / ("figure-3.14.png" if held == "one" else f"figure-3.14-{held}-held.png")

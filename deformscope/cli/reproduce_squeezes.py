@@ -1,4 +1,4 @@
-"""`deformscope reproduce squeezes`: squeezes of the laboratory beside what was simulated, as a new data set.
+"""`deformscope reproduce squeezes`: squeezes of the laboratory compared with the simulated truth, as a new data set.
 
 deformscope reproduce squeezes --out runs/squeezes
 deformscope classify runs/squeezes/squeezes --model runs/containers/five/contents.npz
@@ -35,7 +35,7 @@ def run(config: SqueezesConfig) -> None:
     with recorder_of(config) as recorder:
         every = _squeezed(config)
         png = truth_png(every)
-        caption = "Squeezes of the laboratory beside what was simulated"
+        caption = "Squeezes of the laboratory compared with the simulated truth"
         found = Findings((Table(truth_rows(every), caption=caption),), (Figure(png, caption),))
         recorder.write(Step((found,), frame=0))
     show(found)

@@ -1,4 +1,5 @@
-"""`deformscope reproduce table41`: maps of simulated tables over seeds, after how many touches, planner beside planner.
+"""`deformscope reproduce table41`: maps of simulated tables over seeds, after some numbers of touches, for each
+planner.
 
 deformscope reproduce table41 --seeds 5
 deformscope reproduce table41 --scenes two-60-150,disc --planners regions,max-variance --touches 12
@@ -43,7 +44,7 @@ def run(config: Table41Config) -> None:
     """Explore every scene with every planner over the seeds; write and print the table."""
     paces = _named(config.pace, get_args(Pace), "paces")
     if config.closed_form and paces != ["careful"]:
-        raise InputError("--pace with touches that are made", "--closed-form, which travels nowhere", "one of them")
+        raise InputError("--pace with simulated touches", "--closed-form, which has no travel", "one of them")
     make_folder(config.out)
     # the thesis's planner is of `reproduce chapter4`
     planners = _named(config.planners, [name for name in get_args(Planner) if name != "thesis"], "planners")
@@ -69,7 +70,7 @@ def run(config: Table41Config) -> None:
 
 
 def _explored(jobs: Sequence[TableJob], config: Table41Config) -> list[TableRun]:
-    """The run of each job; kept in the folder as they are done, and taken from there with --resume."""
+    """The run of each job; stored in the folder when done, and read from there with --resume."""
     path = config.out / RUNS_FILE
     if not config.resume:
         write_file(path, b"")
@@ -122,7 +123,7 @@ def _write(runs: Sequence[TableRun], config: Table41Config) -> Findings:
 
 
 def _compared(by: dict[tuple[str, str], list[TableRun]], planners: Sequence[str]) -> list[dict[str, Any]]:
-    """The first planner and pace beside each of the others, scene by scene and over all that have borders."""
+    """The first planner and pace compared with each of the others, scene by scene and over all scenes with borders."""
     bordered = [scene for (scene, planner), runs in by.items() if planner == planners[0] and runs[0].region_count > 1]
     groups = {scene: [scene] for scene in bordered} | ({"all of these": bordered} if len(bordered) > 1 else {})
     rows = []
@@ -171,11 +172,9 @@ def _tables(
             (f"{row['scene']}, IoU {row['iou']:g}: {row['planner']} / {row['against']}", _ratios(row))
             for row in compared
         ]
-        caption = (
-            "What it takes until the map is so good: ratios of the means (5 to 95 % of the bootstrap over layouts)"
-        )
+        caption = "Cost of reaching this quality: ratios of the means (5 to 95 % of the bootstrap over layouts)"
         tables.append(Table(ratios, caption=caption))
-    computing = f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, beside what else this machine did"
+    computing = f"{cost['compute_s']:.2f} s, {cost['slowest_s']:.2f} s at most, under the load of this machine"
     force = f"{cost['max_force_n']:.2f} N"
     summary = [
         ("largest true contact force", force),
@@ -204,7 +203,7 @@ def _format_row(row: dict[str, Any]) -> str:
         parts.append(f"wrong labels {row['wrong']:.3f}, {row['wrong_claimed']:.3f} expected")
     if row["unseen"] is not None:
         missed = "" if row["unseen_missed"] is None else f", {row['unseen_missed']:.2f} where one was missed"
-        parts.append(f"stopped by itself {row['stopped']:.2f}, inclusions unseen {row['unseen']:.2f}{missed}")
+        parts.append(f"own end {row['stopped']:.2f}, inclusions unseen {row['unseen']:.2f}{missed}")
     if row["touches_covered"] is not None:
         parts.append(f"touches within {row['touches_covered']:.2f}")
     parts.append(f"discs of up to {1e3 * row['unmet_m']:.0f} mm radius unmet")

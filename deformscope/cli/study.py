@@ -1,4 +1,4 @@
-"""Studies: cases that are tried in several processes, and what is said of all outcomes. One runner for all of them.
+"""Studies: cases that are tried in several processes, and statistics of all outcomes. One runner for all of them.
 
 def trials(options: CreepOptions) -> list[Trials]:
     return [Trials("touches", try_creep, [CreepCase(seed) for seed in range(options.objects)])]
@@ -47,7 +47,7 @@ OutcomeT = TypeVar("OutcomeT")
 
 @dataclass(frozen=True, slots=True)
 class Trials(Generic[CaseT, OutcomeT]):
-    """Cases that are tried alike. of: what they are, in the plural; try_one: a function of a module"""
+    """Cases that are tried alike. of: the plural of a case's name; try_one: a function of a module"""
 
     of: str
     try_one: Callable[[CaseT], OutcomeT]
@@ -56,8 +56,8 @@ class Trials(Generic[CaseT, OutcomeT]):
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
-    """What is said of all outcomes. tables, figures: as they are shown and recorded; files: content by path, None is
-    not written"""
+    """Statistics of all outcomes. tables, figures: as they are shown and recorded; files: content by path, None is not
+    written"""
 
     tables: Sequence[Table]
     json: object
@@ -76,7 +76,7 @@ class Study:
 
 
 def run(study: Study, options: StudyOptions) -> None:
-    """Try all cases; show, record and write what is said of them."""
+    """Try all cases; show, record and write their statistics."""
     quiet_warp()
     began = time.monotonic()
     every = study.trials(options)
@@ -99,11 +99,11 @@ def tried(
     keep: Callable[[Sequence[tuple[CaseT, OutcomeT]]], None] | None = None,
     together: int = 1,
 ) -> list[OutcomeT]:
-    """The outcome of each case in their order, from so many workers of the executor, each on one core, with a progress
-    bar. A case that fails does not end the others: its error is raised once they are done.
+    """The outcome of each case in their order, from a number of workers of the executor, each on one core, with a
+    progress bar. A case that fails does not end the others: its error is raised once they are done.
 
     known: outcomes that are there already, by the index of their case
-    keep: called with so many new ones at a time, also with what is there where the command is broken off
+    keep: called with a number of new ones at a time, also with the remaining ones after an interruption
     """
     from threadpoolctl import threadpool_limits
 

@@ -1,8 +1,8 @@
-"""The options of each command: one frozen dataclass a command, whose fields are its flags.
+"""The options of each command: one frozen dataclass per command, whose fields are its flags.
 
-A field's docstring is the flag's help. What one value must look like is checked where it is parsed (`ValueError`, which
-the command line reports with the flag's name); what it may be is a `Rule` in its annotation, what values must satisfy
-together the dataclass's `check` (`InputError`). Nothing heavy is imported here: `--help` shows these classes.
+A field's docstring is the flag's help. A single value is checked where it is parsed (`ValueError`, which the command
+line reports with the flag's name). A `Rule` in the annotation limits its range; the dataclass's `check` compares values
+with one another (`InputError`). Nothing heavy is imported here: `--help` shows these classes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Moving an arm by itself or by keys: `deformscope arm where`, `files`, `home`, `go` and `jog`."""
+"""Moving an arm to a pose or by keys: `deformscope arm where`, `files`, `home`, `go` and `jog`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from deformscope.config.options import CommandOptions, RecordedOptions, ViewOpti
 
 @dataclass(frozen=True, slots=True)
 class WhereConfig(CommandOptions):
-    """Say where the arm is: its joints and how far they are from their limits, its end, the tip. Nothing moves."""
+    """Print the pose of the arm: its joints with their distance from the limits, its end, and the tip. Nothing
+    moves."""
 
     rig: flags.RigFlag
     """A rig file (.toml)."""
@@ -25,51 +26,51 @@ class WhereConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class FilesConfig(CommandOptions):
-    """Write the files that set up a KUKA's controller for a rig: program, signals, and what goes over the network, with
-    the rig file's address, port, cycle and speed limit. Nothing is opened, nothing moves."""
+    """Write the files that set up a KUKA's controller for a rig: program, signals and network. They hold the rig file's
+    address, port, cycle and speed limit. Nothing is opened, nothing moves."""
 
     rig: flags.RigFlag
     """A rig file (.toml)."""
     out: flags.Folder = Path("controller")
-    """Folder for the files; those of the same name are replaced."""
+    """Folder for the files; files of the same name are replaced."""
     trust_rig: flags.TrustFlag = False
 
 
 @dataclass(frozen=True, slots=True)
 class HomeConfig(CommandOptions):
-    """Send the arm to its home pose, by its own path and at its own speed: once after it was switched on. Nothing
-    watches the way: keep it free."""
+    """Send the arm to its home pose, on its own path and at its own speed: once after it was switched on. No supervisor
+    checks this motion: keep the way free."""
 
     rig: flags.RigFlag
     """A rig file (.toml)."""
     yes: bool = False
-    """Without asking."""
+    """Move without asking for permission."""
     trust_rig: flags.TrustFlag = False
 
 
 @dataclass(frozen=True, slots=True)
 class MovingOptions(RecordedOptions):
-    """What `go` and `jog` share."""
+    """Options that `go` and `jog` share."""
 
     rig: flags.RigFlag
     """A rig file (.toml) with arm, force sensor and depth camera."""
     yes: bool = False
-    """Let a real arm move, once the checks have passed, without asking."""
+    """Let a real arm move without asking, once the checks have passed."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class GoConfig(MovingOptions):
-    """Bring the tip over a place of the surface, stick down, watched by the same supervisor as an exploration."""
+    """Bring the tip over a place of the surface, stick down. The supervisor of explorations checks the motion."""
 
     above: flags.PlaceFlag = None
-    """Where, in the surface frame [m]; default: its middle."""
+    """Target in the surface frame [m]; default: its middle."""
     height: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 0.1
-    """Of the tip's lowest point above the surface [m]."""
+    """Height of the tip's lowest point above the surface [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class JogConfig(MovingOptions):
-    """Move the tip by keys in small steps, watched by the same supervisor as an exploration: a press is a step, a held
-    key goes on, and nothing moves once no key is held."""
+    """Move the tip by keys in small steps; the supervisor of explorations checks the motion. One press is one step, a
+    key held down repeats it, and the tip rests while no key is held."""

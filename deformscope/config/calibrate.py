@@ -19,23 +19,23 @@ AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag}
 
 @dataclass(frozen=True, slots=True)
 class SearchOptions(Flags):
-    """How the parameter is searched, and how sure of it to be."""
+    """How the parameter is searched, and with which confidence level."""
 
     method: Literal["sweep", "gradient"] = "sweep"
     """Try --candidates values over the range (Thesis Algorithm 3), or follow the error downhill (Algorithm 2)."""
     candidates: Annotated[int, flags.least(3)] = 100
-    """Values that the sweep tries."""
+    """Number of values that the sweep tries."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the interval."""
     noise_px: flags.PositiveFlag = None
     """Standard deviation of a measured position [px]; default: measured in the images."""
     noise_m: flags.PositiveFlag = None
-    """Standard deviation of a measured position [m]; default: what the pair file says."""
+    """Standard deviation of a measured position [m]; default: the pair file's."""
     joint: bool = False
     """Fit one value to all pairs together."""
     fine: bool = False
-    """Follow every frame of a long sequence, and take the finest lattice below a surface. Default: what takes about a
-    minute on two cores, which is stated; short sequences and small lattices are the same either way."""
+    """Use every frame of a long sequence, and the finest lattice below a surface. Default: limits both to about a
+    minute on two cores, and reports the limit; short sequences and small lattices do not change."""
     volume: Literal["scale", "project"] = "scale"
     """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
     device: flags.Device = "auto"
@@ -47,22 +47,22 @@ class SearchOptions(Flags):
 
 @dataclass(frozen=True, slots=True)
 class ModelOptions(Flags):
-    """What is left for predictions."""
+    """The fitted model as a file, for predictions."""
 
     save: flags.ModelFlag = None
-    """Write the fitted model, which `deformscope predict` can poke (.npz, no pickle)."""
+    """Write the fitted model for `deformscope predict` (.npz, no pickle)."""
 
 
 @dataclass(frozen=True, slots=True)
 class SummaryOptions(Flags):
-    """The result to look at and to pass on, without a viewer."""
+    """The result as a picture and as a page, without a viewer."""
 
     picture: flags.PictureFlag = None
-    """Draw particles, where the model is wrong, error curve and posterior in one picture. An existing file is
+    """Draw particles, the model's error at each, error curve and posterior in one picture. An existing file is
     replaced."""
     report: flags.ReportFlag = None
-    """Write all that was found, with pictures, settings and provenance, as one HTML page that needs nothing else. An
-    existing file is replaced."""
+    """Write the whole result, with pictures, settings and provenance, as one HTML page without other files. An existing
+    file is replaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,8 @@ class LayersFlags(Flags):
     """Pokes of a surface: pair files of surface points, z up, whose held points were pressed down."""
 
     thickness_m: flags.PositiveFlag = None
-    """Thickness of the material below the surface, which rests on the ground [m]. With it a lattice of layers is fitted
-    to all pokes together; without, the points themselves are the particles."""
+    """Thickness of the material below the surface, which rests on the ground [m]. With this thickness, one lattice of
+    layers is fitted to all pokes together; without it, the points themselves are the particles."""
     spacing_m: flags.PositiveFlag = None
     """Spacing of that lattice [m]; default: a quarter of the tip's width."""
 
@@ -85,10 +85,10 @@ class MotionFlags(Flags):
     """All frames of a sequence in one fit."""
 
     whole_motion: bool = False
-    """Fit all frames together instead of the last one; the interval knows that frames share their errors."""
+    """Fit all frames together instead of the last one; the interval accounts for the errors that frames share."""
     select: flags.SelectFlag = None
-    """What to choose by the error on particles left out, of cluster-size, held, alpha and dt. alpha and dt leave static
-    states as they are: time stepping through the frames determines them, if the motion was fast."""
+    """Options to select by the error on particles left out: cluster-size, held, alpha and dt. Static states do not
+    depend on alpha and dt; only time steps through fast motion determine them."""
 
     def check(self) -> None:
         if self.select is not None and not self.whole_motion:
@@ -96,13 +96,14 @@ class MotionFlags(Flags):
 
 
 def check_arrays(sources: tuple[str, ...], images: ImageOptions, noise_px: float | None, called: str) -> None:
-    """Raises InputError for .npz files among images, and for flags about images with .npz files. called: so in words"""
+    """Raises InputError for .npz files among images, and for flags about images with .npz files. called: the source's
+    description in the message"""
     files = [source for source in sources if ending_of(source) == ".npz"]
     if files and len(files) != len(sources):
         other = next(source for source in sources if source not in files)
         raise InputError(f"either {called} or images", "both", "name them in two commands", other)
     if files and images != ImageOptions():
-        came = "some (--roi, --grid, --held...)"
+        came = "flags about images (--roi, --grid, --held...)"
         raise InputError(f"no flags about images with {called}", came, "leave them out")
     if files and noise_px is not None:
         raise InputError(f"--noise-m for {called}", "--noise-px", "give the noise in metres")
@@ -114,18 +115,18 @@ def _names_rig(source: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions(RecordedOptions):
-    """What `calibrate beta` and `calibrate theta` share."""
+    """Options that `calibrate beta` and `calibrate theta` share."""
 
     sources: flags.Sources
-    """A video, a folder of frames, images in the order given, pair files (.npz), a recording (.rrd), or with --viewer
-    page a rig (.toml, lab:NAME), whose camera is followed."""
+    """A video, a folder of frames, images in the given order, pair files (.npz), or a recording (.rrd). With --viewer
+    page also a rig (.toml, lab:NAME), whose camera supplies the images."""
     alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
     at: flags.ShareFlag = field(default=None, kw_only=True)
     """Report the error at this value as well (`settings.at`)."""
     adjust: bool = field(default=False, kw_only=True)
-    """With --viewer page: set region, particles and model on the page, and fit then. At a terminal a page does so by
-    itself."""
+    """With --viewer page: set region, particles and model on the page, then fit. At a terminal the page does so without
+    this flag."""
     trust_rig: flags.TrustFlag = field(default=False, kw_only=True)
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
@@ -135,7 +136,7 @@ class CalibrateOptions(RecordedOptions):
 
     @property
     def from_rig(self) -> bool:
-        """Whether the images are those that a rig's camera gives now."""
+        """Whether the images come from a rig's camera during the run."""
         return any(map(_names_rig, self.sources))
 
     def check(self) -> None:
@@ -160,7 +161,7 @@ class BetaConfig(CalibrateOptions):
     mode: Literal["linear", "quadratic"] = "linear"
     """How a cluster may deform."""
     theta: flags.ShareFlag = None
-    """Volume conservation, which stays as it is; default: 0, and with --thickness-m it is fitted too."""
+    """Volume conservation, a fixed value; default: 0; with --thickness-m it is fitted too."""
     beta_range: flags.BetaSpanFlag = (0.0, 0.99)
     """Range in which beta is searched."""
     layers: OmitArgPrefixes[LayersFlags] = field(default_factory=LayersFlags)
@@ -195,19 +196,19 @@ class ThetaConfig(CalibrateOptions):
     mode: Literal["linear", "quadratic"] = "quadratic"
     """How a cluster may deform."""
     beta: Annotated[float, flags.SHARE] = 0.99
-    """Share of deformation, which stays as it is."""
+    """Share of linear deformation, a fixed value."""
     theta_range: flags.SpanFlag = (0.0, 1.0)
     """Range in which theta is searched."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitFlags(Flags):
-    """What every fit to pairs and motions shares."""
+    """Options that all fits to pairs and motions share."""
 
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
     noise_m: flags.PositiveFlag = None
-    """Standard deviation of a measured position [m]; default: what the files say, else the residuals."""
+    """Standard deviation of a measured position [m]; default: the files' value, else estimated from the residuals."""
     device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
 
@@ -215,7 +216,7 @@ class FitFlags(Flags):
 @dataclass(frozen=True, slots=True)
 class BothConfig(RecordedOptions):
     """Find beta and theta together from pairs of rest and deformed positions: their joint posterior. Volume is
-    conserved by projection, which stays stable in overlapping clusters."""
+    conserved by projection, which is stable in overlapping clusters."""
 
     sources: flags.PairSources
     """Pair files."""
@@ -232,7 +233,7 @@ class BothConfig(RecordedOptions):
     joint: bool = False
     """Fit one beta and one theta to all pairs together."""
     picture: flags.PictureFlag = None
-    """Draw the joint posterior (of several pairs, that of the first). An existing file is replaced."""
+    """Draw the joint posterior (of several pairs, the first one's). An existing file is replaced."""
     fit: OmitArgPrefixes[FitFlags] = field(default_factory=FitFlags)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -246,22 +247,23 @@ class BothConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class PredictConfig(RecordedOptions):
-    """Poke a fitted model where, how hard and with what it was not poked: deformed particles, depth and force."""
+    """Predict a poke that was not fitted, at another place, depth, force or tip: deformed particles, depth and
+    force."""
 
     source: Annotated[Path, Positional, arg(metavar="MODEL.npz"), flags.Reads()]
-    """A model that `deformscope calibrate ... --save` has written."""
+    """A model file that `deformscope calibrate ... --save` wrote."""
     poke: flags.PokesFlag = ()
-    """What to do, such as 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' in metres and newtons; several with ; between
-    them. tip is flat (sides), disc or sphere (diameter), by default the one of the fit; give a depth or a force."""
+    """The poke, such as 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' in metres and newtons; ; separates several. The
+    tip is flat (sides), disc or sphere (diameter), by default the tip of the fit. Give a depth or a force."""
     against: Annotated[tuple[Path, ...], arg(metavar="PAIR.npz..."), flags.Reads()] = ()
-    """Pokes that were measured but not fitted: each is predicted from its place, tip and depth, and compared, beside a
-    rigid body, a half-space in closed form and linear finite elements."""
+    """Measured pokes that were not fitted. Each is predicted from its place, tip and depth, and compared with the
+    measurement. A rigid body, a half-space in closed form and linear finite elements are compared too."""
     points: flags.FileFlag = None
-    """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are wanted too."""
+    """Points of the surface (.npz with `points (n, 3)`) whose deformed positions are predicted too."""
     out: flags.ArraysFlag = None
-    """Every particle of every poke: rest_0, deformed_0, rest_1... An existing file is replaced."""
+    """Write every particle of every poke: rest_0, deformed_0, rest_1... An existing file is replaced."""
     picture: flags.PictureFlag = None
-    """Draw the dents and, with --against, measured beside predicted. An existing file is replaced."""
+    """Draw the dents and, with --against, measured and predicted surfaces. An existing file is replaced."""
     device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
@@ -307,7 +309,7 @@ FramesFlag = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class MotionFitFlags(FitFlags):
-    """What every fit to a material's motion shares."""
+    """Options that all fits to a material's motion share."""
 
     noise_px: flags.PositiveFlag = None
     """Standard deviation of a measured position [px]; default: measured in the images."""
@@ -318,15 +320,15 @@ class MotionFitFlags(FitFlags):
 
 @dataclass(frozen=True, slots=True)
 class UnloadingFlags(Flags):
-    """How a camera's motion shows when what was pressed is let go."""
+    """How a camera's motion shows the release of a pressed body."""
 
     at: FramesFlag = None
-    """The last frame at the deepest, and the first one that nothing loads, counted from 0 after --stride; default:
-    found by the force where the recording has one, else where what was pressed rests again."""
+    """The last frame at the greatest depth and the first unloaded frame, counted from 0 after --stride; default: found
+    from the force if the recording has one, else from the motion."""
     released: flags.HeldFlag = None
-    """Of the held parts, those that let go at the end; default: contact."""
+    """The held parts that are released at the end; default: contact."""
     force: flags.CameraFlag = None
-    """Of a recording with several force sensors: the one on the tool."""
+    """Of a recording with several force sensors: the sensor on the tool."""
 
     def check(self) -> None:
         if self.at is not None and self.force is not None:
@@ -335,10 +337,10 @@ class UnloadingFlags(Flags):
 
 @dataclass(frozen=True, slots=True)
 class MaterialOptions(RecordedOptions):
-    """What `calibrate axes`, `field`, `yield` and `viscous` share."""
+    """Options that `calibrate axes`, `field`, `yield` and `viscous` share."""
 
     sources: flags.Sources
-    """A video, a folder of frames, images in the order given, a recording (.rrd), or .npz files."""
+    """A video, a folder of frames, images in the given order, a recording (.rrd), or .npz files."""
     fit: OmitArgPrefixes[MotionFitFlags] = field(default_factory=MotionFitFlags, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
@@ -351,40 +353,40 @@ class MaterialOptions(RecordedOptions):
 @dataclass(frozen=True, slots=True)
 class AxesConfig(MaterialOptions):
     """Find a beta along each axis of a material from images, or from pairs of rest and deformed positions (one fit to
-    all of them)."""
+    all pairs)."""
 
     turn_deg: float = 0.0
-    """Angle of the material's first axis to x, in the plane of x and y [degrees]; in images y goes down."""
+    """Angle of the material's first axis to x, in the plane of x and y [degrees]; in images y points down."""
     frame: Annotated[flags.SomeFlag, arg(name="at")] = None
-    """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
+    """Of images: the frame to fit, counted from 0 after --stride; default: the last one."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
 
 
 @dataclass(frozen=True, slots=True)
 class FieldConfig(MaterialOptions):
-    """Find how stiff each place of a thing is against the others from one deformation, by images or one pair file:
-    smooth or of a few materials, with a beta for each place; with a force, stiffness in N/m."""
+    """Find the relative stiffness of each place of a body from one deformation, by images or one pair file. The field
+    is smooth or of a few materials, with a beta for each place; a force gives stiffness in N/m."""
 
     frame: Annotated[flags.SomeFlag, arg(name="at")] = None
-    """Of images: the frame that is fitted, counted from 0 after --stride; default: the last one."""
+    """Of images: the frame to fit, counted from 0 after --stride; default: the last one."""
     force_n: flags.PositiveFlag = None
-    """Size of the net force on the held particles that were moved, in that frame [N]; default: the pair file's."""
+    """Magnitude of the net force on the moved held particles, in that frame [N]; default: the pair file's."""
 
 
 @dataclass(frozen=True, slots=True)
 class YieldConfig(MaterialOptions):
-    """Find the strain at which a thing yields from its motion: loaded, and let go. A motion file (.npz) has
-    rest (K, d), motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
+    """Find a body's yield strain from its motion under load and after release. A motion file (.npz) has rest (K, d),
+    motion (T, K, d) [m], held (n,) or (T, K), and dt [s] for creep."""
 
     beta: ElasticFlag = None
-    """Share of linear deformation; default: found along with the yield strain."""
+    """Share of linear deformation; default: fitted together with the yield strain."""
     creep: CreepFlag = "none"
-    """How fast it flows [1/s]: none, as long as it takes in every frame; fit, found too; or a rate."""
+    """Rate of plastic flow [1/s]. none: each frame reaches equilibrium; fit: the rate is fitted too; or a number."""
     maximum: flags.PositiveFlag = None
     """Largest plastic strain; default: no bound."""
     theta: Annotated[float, flags.SHARE] = 0.0
-    """Volume conservation (by projection), which stays as it is."""
+    """Volume conservation (by projection), a fixed value."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
     unloading: OmitArgPrefixes[UnloadingFlags] = field(default_factory=UnloadingFlags)
@@ -392,7 +394,8 @@ class YieldConfig(MaterialOptions):
 
 @dataclass(frozen=True, slots=True)
 class ViscousConfig(MaterialOptions):
-    """Find what share of a thing's modulus relaxes, how fast, and what it keeps for good, from how it recovers once it
-    is let go; with a force in the recording from its relaxation too, and stiffness at once and relaxed."""
+    """Find the relaxing and the permanent share of a body's modulus and the relaxation time, from its recovery after
+    release. A force in the recording adds the relaxation under load, and the instantaneous and the relaxed
+    stiffness."""
 
     unloading: OmitArgPrefixes[UnloadingFlags] = field(default_factory=UnloadingFlags)

@@ -26,46 +26,46 @@ PLACE = flags.Rule(
 
 @dataclass(frozen=True, slots=True)
 class ClassifyConfig(RecordedOptions):
-    """Find out how well the content of containers is known from what was measured when they were squeezed: from each
-    modality, and from all of them fused. Everything is learned inside the training side of each split."""
+    """Evaluate how well the content of containers is classified from measurements of squeezes: by each modality, and by
+    all modalities fused. Every split fits all its parameters on its training side alone."""
 
     table: Annotated[Path, Positional, arg(metavar="DATASET|TABLE"), flags.Reads()]
-    """A data set of `deformscope squeeze`, or a table (.npz, .csv or .parquet) with a label for each trial, and its
-    features by modality."""
+    """A data set of `deformscope squeeze`, or a table (.npz, .csv or .parquet) with a label and features by modality
+    for each trial."""
     modalities: NamesFlag = None
-    """Take these alone, in that order; default: all."""
+    """Use these modalities alone, in this order; default: all."""
     merge: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="NAME=A,B...", help_behavior_hint="(repeatable)")
     ] = ()
-    """Classes that become one, such as liquid=water,yogurt."""
+    """Classes to merge, such as liquid=water,yogurt."""
     transfer: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="TRAINED:TESTED", help_behavior_hint="(repeatable)")
     ] = ()
-    """Train on one kind of container and test on another (groups, where the table has no `kind`), * = any letters, as
-    in 'box-*:cylinder-*'; default: from each kind to each other one."""
+    """Train on one kind of container and test on another (groups, where the table has no `kind`), with * for any
+    letters, as in 'box-*:cylinder-*'; default: from each kind to every other one."""
     splits: Annotated[int, flags.least(2)] = 200
-    """Random, stratified and, where the table has `group`, group-wise splits, 70 % to train and 30 % to test."""
+    """Number of random, stratified splits, 70 % to train and 30 % to test; group-wise if the table has `group`."""
     costly_splits: Annotated[int, flags.least(0)] = 10
-    """Splits of gradient boosting and the Gaussian process, which take long; 0 = without them."""
+    """Splits of gradient boosting and the Gaussian process, which are slow; 0 = without them."""
     curve_splits: Annotated[int, flags.least(0)] = 40
     """Splits of the learning curve, and of each step of a squeeze; 0 = without them."""
     quick: bool = False
-    """At most 30 splits, and neither costly classifiers nor a learning curve."""
+    """At most 30 splits, without costly classifiers and learning curve."""
     plain_qda: bool = False
-    """Try the thesis's quadratic discriminant analysis too, whose covariances are of one class alone, without shrinkage
-    (`qda-plain`); a class needs more trials than components then."""
+    """Try the thesis's quadratic discriminant analysis too, with one covariance per class and without shrinkage
+    (`qda-plain`). It needs more trials of each class than components."""
     duplicates: Literal["refuse", "drop"] = "refuse"
-    """What happens to trials with the same features: they would be recognised across a split."""
+    """How to treat trials with the same features: a classifier would recognise them across a split."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
     model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
-    """Train nothing: name these trials, which must be new, by a classifier that was saved, and find out whether it
-    keeps its promise."""
+    """Train nothing: classify these trials, which must be new, by a saved classifier, and compare its accuracy with its
+    promised one."""
     save: flags.ModelFlag = None
     """Write the classifier, trained on all trials (.npz, no pickle): late fusion of the modalities."""
     report: Annotated[Path | None, flags.one_word("FOLDER|FILE.html", Path), flags.unset, PLACE] = None
-    """Write all that was found with pictures: one HTML page, or a folder that has the pictures as PNG beside it. What
-    stands there is replaced."""
+    """Write the whole result with pictures: one HTML page, or a folder with the page and PNG files. An existing page is
+    replaced."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
     def check(self) -> None:

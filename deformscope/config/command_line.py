@@ -1,4 +1,4 @@
-"""A command as it is typed, out of its options."""
+"""A command as it is typed, from its options."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
 
 
 def command_line(name: str, options: Flags) -> list[str]:
-    """The words of a command that computes the same to the last bit; what is written and shown is left out.
+    """The words of a command that computes the same result to the last bit, without output files and viewers.
 
-    name: of the command, such as `calibrate beta`
+    name: the command, such as `calibrate beta`
     """
     return ["deformscope", *name.split(), *_arguments(options)]
 

@@ -1,4 +1,4 @@
-"""Who computes many cases, and the flags of sweeps and catalogs."""
+"""How many cases are computed in parallel, and the flags of sweeps and catalogs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class ExecutorOptions(Flags):
-    """Who computes the cases."""
+    """Where the cases are computed."""
 
     executor: Literal["local", "ray"] = "local"
-    """Processes of this machine, or a Ray cluster that runs already, with this version on all nodes
-    (deformscope[ray]). Its statistics of use are turned off."""
+    """Processes of this machine, or a running Ray cluster with this version on all nodes (deformscope[ray]). Ray's
+    usage statistics are turned off."""
     address: Annotated[str | None, flags.one_word("ADDRESS", str), flags.unset] = None
-    """Of the Ray cluster: HOST:PORT where this machine is a node of it, ray://HOST:PORT otherwise."""
+    """Address of the Ray cluster: HOST:PORT where this machine is a node of it, ray://HOST:PORT otherwise."""
 
     def check(self) -> None:
         if self.executor == "ray" and self.address is None:
@@ -35,35 +35,35 @@ WhereFlag = Annotated[str, arg(metavar="CONDITION")]
 
 @dataclass(frozen=True, slots=True)
 class SweepConfig(CommandOptions):
-    """Run a command on every recording, pair file and video of a folder, and keep each result as it comes. The same
-    line again goes on where it was cut off, and tries again what failed; files that were computed before are known by
-    their content. Ctrl-C leaves what is done."""
+    """Run a command on every recording, pair file and video of a folder, and store each result as soon as it is
+    computed. The same command line continues an interrupted sweep and repeats failed tasks; files computed before are
+    identified by their content. Ctrl-C preserves finished results."""
 
     source: Annotated[Path, Positional, arg(metavar="DIR|CATALOG"), flags.Reads()]
-    """A folder, with those in it, or the catalog.parquet that `deformscope catalog` made."""
+    """A folder, with its subfolders, or the catalog.parquet of `deformscope catalog`."""
     command: Annotated[tuple[str, ...], Positional, arg(metavar="-- COMMAND...", help_behavior_hint="")] = ()
-    """After --: a command with its flags, as it is typed, without the SOURCE. It needs --json, which it is given. In
-    names of files that it writes, {key} stands for a name of its own for each task, in OUT/files."""
+    """After --: a command with its flags, as typed, without the SOURCE. The command needs --json, which sweep adds. In
+    names of its output files, {key} is replaced by a unique name of the task, in OUT/files."""
     out: flags.Folder = Path("runs/sweep")
-    """Folder of the results: tasks.jsonl (each result whole), results.parquet (a row a task), index.html."""
+    """Folder of the results: tasks.jsonl (each whole result), results.parquet (a row per task), index.html."""
     vary: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="FLAG=VALUE,VALUE...", help_behavior_hint="(repeatable)")
     ] = ()
-    """Run it with each of these values of a flag: cluster-size=3,4,5. Values that hold commas have | between them.
-    Several: every combination."""
+    """Run the command with each of these values of a flag: cluster-size=3,4,5. | separates values with commas.
+    Several flags: every combination."""
     match: Annotated[str, arg(metavar="GLOB")] = ""
-    """Files whose names are like this alone: '*.npz'."""
+    """Only files whose names match this pattern: '*.npz'."""
     where: WhereFlag = ""
-    """Recordings alone for which this holds in the catalog: 'verdict == "identified" and not damaged'."""
+    """Only recordings whose row in the catalog satisfies this: 'verdict == "identified" and not damaged'."""
     send: bool = False
-    """Send each file to its worker, instead of its path: for nodes that share no disk."""
+    """Send each file to its worker instead of its path: for nodes without a shared disk."""
     limit_s: flags.PositiveFlag = None
-    """Give up a task that takes longer than this [s]; a worker that begins with it takes some seconds for that."""
+    """Abandon a task that takes longer than this [s]; the start of a worker takes some seconds of it."""
     workers: flags.SomeFlag = None
-    """Tasks at once; default: the cores of this machine, or of the cluster."""
+    """Number of parallel tasks; default: the cores of this machine, or of the cluster."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     json: flags.JsonFlag = None
-    """Write what became of it as JSON; with -, stdout is the JSON alone."""
+    """Write the outcome as JSON; with -, stdout is the JSON alone."""
 
     def check(self) -> None:
         if not self.command:
@@ -75,37 +75,37 @@ class SweepConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class CatalogConfig(CommandOptions):
-    """List the recordings of a folder: what made them, how long they are, what they found, what was lost, and which are
-    damaged. The index is DIR/catalog.parquet, which any tool can read; files whose size and time stay are not read
-    again. `deformscope catalog compare A B` says how two differ."""
+    """List the recordings of a folder: command, duration, results, losses, and damage. The index is
+    DIR/catalog.parquet, which any tool can read; files with the same size and time are not read again. `deformscope
+    catalog compare A B` compares two recordings."""
 
     folder: Annotated[Path, Positional, arg(metavar="DIR"), flags.Reads()]
-    """A folder, with those in it."""
+    """A folder, with its subfolders."""
     where: WhereFlag = ""
-    """Those alone for which this holds: 'stiffness < 0.5 and verdict == "identified"'. Columns are listed with --json;
-    the end of a name does where it is of one alone."""
+    """Only recordings that satisfy this: 'stiffness < 0.5 and verdict == "identified"'. --json lists the columns; the
+    end of a column's name is enough if it is unique."""
     sort: Annotated[str, arg(metavar="KEY")] = ""
-    """By this column; --sort=-KEY: the largest first."""
+    """Sort by this column; --sort=-KEY: largest first."""
     columns: Annotated[str, arg(metavar="NAME,NAME...")] = ""
-    """Columns to show; default: those that say most."""
+    """Columns to show; default: the main ones."""
     page: bool = False
-    """Write DIR/catalog.html too: with a picture of each recording, which opens it."""
+    """Write DIR/catalog.html too: a picture of each recording, with a link that opens it."""
     serve: bool = False
     """Serve that page to browsers of this machine, at a terminal until Ctrl-C: a click plays the recording."""
     workers: flags.SomeFlag = None
-    """Processes that read recordings; default: the cores of this machine."""
+    """Number of processes that read recordings; default: the cores of this machine."""
     json: flags.JsonFlag = None
     """Write the rows with all their columns as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class CompareConfig(CommandOptions):
-    """How two recordings differ: in settings, in results with their intervals, and in what their devices measured,
-    both from their first contact on."""
+    """Compare two recordings: settings, results with their intervals, and measurements of their devices, both from the
+    first contact on."""
 
     first: flags.RecordingFlag
     """A recording (.rrd)."""
     second: flags.RecordingFlag
-    """Another."""
+    """The other recording."""
     json: flags.JsonFlag = None
     """Write the differences as JSON; with -, stdout is the JSON alone."""

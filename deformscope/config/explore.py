@@ -1,4 +1,4 @@
-"""`deformscope explore`: how to explore, and what it is asked for beside that."""
+"""`deformscope explore`: options of an exploration, and of the command."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ Pace = Literal["careful", "quick"]
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
 Relief = Literal["seen", "stated"]
 REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
-"""At most, unless asked for otherwise."""
+"""Default number of touches."""
 MOST_HOLD_S = 60.0
 BORDER_M, LEAST_BORDER_M = 0.02, 0.01
-"""No touch is made so near the surface's edge, unless it is asked for; from where on an edge's law was measured."""
+"""No touch is made closer to the surface's edge, unless requested; the least distance at which the law of edges was
+measured."""
 _GRID = flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m")
 BetaGridFlag = Annotated[float, arg(name="beta-grid", metavar="M"), _GRID]
 BetaStepFlag = Annotated[float, flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")]
@@ -32,55 +33,54 @@ SigmaWFlag = Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH]
 
 @dataclass(frozen=True, slots=True)
 class ExploreFlags(Flags):
-    """How to explore, as far as it can be asked for; `deformscope.experiments.options.ExploreOptions` is all of it.
-    What is None and follows from goal and planner is put in its place: `budget`, `beta_model`."""
+    """Options of an exploration that have a flag; `deformscope.experiments.options.ExploreOptions` has all. `budget`
+    and `beta_model` follow from goal and planner if they are None."""
 
     budget: Annotated[flags.SomeFlag, arg(name="touches")] = None
-    """Touches at most, default 8, with --goal inclusions 30."""
+    """Largest number of touches, default 8, with --goal inclusions 30."""
     goal: Goal = "regions"
-    """What is sought: regions of one stiffness each, or inclusions below a surface that shows nothing, stiffer or
-    softer than the foam around them; touched is until one of --smallest-inclusion or more is missed with less than
-    5 %."""
+    """The goal: regions of one stiffness each, or inclusions below a homogeneous surface, stiffer or softer than the
+    foam around them. Inclusions end when a missed one of --smallest-inclusion or more is less likely than 5 %."""
     planner: Planner = "regions"
-    """Where to touch next: where the map of regions gains most a second (default), three rules by the field's
-    variance, or all of chapter 4 as the thesis has it: its field of beta, from --first (default: a preset place), any
-    place above --threshold until none is, and regions along isopleths."""
+    """How the next place is chosen. regions: largest gain of the map of regions per second (default); three rules use
+    the field's variance. thesis: all of chapter 4. It begins at --first (default: a preset place), touches while any
+    variance of its field of beta exceeds --threshold, and finds regions along isopleths."""
     threshold: float = 0.06
-    """Variance, as a share of that before any touch, below which a place needs no touch (Th of the thesis)."""
+    """Variance, as a share of the variance before any touch, below which a place needs no touch (Th of the thesis)."""
     hold_s: Annotated[float, arg(name="hold", metavar="S")] = 0.0
-    """Hold the force of each touch for so long [s], and report how the foam creeps: stiffness at once and relaxed,
-    relaxation time, energy that a touch loses. 8 s tell times of 0.2 to 5 s."""
+    """Duration for which each touch holds its force [s]. The result then has creep: instantaneous and relaxed
+    stiffness, relaxation time, and the energy that a touch loses. 8 s identify times of 0.2 to 5 s."""
     feel: Feel = "apparent"
-    """What is mapped: stiffness as each touch comes down, or, with --hold, when all has relaxed; or, with --hold, the
-    share of its energy that a touch loses, stiffness beside it."""
+    """The mapped quantity: stiffness during the approach. With --hold also the relaxed stiffness, or the share of
+    energy that a touch loses, with stiffness as a second map."""
     pace: Pace = "careful"
-    """quick: once a touch has met the surface where it was seen, the tip crosses it 2 cm above all that it passes, and
-    slows down where the surface may be, in the last 5 to 15 mm; it travels at the rig file's travel_speed_m_s, in the
-    laboratory at 15 cm/s. careful: 5 cm above it, the last 3 cm slowly, in the laboratory at 5 cm/s."""
+    """Speed of travel between touches. quick: after a first contact at the observed height, the tip crosses 2 cm above
+    the highest obstacle. It slows down for the last 5 to 15 mm. It travels at the rig file's travel_speed_m_s, in the
+    laboratory at 15 cm/s. careful: 5 cm above, slowly for the last 3 cm, in the laboratory at 5 cm/s."""
     relief: Relief = "seen"
-    """Where the surface is uneven, compare touches by how thick and how curved the foam was seen to be at each (its
-    table is at z = 0), so that they compare by modulus; or take it for level and as thick as stated."""
+    """Model of an uneven surface. seen: touches are corrected for the observed thickness and curvature of the foam (its
+    table is at z = 0), so that they compare by modulus. stated: level, with the stated thickness."""
     border_m: Annotated[float, arg(name="border", metavar="M")] = BORDER_M
-    """No touch is made so near the surface's edge [m], 0.01 at least. Below 0.02 every touch is corrected for how far
-    it is from where the foam ends, which is taken to be where the surface does."""
+    """Least distance of a touch from the surface's edge [m], at least 0.01. Below 0.02 every touch is corrected for its
+    distance from the foam's edge, which is assumed to be the surface's edge."""
     first_m: Annotated[flags.PlaceFlag, arg(name="first")] = None
-    """Where to touch first, in the surface frame [m]; default: where it says most."""
+    """Place of the first touch, in the surface frame [m]; default: the most informative place."""
     beta_model: BetaModel | None = None
-    """What beta is fitted with: layers below the surface (volume, default), the thesis's sweep with one held particle
-    of a single layer (thesis, default of --planner thesis) or of layers, or none."""
+    """Model that beta is fitted with. volume: layers below the surface (default); thesis: the thesis's sweep with one
+    held particle of a single layer (default of --planner thesis) or of layers; none."""
     beta_grid_m: BetaGridFlag = 0.005
-    """How far apart the particles of the thesis's sweep are, and with --planner thesis the places whose variance is
-    looked at [m]; the thesis's own is the default."""
+    """Spacing of the particles of the thesis's sweep, and with --planner thesis of the places whose variance is
+    evaluated [m]; default: the thesis's."""
     beta_step: BetaStepFlag = 0.01
-    """Step of the thesis's sweep of beta, from 0 to below 1; the thesis's own is the default."""
+    """Step of the thesis's sweep of beta, from 0 to below 1; default: the thesis's."""
     sigma_w_m: SigmaWFlag = 0.5
-    """Width of the kernel of --planner thesis [m]. With --threshold it alone decides how many touches are made, n of
-    table 4.1, whatever they find. The thesis does not print it; the default is such that 60 x 40 cm of one foam take
+    """Width of the kernel of --planner thesis [m]. Together with --threshold it alone determines the number of touches
+    (n of table 4.1), whatever they measure. The thesis does not print it; with the default, 60 x 40 cm of one foam take
     its 3 touches."""
     detail: Detail = "full"
-    """What a recording has beside devices, estimates and maps. full: also which pixels were used, and by which rule the
-    others were removed, the surface under each touch, the error over beta, what was trained with what weight, force
-    and pose at the force's rate, frames and maps in space. lean: none of these."""
+    """Content of the recording besides devices, estimates and maps. full: pixels with the rules that removed others,
+    the surface under each touch, the error over beta, and training data with weights. It has force and pose at the
+    force's rate, and frames and maps in space. lean: none of these."""
 
     def __post_init__(self) -> None:
         inclusions = self.goal == "inclusions"
@@ -102,7 +102,7 @@ class ExploreFlags(Flags):
         if self.feel == "loss" and self.planner == "thesis":
             raise InputError("a planner whose regions are not those of beta", "thesis", "--planner regions")
         if self.goal == "inclusions" and self.feel == "loss":
-            raise InputError("inclusions that are felt by their stiffness", "--feel loss", "--goal regions")
+            raise InputError("inclusions that are measured by their stiffness", "--feel loss", "--goal regions")
         if self.goal == "inclusions" and self.planner != "regions":
             raise InputError("the planner of --goal inclusions", f"--planner {self.planner}", "leave --planner out")
         if not LEAST_BORDER_M <= self.border_m <= 0.1:
@@ -113,52 +113,54 @@ class ExploreFlags(Flags):
 
 @dataclass(frozen=True, slots=True)
 class ExploreConfig(ExploreFlags, RecordedOptions):
-    """Map how soft a surface is, and where: look, touch where it adds most to the map, map, again; regions in the end.
-    RIG is a rig file with an arm, a force sensor and a depth camera: the arm moves, after a table of checks and a
-    question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles. Of a recording of
-    arm, force sensor and depth camera (.rrd), as `import` makes of a bag, the touches that it holds are mapped."""
+    """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat; then find
+    regions. RIG is a rig file with an arm, a force sensor and a depth camera. The arm moves, after a table of checks
+    and a question. lab:NAME is a simulated table, explored through the real drivers on byte-exact doubles. A recording
+    of arm, force sensor and depth camera (.rrd), such as `import` makes from a bag, gives a map of its touches."""
 
     rig: flags.SceneFlag = ""
     """A rig file (.toml), a recording (.rrd), or a simulated scene; --list-scenarios names these."""
     list_scenarios: bool = False
-    """Name the simulated scenes, what their seeds draw, and what can go wrong in them; do nothing else."""
+    """List the simulated scenes, the random quantities of their seeds, and the faults; do nothing else."""
     smallest_inclusion_m: Annotated[flags.PositiveFlag, arg(name="smallest-inclusion")] = None
-    """Radius of the smallest inclusions that are sought [m], default 0.06, with --goal inclusions 0.02: touched is
-    until one that is there unseen is less likely than 1 in 20, or --touches are made."""
+    """Radius of the smallest inclusions to find [m], default 0.06, with --goal inclusions 0.02. Touches end when an
+    undetected one is less likely than 1 in 20, or after --touches."""
     set_force_n: Annotated[flags.ForceFlag, arg(name="set-force")] = None
-    """Force to press with [N], 5 N at most; default: the rig file's target_force_n, which is 3 N unless it says. Where
-    it makes a dent below 2 mm, 5/3 of it (5 N at most) is pressed with."""
+    """Force of a touch [N], 5 N at most; default: the rig file's target_force_n, or 3 N. If the dent is below 2 mm, the
+    touch presses with 5/3 of it (5 N at most)."""
     tangential: Literal["held", "free"] | None = None
-    """While it presses, hold the tip on the surface's normal, or let it follow forces across it, as chapter 4 does;
-    default: as [touch] of the rig file says, in a simulated scene held, with --planner thesis free."""
+    """During the press, hold the tip on the surface's normal, or let lateral forces move it, as chapter 4 does;
+    default: [touch] of the rig file; in a simulated scene held, with --planner thesis free."""
     dry_run: bool = False
-    """Make the first touch 10 cm above the surface, where nothing is met, and end."""
+    """Make the first touch 10 cm above the surface, without contact, and end."""
     fault: Annotated[
         UseAppendAction[tuple[str, ...]], arg(metavar="KIND@TOUCH", help_behavior_hint="(repeatable)")
     ] = ()
-    """Let something go wrong in a simulated touch, counted from 1, such as force-silent@2, at a moment drawn from the
-    seed; --list-scenarios names the kinds."""
+    """Inject a fault into a simulated touch, counted from 1, such as force-silent@2, at a random moment of the seed;
+    --list-scenarios lists the kinds."""
     clean: bool = False
-    """Keep nothing from the estimator in a simulated scene: the arm is as its calibration says, the force exact, and
-    foam without scatter. Else these are drawn from the seed, as they would be on a table."""
+    """Simulate without hidden errors: the arm as calibrated, exact force, and foam without scatter. Otherwise these
+    errors are drawn from the seed, as large as on a real table."""
     camera: Literal["plain", "primesense", "realsense"] = "plain"
-    """What the camera of a simulated scene measures by: noise alone, or disparity as a PrimeSense or a RealSense D435
-    has it, with its steps, edges that bleed, shadows beside them, and no depth where a surface is seen flat."""
+    """Error model of the simulated depth camera: noise alone, or disparity of a PrimeSense or a RealSense D435.
+    Disparity has steps, bleeding edges, shadows, and no depth at grazing angles."""
     robot: Literal["plain", "gripper"] = "plain"
-    """What the camera of a simulated scene sees of the robot: capsules, or the meshes of an arm whose gripper holds a
-    stick, and a cable that hangs."""
+    """The robot in the images of a simulated scene: capsules, or the meshes of an arm whose gripper holds a stick and a
+    hanging cable."""
     removal: Literal["capsules", "hull", "mesh"] | None = None
-    """With --robot gripper: how that is taken out of the pictures, default mesh. A rig file says it in [shape]."""
+    """With --robot gripper: method that removes the robot from the images, default mesh. The rig file's key is
+    [shape]."""
     picture: flags.PictureFlag = None
     """Draw the maps to a PNG."""
     map: flags.ArraysFlag = None
-    """Write the maps as arrays: stiffness [N/mm], its deviation (of its log), regions, their probability, beta."""
+    """Write the maps as arrays: stiffness [N/mm], standard deviation of its log, regions, their probability, beta."""
     paused: bool = False
-    """With --viewer page: begin paused, and touch only where somebody says so on the page."""
+    """With --viewer page: begin paused, and touch only on a request from the page."""
     page_timeout: flags.TimeoutFlag = 0.3
-    """Stop a touch that was asked for on the page where the page is not heard of for so long [s]; exploring goes on."""
+    """Stop a touch that the page requested after this time without a message from the page [s]; the exploration
+    continues."""
     yes: bool = False
-    """Let a real arm move, once the checks have passed, without asking."""
+    """Let a real arm move without asking, once the checks have passed."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 

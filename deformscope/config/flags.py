@@ -1,4 +1,4 @@
-"""What one value looks like on the command line, what it may be, and what a flag with such a value is declared as."""
+"""The form of one value on the command line, its range, and declarations of flags with such values."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def parse_grid(text: str) -> GridShape:
 
 
 def some_of(known: tuple[T, ...]) -> Callable[[str], tuple[T, ...]]:
-    """Parses a comma list of what is known, each named once in the result."""
+    """Parses a comma list of the values in `known`, each once in the result."""
 
     def parse(text: str) -> tuple[T, ...]:
         named = [part.strip() for part in text.split(",")]
@@ -102,7 +102,7 @@ def parse_sizes(text: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True)
 class PokeText:
-    """A poke as it is typed: at (2,) or (3,) [m]; tip and its size [m], None = the model's; depth [m] or force [N]."""
+    """A poke as typed: at (2,) or (3,) [m]; tip and its size [m], None = the model's; depth [m] or force [N]."""
 
     at: tuple[float, ...]
     tip: TipName | None = None
@@ -173,7 +173,7 @@ def positive(text: str) -> float:
 
 
 def one_word(metavar: str, parse: Callable[[str], T], show: Callable[[Any], str] = str) -> PrimitiveConstructorSpec[T]:
-    """One word on the command line; None, which cannot be typed there, stands for a flag that was left out."""
+    """One word on the command line; None, which cannot be typed, is an omitted flag."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
@@ -192,7 +192,8 @@ def joined(separator: str) -> Callable[[Any], str]:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What a value must be. says: so, with {flag} for the flag; hint: what to try, with {flag} too"""
+    """A rule that a value must satisfy. says: the rule in words, with {flag} for the flag; hint: what to try, also with
+    {flag}"""
 
     holds: Callable[[Any], bool]
     says: str
@@ -200,19 +201,19 @@ class Rule:
     show: Callable[[Any], str] = str
 
     def check(self, flag: str, value: Any) -> None:
-        """Raises InputError where it is something else."""
+        """Raises InputError where the value breaks the rule."""
         if not self.holds(value):
             raise InputError(self.says.format(flag=flag), self.show(value), self.hint.format(flag=flag))
 
 
 @dataclass(frozen=True, slots=True)
 class Reads:
-    """Files that are read, none of which may be written over."""
+    """Files that are read and may not be overwritten."""
 
 
 @dataclass(frozen=True, slots=True)
 class Writes:
-    """A file that is written. kept: one that is there already, unless --overwrite is given"""
+    """An output file. kept: an existing file is refused unless --overwrite is given"""
 
     kept: bool = False
 
@@ -227,7 +228,7 @@ def ends(*suffixes: str) -> Rule:
 
 
 def within(limit: float) -> Rule:
-    """Of a span; neither end is NaN: `finite` has seen to that."""
+    """Whether a span lies in a range; neither end is NaN: `finite` checks that."""
     return Rule(lambda span: span[0] >= 0 and span[1] <= limit, f"a {{flag}} within 0,{limit:g}", show=joined_g)
 
 
@@ -286,8 +287,10 @@ ForceFlag = Annotated[float | None, one_word("NUMBER", positive), unset, _FORCE]
 TrustFlag = Annotated[
     bool,
     arg(
-        help="Load the vendors' libraries that RIG names from wherever they are; without it, from the system's folders "
-        "alone. They run as you do."
+        help=(
+            "Load the vendors' libraries that RIG names from any folder; without it, from the system's folders "
+            "alone. These libraries run with your rights."
+        )
     ),
 ]
 JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset, Writes()]

@@ -1,4 +1,4 @@
-"""How images become particles; `deformscope flow`."""
+"""Options that turn images into particles; `deformscope flow`."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class ParticleFlags(Flags):
-    """Where particles are seeded in an image, and which of them are held."""
+    """Where particles are placed in an image, and which of them are held."""
 
     roi: flags.RectangleFlag = None
-    """Region of the image that holds the thing [px]; default: all of it."""
+    """Region of the image that holds the body [px]; default: the whole image."""
     grid: flags.GridFlag = None
     """Rows and columns of particles over the region, such as 7x15."""
     spacing_px: flags.PositiveFlag = None
     """Distance of neighbouring particles [px], instead of --grid."""
     held: flags.HeldFlag = None
-    """Particles whose motion is taken from the images and prescribed, out of top, bottom, left, right, border and
-    contact. Default: bottom,contact where --contact is given, else top,bottom."""
+    """Particles whose motion is measured in the images and prescribed: top, bottom, left, right, border or contact.
+    Default: bottom,contact with --contact, else top,bottom."""
     contact: flags.RectangleFlag = None
     """Footprint of the tool in the first image [px]; the particles inside are `contact`."""
 
@@ -38,7 +38,7 @@ class ParticleFlags(Flags):
             raise InputError("contact among --held with --contact", f"--held {','.join(self.held)}", f"--held {held}")
 
     def held_parts(self) -> tuple[flags.HeldPart, ...]:
-        """The parts to hold: those asked for, else what stands still and what pushes."""
+        """The held parts: the requested ones, else the fixed part and the pushing part."""
         if self.held is not None:
             return self.held
         return ("bottom", "contact") if self.contact is not None else ("top", "bottom")
@@ -46,21 +46,21 @@ class ParticleFlags(Flags):
 
 @dataclass(frozen=True, slots=True)
 class ImageOptions(ParticleFlags):
-    """How images become particles. Pair files need none of these."""
+    """Options that turn images into particles. Pair files need none of these."""
 
     mask: flags.FileFlag = None
-    """Image that is not black where the thing is; particles stand there alone. It is left out of a sequence that holds
-    it."""
+    """Image that is not black on the body; particles are placed there alone. A mask image among the frames of a
+    sequence is left out."""
     outline: flags.OutlineFlag = None
-    """Corners of a polygon around the thing in the first image [px]; particles stand within it alone."""
+    """Corners of a polygon around the body in the first image [px]; particles are placed within it alone."""
     px_per_cm: flags.PositiveFlag = None
-    """Scale of the image [px/cm]; with it lengths are reported in metres too."""
+    """Scale of the image [px/cm]; with it lengths are also reported in metres."""
     stride: flags.ManyFlag = 1
     """Take every n-th frame."""
     camera: flags.CameraFlag = None
-    """Of a recording or a rig with several cameras: the one to take."""
+    """Of a recording or a rig with several cameras: the camera to use."""
     fps: flags.PositiveFlag = None
-    """Frames a second of images that do not say; default: what the video says."""
+    """Frame rate of images without one [Hz]; default: the video's."""
     flow: Literal["dis", "farneback"] = "dis"
     """Method of the dense optical flow."""
 
@@ -70,14 +70,14 @@ class ImageOptions(ParticleFlags):
 
 @dataclass(frozen=True, slots=True)
 class FlowConfig(RecordedOptions):
-    """Dense optical flow of two images: where each pixel of BEFORE has gone in AFTER."""
+    """Dense optical flow of two images: the displacement of each pixel from BEFORE to AFTER."""
 
     before: Annotated[Path, Positional, arg(metavar="BEFORE"), flags.Reads()]
     """The first image."""
     after: Annotated[Path, Positional, arg(metavar="AFTER"), flags.Reads()]
     """The second image, of the same size."""
     out: Annotated[Path, arg(metavar="FILE.npz"), flags.ends(".npz"), flags.Writes()]
-    """Where `flow_px (height, width, 2)` in (x, y) [px] goes. An existing file is replaced."""
+    """Output file of `flow_px (height, width, 2)` in (x, y) [px]. An existing file is replaced."""
     method: Literal["dis", "farneback"] = "dis"
     """Dense inverse search, or Farneback's polynomials."""
     backward: bool = False

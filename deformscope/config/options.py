@@ -1,4 +1,4 @@
-"""What every command's options can be asked, what most commands leave behind, and what annotations say of a flag."""
+"""Methods that all options have, options of most commands, and the meaning of annotations."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ MarkT = TypeVar("MarkT")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A file that a command will write.
+    """An output file of a command.
 
-    flag: the flag that names it; replace: whether a file that is there already may go
+    flag: the flag of its name; replace: whether an existing file may be replaced
     """
 
     flag: str
@@ -27,19 +27,19 @@ class Written:
 
 
 def marks_of(kind: type) -> dict[str, tuple[object, ...]]:
-    """What the annotation of each field says beside its type."""
+    """The marks in the annotation of each field, besides its type."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
 
 
 def flags_of(kind: type) -> dict[str, str]:
-    """The flag of each field: as `arg(name=...)` in its annotation has it, else as the field is called."""
+    """The flag of each field: `arg(name=...)` of its annotation, else the field's name."""
     names = {name: [getattr(mark, "name", None) for mark in marks] for name, marks in marks_of(kind).items()}
     return {name: "--" + (next(filter(None, said), None) or name.replace("_", "-")) for name, said in names.items()}
 
 
 class Flags:
-    """Flags: each value is checked as its annotation wants it, then together by `check`."""
+    """Flags: each value is checked by its annotation, then all together by `check`."""
 
     __slots__ = ()
 
@@ -49,12 +49,12 @@ class Flags:
         self.check()
 
     def check(self) -> None:
-        """Raises InputError for values that do not go together."""
+        """Raises InputError for values that exclude each other."""
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Options out of a script's arguments by name, each in its group of flags. Paths may be words, tuples any
-        sequences. Raises TypeError for other names."""
+        """Makes options from a script's arguments by name, each in its group of flags. Paths may be strings, tuples any
+        sequences. Raises TypeError for unknown names."""
         own: dict[str, Any] = {}
         hints = get_type_hints(cls)
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # all that derive from it are dataclasses
@@ -79,18 +79,19 @@ class Flags:
         return {name: getattr(self, name) for name in marks_of(type(self)).keys() & names}
 
     def reads(self) -> tuple[str, ...]:
-        """The sources, none of which may be written over."""
+        """The sources, none of which may be overwritten."""
         found = (value if isinstance(value, tuple) else (value,) for _, value, _ in self._marked(flags.Reads))
         return tuple(str(one) for some in found for one in some if str(one))
 
     def writes(self) -> tuple[Written, ...]:
-        """The files to come; all are checked before any heavy work."""
+        """The output files; all are checked before any heavy work."""
         overwrite = getattr(getattr(self, "output", self), "overwrite", False)
         found = ((flag, value, mark) for flag, value, mark in self._marked(flags.Writes) if value != "-")
         return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
 
     def _marked(self, kind: type[MarkT], *, inner: bool = True) -> Iterator[tuple[str, Any, MarkT]]:
-        """Flag, value and mark of each field with a value and a mark of this kind; inner: of groups of flags too"""
+        """Flag, value and mark of each field with a value and a mark of this kind; inner: also of nested groups of
+        flags"""
         marks, named = marks_of(type(self)), flags_of(type(self))
         for field in dataclasses.fields(self):  # type: ignore[arg-type]  # all that derive from it are dataclasses
             value = getattr(self, field.name)
@@ -102,43 +103,43 @@ class Flags:
 
 
 class CommandOptions(Flags):
-    """What the command line asks of any command's options before it runs the command."""
+    """What the command line reads from any command's options before it runs the command."""
 
     __slots__ = ()
 
     def json_target(self) -> str | None:
-        """Where the JSON goes: a path, `-` for stdout, None for nowhere."""
+        """Where the JSON goes: a path, `-` for stdout, None without JSON."""
         target: str | None = getattr(getattr(self, "output", self), "json", None)
         return target
 
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions(Flags):
-    """What is left behind and what is shown."""
+    """Output files and viewer."""
 
     json: flags.JsonFlag = None
     """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
     record: flags.FileKept = None
-    """Write a rerun recording (.rrd). Without it nothing is recorded; `record` alone then takes a new name in runs/."""
+    """Write a rerun recording (.rrd). Without it nothing is recorded; `record` alone then makes a new name in runs/."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
-    """Show every stage live: in rerun's window (stays when the command has ended), on a web page (ends with it, at a
-    terminal with Ctrl-C), or not at all; auto: the window where there is a display. A page answers to the address alone
-    that is printed. A window opens a port on 127.0.0.1 that asks for no password: other users of this machine, and by
-    DNS rebinding web sites in its browsers, can read all that is shown, and steer it (open files, take pictures)."""
+    """Show every stage live: in rerun's window (stays open after the command), on a web page (ends with the command, at
+    a terminal with Ctrl-C), or not at all; auto: the window if there is a display. The page answers only requests to
+    its printed address. The window opens a port on 127.0.0.1 without a password. Other users of this machine, and web
+    sites in its browsers by DNS rebinding, can read and control the viewer (open files, take pictures)."""
     overwrite: bool = False
-    """Replace a recording that exists; without it an existing one is refused."""
+    """Replace an existing recording; without it an existing one is refused."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions(ViewOptions):
-    """The same of what draws random numbers."""
+    """The same, of commands with random numbers."""
 
     seed: flags.SeedFlag = 0
     """Seed of every random number."""
 
 
 class RecordedOptions(CommandOptions):
-    """A command that computes: it leaves JSON and a recording, and can be watched."""
+    """A command that computes: it writes JSON and a recording, and has a live view."""
 
     __slots__ = ()
     output: ViewOptions

@@ -1,4 +1,4 @@
-"""What measures ourselves: `deformscope reproduce ...` and `bench`."""
+"""Commands that evaluate this program: `deformscope reproduce ...` and `bench`."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from deformscope.config.options import CommandOptions, OutputOptions, RecordedOp
 
 @dataclass(frozen=True, slots=True)
 class CubesConfig(RecordedOptions):
-    """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11, table 3.2, and
-    overlapping clusters beside one cluster."""
+    """The thesis's experiment 3.A: theta of cubes of known Poisson's ratio, with figures 3.10 and 3.11 and table 3.2,
+    and overlapping clusters compared with one cluster."""
 
     pairs: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint=""), flags.Reads()] = ()
-    """Cubes from pair files (.npz) with `nu`, instead of the thesis's 45 made with finite elements."""
+    """Cubes from pair files (.npz) with `nu`, instead of the thesis's 45 from finite elements."""
     out: flags.Folder = Path("runs/cubes")
-    """Folder for the figures (PNG), tables (CSV) and cubes.json; files there are replaced."""
+    """Folder for the figures (PNG), tables (CSV) and cubes.json; existing files are replaced."""
     quick: bool = False
     """The 15 cubes of 6^3 particles alone."""
     method: Literal["sweep", "gradient"] = "sweep"
@@ -30,11 +30,11 @@ class CubesConfig(RecordedOptions):
     cluster_size: flags.ClusterFlag = 2
     """Particles along each side of the overlapping clusters."""
     compare: Literal["deepest", "all", "none"] = "deepest"
-    """Cubes that overlapping clusters are fitted to: the deepest pressed of each kind, all, or none."""
+    """Cubes for the fit of overlapping clusters: the deepest press of each kind, all, or none."""
     level: flags.LevelFlag = 0.9
     """Confidence level of the intervals."""
     workers: flags.SomeFlag = None
-    """Processes; default: one a core."""
+    """Processes; default: one per core."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -44,60 +44,60 @@ class CubesConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class ShapesConfig(RecordedOptions):
-    """What beta and theta do to a body (figures 3.5, 3.7 and 3.13 of the thesis): with --record or --viewer, static
-    states whose timelines are beta and theta, to be scrubbed. Some seconds."""
+    """The effect of beta and theta on a body (figures 3.5, 3.7 and 3.13 of the thesis). --record or --viewer show
+    static states on timelines of beta and theta. It takes some seconds."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class StudyOptions(RecordedOptions):
-    """What every study's flags are."""
+    """Options of every study."""
 
     jobs: flags.ManyFlag = 2
-    """Processes that share the work."""
+    """Number of parallel processes."""
     resume: Annotated[Path | None, flags.one_word("FILE", Path), flags.unset] = None
-    """Keep each outcome in this file as it comes, a line of JSON each; those of the same cases that an earlier command
-    of this version left there are not computed again."""
+    """Store each outcome in this file, one line of JSON each. A later command of the same version reads them instead of
+    computing the same cases again."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class PokesConfig(RecordedOptions):
-    """Pokes of finite element slabs that were not fitted, predicted and compared with a rigid body, a half-space and
-    linear finite elements."""
+    """Predict pokes of finite element slabs that were not fitted, and compare a rigid body, a half-space and linear
+    finite elements."""
 
     out: flags.Folder = Path("runs/pokes")
-    """Folder of dents.png and pokes.csv; made where it is not there. What it holds of these is replaced."""
+    """Folder of dents.png and pokes.csv; made if missing. Existing files of these names are replaced."""
     quick: bool = False
-    """The slab of one modulus alone."""
+    """Only the slab of one modulus."""
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class FoamsConfig(StudyOptions):
-    """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. Some 3 minutes
-    on one core."""
+    """Experiment 3.B: beta of five virtual foams from images of a push, with figure 3.14 and the force. It takes about
+    3 minutes on one core."""
 
     out: flags.Folder = Path("runs/foams")
-    """Folder of the figures and of foams.csv; made where it is not there. What it holds of these is replaced."""
+    """Folder of the figures and of foams.csv; made if missing. Existing files of these names are replaced."""
     quick: bool = False
-    """The softest and the firmest foam alone, fewer images, in some 30 s."""
+    """Only the softest and the firmest foam, with fewer images, in about 30 s."""
     keep_images: bool = False
-    """Keep the images in DIR/images, a folder a foam, as `calibrate beta` takes them."""
+    """Store the images in DIR/images, one folder per foam, in the form that `calibrate beta` reads."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table41Config(RecordedOptions):
-    """Thesis table 4.1 and scenes beyond it: explore simulated tables over seeds, and report how good the maps are
-    after how many touches, planner beside planner. A touch takes about a second of a core: 20 seeds of all scenes take
-    most of an hour."""
+    """Thesis table 4.1 and further scenes: explore simulated tables over seeds, and report the maps' quality over the
+    number of touches, for each planner. A touch takes about a second of one core: 20 seeds of all scenes take most of
+    an hour."""
 
     out: flags.Folder = Path("runs/table41")
-    """Folder for the table (CSV, JSON, PNG) and for each exploration (runs.jsonl); files there are replaced."""
+    """Folder for the table (CSV, JSON, PNG) and for each exploration (runs.jsonl); existing files are replaced."""
     scenes: Annotated[str, arg(metavar="NAME,NAME...")] = ""
-    """Scenes, as `deformscope explore --list-scenarios` names them; default: all."""
+    """Scenes, as `deformscope explore --list-scenarios` lists them; default: all."""
     planners: Annotated[str, arg(metavar="NAME,NAME...")] = "regions"
     """Planners: regions, integrated-variance, max-variance, random-above. The first is compared with the others."""
     seeds: flags.ManyFlag = 20
@@ -105,86 +105,89 @@ class Table41Config(RecordedOptions):
     touches: flags.ManyFlag = 12
     """Touches of each exploration."""
     closed_form: bool = False
-    """Take what a contact feels in closed form instead of pressing finite elements: no surface, no arm, far faster."""
+    """Compute a touch's stiffness in closed form instead of pressing finite elements: no surface, no arm, much
+    faster."""
     clean: bool = False
-    """Keep nothing from the estimator: the arm is as its calibration says, the force exact, foam without scatter."""
+    """Simulate without hidden errors: the arm as calibrated, exact force, foam without scatter."""
     relief: Literal["seen", "stated"] = "seen"
-    """Take the foam as thick and as curved as it is seen, or as level and as thick as stated (finite elements only)."""
+    """Use the observed thickness and curvature of the foam, or a level foam of the stated thickness (finite elements
+    only)."""
     pace: Annotated[str, arg(metavar="NAME,NAME...")] = "careful"
-    """As of `deformscope explore`: careful, quick; robot seconds are those of its plans, travelled and touched step by
+    """As of `deformscope explore`: careful, quick; robot seconds are the time of the planned motions, computed step by
     step. The first is compared with the others."""
     resume: bool = False
-    """Take what an earlier command left in runs.jsonl, and go on from there; it must have been this version."""
+    """Read the results of an earlier command from runs.jsonl, and continue; the version must be the same."""
     workers: flags.SomeFlag = None
-    """Processes at once; default: the cores of this machine."""
+    """Number of parallel processes; default: the cores of this machine."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class Chapter4Config(RecordedOptions):
-    """Thesis chapter 4 by its own rules: figure 4.4 (what the sweep of beta is given), 4.5 (beta over hardness, by how
-    the model is held and the size of its clusters), 4.6 (dents of foams), 4.7 (fields of beta, isopleths, variance,
-    truth) and table 4.1 with the number of touches at Th. Some 15 minutes on two cores."""
+    """Thesis chapter 4 by its own rules: figure 4.4 (input of the sweep of beta), 4.5 (beta over hardness, by held
+    particles and cluster size), 4.6 (dents of foams) and 4.7 (fields of beta, isopleths, variance, truth). Table 4.1
+    has the number of touches at Th. It takes about 15 minutes on two cores."""
 
     out: flags.Folder = Path("runs/chapter4")
-    """Folder for the figures (PNG), tables (CSV) and chapter4.json; files there are replaced."""
+    """Folder for the figures (PNG), tables (CSV) and chapter4.json; existing files are replaced."""
     seeds: flags.ManyFlag = 3
     """Layouts of each scenario, from seed 0 on; figure 4.7 shows the first."""
     beta_grid_m: BetaGridFlag = 0.005
-    """How far apart the particles are, and the places whose variance is looked at [m]; default: the thesis's."""
+    """Spacing of the particles, and of the places whose variance is evaluated [m]; default: the thesis's."""
     beta_step: BetaStepFlag = 0.01
     """Step of the sweep of beta, from 0 to below 1; default: the thesis's."""
     sigma_w_m: SigmaWFlag = 0.5
-    """Width of the field's kernel [m], which makes the number of touches (`deformscope explore --help`)."""
+    """Width of the field's kernel [m], which determines the number of touches (`deformscope explore --help`)."""
     quick: bool = False
-    """One foam and one scenario."""
+    """Only one foam and one scenario."""
     workers: flags.SomeFlag = None
-    """Processes at once; default: the cores of this machine."""
+    """Number of parallel processes; default: the cores of this machine."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class BenchConfig(CommandOptions):
-    """Measure what MSM costs on this machine, beside NumPy. Ctrl-C ends it and shows what has been measured."""
+    """Measure the cost of MSM on this machine, compared with NumPy. Ctrl-C ends it and prints the measurements so
+    far."""
 
     peers: bool = False
-    """Run other engines too: pypbd, and mujoco and newton where they are installed (deformscope[peers])."""
+    """Run other engines too: pypbd, and mujoco and newton if installed (deformscope[peers])."""
     quick: bool = False
-    """Less of everything, in some 20 s."""
+    """Smaller and fewer cases, in about 20 s."""
     only: flags.CasesFlag = None
-    """Measure these alone, out of step, call, memory, relax, sweep, theta, gradient, fit, surface and cold."""
+    """Measure only these, of step, call, memory, relax, sweep, theta, gradient, fit, surface and cold."""
     sizes: flags.SizesFlag = None
     """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
     repeats: flags.SomeFlag = None
-    """Rounds of every comparison; default: what fits into a few seconds, 9 at most."""
+    """Rounds of every comparison; default: as many as fit into a few seconds, 9 at most."""
     against: flags.FileFlag = None
-    """The JSON of an earlier bench: how each row's time compares with what it was then."""
+    """The JSON of an earlier bench: each row's time is compared with it."""
     device: flags.Device = "auto"
     """Where the simulation runs; auto: on the GPU where there is one."""
     json: flags.JsonFlag = None
-    """Write all of it as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
+    """Write all results as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContainersConfig(RecordedOptions):
     """Thesis chapter 2 in the laboratory: squeeze boxes with five contents, evaluate touch, vision and both, and draw
-    its figures, with its statements beside ours. Trials that the folder has already are taken from there, so that a
-    command that was cut off goes on."""
+    its figures, with its results for comparison. Trials in the folder are used again, so that an interrupted command
+    continues."""
 
     out: flags.Folder = Path("runs/containers")
-    """Folder of the data set (squeezes/) and of the reports (five/, three/); made where it is not there."""
+    """Folder of the data set (squeezes/) and of the reports (five/, three/); made if missing."""
     trials: Annotated[int, flags.least(20)] = 731
     """Squeezes of cardboard boxes, in the thesis's proportions."""
     cylinders: Annotated[int, flags.least(0)] = 100
-    """Squeezes of plastic cylinders besides, on which what was learned from boxes is tested."""
+    """Additional squeezes of plastic cylinders, on which classifiers trained on boxes are tested."""
     whole: Annotated[int, flags.least(0)] = 20
-    """Trials whose whole recordings are kept, at the camera's full rate."""
+    """Number of trials whose whole recordings are stored, at the camera's full rate."""
     quick: bool = False
-    """At most 30 splits, and neither costly classifiers nor a learning curve."""
+    """At most 30 splits, without costly classifiers and learning curve."""
     workers: flags.SomeFlag = None
-    """Processes at once; default: the cores of this machine."""
+    """Number of parallel processes; default: the cores of this machine."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -192,16 +195,16 @@ class ContainersConfig(RecordedOptions):
 @dataclass(frozen=True, slots=True)
 class SqueezesConfig(RecordedOptions):
     """Squeeze containers of the laboratory that `reproduce containers` does not have, and compare events, tracked poses
-    and changes of depth with what was simulated. Trials that the folder has already are taken from there."""
+    and changes of depth with the simulated truth. Trials in the folder are used again."""
 
     out: flags.Folder = Path("runs/squeezes")
-    """Folder of the data set (squeezes/), of each trial's errors (squeezes.jsonl) and of the figure; made where it is
-    not there."""
+    """Folder of the data set (squeezes/), of each trial's errors (squeezes.jsonl) and of the figure; made if
+    missing."""
     trials: Annotated[int, flags.least(1)] = 300
     """Squeezes of cardboard boxes, in the thesis's proportions."""
     cylinders: Annotated[int, flags.least(0)] = 0
-    """Squeezes of plastic cylinders besides."""
+    """Additional squeezes of plastic cylinders."""
     workers: flags.SomeFlag = None
-    """Processes at once; default: the cores of this machine."""
+    """Number of parallel processes; default: the cores of this machine."""
     on: OmitArgPrefixes[ExecutorOptions] = field(default_factory=ExecutorOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

@@ -22,32 +22,32 @@ StageWord = WatchedStage | Literal["tracking", "depth-change", "posterior"]
 
 @dataclass(frozen=True, slots=True)
 class DevicesConfig(CommandOptions):
-    """List what is plugged into this machine: port, serial number, firmware, health. Devices that are known by their
-    USB identity, and doubles that run, are opened for a moment and asked: nothing moves, but an OptoForce is set to its
-    driver's default rate and filter, and forgets its zero."""
+    """List the devices connected to this machine: port, serial number, firmware, health. Devices identified by their
+    USB identity, and running doubles, are opened for a moment and queried. Nothing moves, but an OptoForce is set to
+    its driver's default rate and filter, and loses its zero."""
 
     probe: bool = True
-    """Open what is known and ask it; --no-probe lists only what the system knows."""
+    """Open identified devices and query them; --no-probe lists only the system's information."""
     json: flags.JsonFlag = None
     """Write the list as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class DoctorConfig(CommandOptions):
-    """Try a rig: its file, every device of it for a few seconds, the disk; say what is wrong and what to do, and which
-    command comes next on the way to an exploration. Nothing moves."""
+    """Check a rig: its file, every device of it for a few seconds, and the disk. Report faults, their remedies, and the
+    next command on the way to an exploration. Nothing moves."""
 
     rig: flags.RigFlag = ""
     """A rig file (.toml), or lab:NAME."""
     example: bool = False
-    """Print a rig file to start from, and do nothing else."""
+    """Print a rig file as a start, and do nothing else."""
     doubles: bool = False
-    """With --example: one of doubles over a simulated table, to try everything on."""
+    """With --example: a rig file of doubles over a simulated table."""
     seconds: Annotated[float, flags.one_word("NUMBER", flags.positive)] = 2.0
-    """How long every device is listened to [s]."""
+    """Duration for which each device is read [s]."""
     trust_rig: flags.TrustFlag = False
     json: flags.JsonFlag = None
-    """Write what was found as JSON; with -, stdout is the JSON alone."""
+    """Write the findings as JSON; with -, stdout is the JSON alone."""
 
     def check(self) -> None:
         if not self.rig and not self.example:
@@ -56,46 +56,46 @@ class DoctorConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class StageOptions(ParticleFlags):
-    """Stages that are computed while the devices run, always on the newest frame: those passed over are counted. Images
-    are as for `calibrate beta`; without --grid and --spacing-px, 9 particles stand along the region's longer side."""
+    """Stages to compute while the devices run, always on the newest frame: skipped frames are counted. Options of
+    images are those of `calibrate beta`; without --grid and --spacing-px, 9 particles lie along the region's longer
+    side."""
 
     stage: Annotated[
         UseAppendAction[tuple[StageWord, ...]],
         arg(help_behavior_hint="(repeatable)"),
     ] = ()
-    """flow: optical flow between the images used; particles: those of the first image, which shows the thing at rest,
-    followed to the newest; beta, theta: the fit of that pose with its verdict; field: how stiff each place is against
-    the others; surface: a depth camera's surface as a Gaussian
-    process, with its deviation; tactile: centre of pressure, contact area and force of each pad; contact: stiffness by
-    arm and force sensor, after each approach; tracking, depth-change, posterior: of a squeeze alone
-    (`deformscope squeeze`). A stage that gives nothing says why at once."""
+    """flow: optical flow between two images; particles: those of the first image, of the body at rest, tracked to the
+    newest; beta, theta: the fit of that pose with its verdict; field: relative stiffness of each place;
+    surface: a depth camera's surface as a Gaussian process, with its deviation; tactile: centre of pressure, contact
+    area and force of each pad; contact: stiffness by arm and force sensor, after each approach; tracking, depth-change,
+    posterior: of a squeeze alone (`deformscope squeeze`). A stage without a result reports the reason immediately."""
     camera: flags.CameraFlag = None
-    """Colour camera of flow, particles, beta, theta and field; default: the rig's first."""
+    """Colour camera of flow, particles, beta, theta and field; default: the rig's first one."""
     cluster_size: flags.ClusterFlag = 3
-    """Particles a side of the overlapping clusters."""
+    """Particles along each side of the overlapping clusters."""
     longest_px: Annotated[int, flags.least(32)] = 160
-    """The region is reduced until its longer side has so many pixels: twice as many take four times as long [px]."""
+    """Length of the region's longer side after reduction [px]: twice the length takes four times as long."""
 
     @property
     def names(self) -> tuple[StageWord, ...]:
-        """Each stage once, in the order asked for."""
+        """Each requested stage once, in the given order."""
         return tuple(dict.fromkeys(self.stage))
 
 
 @dataclass(frozen=True, slots=True)
 class RigRunOptions(RecordedOptions):
-    """A rig that is recorded or watched until its time is over, or until Ctrl-C."""
+    """A rig that is recorded or shown until its time is over, or until Ctrl-C."""
 
     rig: flags.RigFlag
     """A rig file (.toml), or lab:NAME."""
     seconds: flags.PositiveFlag = None
-    """How long [s]; default: until Ctrl-C."""
+    """Duration [s]; default: until Ctrl-C."""
     label: str = ""
-    """What is being recorded, in your words; kept in the recording."""
+    """Description of the recorded experiment, in your words; it is stored in the recording."""
     trust_rig: flags.TrustFlag = False
     keep_last: flags.PositiveFlag = None
-    """Hold the last seconds in memory [s], a quarter of the machine's at most: `record` writes those before its end and
-    no others; on a page a button writes them, there 30 s in 256 MiB are held without this option."""
+    """Hold the last seconds in memory [s], using at most a quarter of the machine's memory. `record` writes only the
+    seconds before its end. On a page a button writes them; there 30 s in 256 MiB are held without this option."""
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -106,16 +106,16 @@ class RigRunOptions(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig(RigRunOptions):
-    """Record all devices of a rig, with every byte of their wires and what was lost. Without --record the file is
-    runs/NAME-<stamp>.rrd. Ctrl-C ends it cleanly. No viewer, unless --viewer asks for one. --stage computes while it
-    records; `deformscope replay` computes the same again from the recorded frames. --keep-last 30 records the last 30 s
-    before the end alone."""
+    """Record all devices of a rig, with every byte of their wires and all losses. Without --record the file is
+    runs/NAME-<stamp>.rrd. Ctrl-C ends it cleanly. No viewer opens without --viewer. --stage computes during the
+    recording; `deformscope replay` computes the same from the recorded frames. --keep-last 30 records only the last 30
+    s before the end."""
 
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig(RigRunOptions):
-    """Watch all devices of a rig in rerun's window, and what --stage computes from them; with --record, record it all
-    as well."""
+    """Show all devices of a rig in rerun's window, with the results of --stage; with --record, record all of it as
+    well."""
 
     def check(self) -> None:
         RigRunOptions.check(self)
@@ -125,60 +125,60 @@ class LiveConfig(RigRunOptions):
 
 @dataclass(frozen=True, slots=True)
 class VerifyConfig(CommandOptions):
-    """Say whether a recording is whole: its bytes against its ledger, its structure, and what it counted as lost."""
+    """Check whether a recording is complete: its bytes against its ledger, its structure, and its counts of losses."""
 
     recording: flags.RecordingFlag
     """The recording."""
     stages: bool = False
-    """List every stage of computation, by chapter of the thesis: where it is in the recording, how many rows, what it
-    cost, whether it was live; and what is missing."""
+    """List every stage of computation, by chapter of the thesis: its place in the recording, rows, cost and live
+    results. Missing stages are listed too."""
     privacy: bool = False
-    """List what it says of people and machines, as commands, paths, words, serial numbers: what `export --anonymous`
-    leaves out."""
+    """List information on people and machines, such as commands, paths, words and serial numbers, which `export
+    --anonymous` leaves out."""
     json: flags.JsonFlag = None
     """Write the findings as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportConfig(CommandOptions):
-    """Draw the figures of a recording, from what it holds alone, as one HTML page: of an exploration map, surface,
-    touches and fields (Thesis chapter 4), of a squeeze forces, pose, posterior and features over time (chapter 2), of a
-    rig its stages, of a fit error and posterior. It says which stages the recording lacks."""
+    """Draw the figures of a recording, from its content alone, as one HTML page. An exploration has map, surface,
+    touches and fields (Thesis chapter 4); a squeeze forces, pose, posterior and features over time (chapter 2). A rig
+    has its stages, a fit its error and posterior. The page lists the stages that the recording lacks."""
 
     recording: flags.RecordingFlag
     """The recording."""
     out: flags.ReportFlag = None
-    """The page; default: NAME.html beside the recording. An existing file is replaced."""
+    """The page; default: NAME.html in the recording's folder. An existing file is replaced."""
     json: flags.JsonFlag = None
-    """Write what was drawn, and what is missing, as JSON; with -, stdout is the JSON alone."""
+    """Write the list of figures, drawn and missing, as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecoverConfig(CommandOptions):
-    """Make a whole recording, with its ledger, of one whose run was killed or that was cut off: all that can be read of
-    it. The original is only read."""
+    """Make a complete recording, with its ledger, from a truncated one or from one of a killed run: all its readable
+    content. The original file does not change."""
 
     recording: flags.RecordingFlag
-    """The unfinished recording (NAME.part.rrd), or one that was cut off."""
+    """The unfinished recording (NAME.part.rrd), or a truncated one."""
     out: flags.NewRecordingFlag = None
-    """The new recording; default: NAME.recovered.rrd beside it. An existing file is refused."""
+    """The new recording; default: NAME.recovered.rrd in the same folder. An existing file is refused."""
     json: flags.JsonFlag = None
-    """Write what there is as JSON; with -, stdout is the JSON alone."""
+    """Write the outcome as JSON; with -, stdout is the JSON alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class DiscardRecordingConfig(CommandOptions):
-    """Mark a recording, or one of its episodes, as not to be used, with the reason, in its ledger. Nothing is deleted:
-    whoever reads it is reminded."""
+    """Mark a recording, or one of its episodes, as unusable, with the reason, in its ledger. Nothing is deleted:
+    commands that read it print the reason."""
 
     recording: flags.RecordingFlag
     """The recording."""
     reason: str
-    """Why, in your words."""
+    """The reason, in your words."""
     episode: Annotated[int, flags.least(0)] = 0
     """Number of the episode, from 1; 0 = all of the recording."""
     json: flags.JsonFlag = None
-    """Write what the recording is, and what of it is discarded, as JSON; with -, stdout is the JSON alone."""
+    """Write the recording's state and its discarded parts as JSON; with -, stdout is the JSON alone."""
 
     def check(self) -> None:
         if not self.reason.strip():
@@ -187,36 +187,36 @@ class DiscardRecordingConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class ExportConfig(CommandOptions):
-    """Write a recording in a format of others: its streams as CSV, Parquet or NumPy files, all of it as MCAP with ROS 2
-    messages, its images as files (byte for byte as they were recorded) or videos. Units stand in the names of columns
-    and in their metadata; `export.json` lists what was written."""
+    """Write a recording in other formats: its streams as CSV, Parquet or NumPy files, all of it as MCAP with ROS 2
+    messages. Its images become files (byte for byte as recorded) or videos. Names of columns and their metadata have
+    the units; `export.json` lists the written files."""
 
     recording: flags.RecordingFlag
     """The recording."""
     to: ExportFormat | None = None
     """The format. mcap needs `pip install 'deformscope[mcap]'`."""
     out: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
-    """Where it goes: a new folder, or an empty one. It is there once all is written."""
+    """Output folder, new or empty. It appears once all is written."""
     images: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
-    """Short for --to images --out FOLDER, without `export.json`; several cameras get a folder each in it. Names are
-    places in the camera's stream, distances 16 bit PNG in the camera's unit."""
+    """Short for --to images --out FOLDER, without `export.json`; each of several cameras has its own folder. File names
+    are indices in the camera's stream, distances are 16 bit PNG in the camera's unit."""
     only: Annotated[tuple[str, ...], arg(metavar="ENTITY...", help_behavior_hint="")] = ()
-    """Entities (wrench/tip), all below one (exploration), or devices (tip); default: all."""
+    """Entities (wrench/tip), all entities below one (exploration), or devices (tip); default: all."""
     camera: flags.CameraFlag = None
-    """Images of this camera alone."""
+    """Only images of this camera."""
     anonymous: bool = False
-    """Leave out what may name a person, a machine or a path: commands, notes and other words, serial numbers, raw bytes
-    of devices, input files."""
+    """Leave out information that may identify a person, a machine or a path: commands, notes and other words, serial
+    numbers, raw bytes of devices, input files."""
     license: str = ""
-    """Of the data, as an SPDX identifier (CC-BY-4.0); goes along into every format."""
+    """License of the data, as an SPDX identifier (CC-BY-4.0); it is written into every format."""
     author: Annotated[tuple[str, ...], arg(metavar="NAME...", help_behavior_hint="")] = ()
-    """Who made the data; goes along too, also where the rest is anonymous."""
+    """Author of the data; written into every format, also with --anonymous."""
     citation: str = ""
-    """How the data are cited; goes along too."""
+    """Citation of the data; written into every format."""
     overwrite: bool = False
-    """Replace the files of an earlier export. Without it, a folder that holds something is refused."""
+    """Replace the files of an earlier export. Without it, a folder with files is refused."""
     json: flags.JsonFlag = None
-    """Write what was written as JSON; with -, stdout is the JSON alone."""
+    """Write the list of written files as JSON; with -, stdout is the JSON alone."""
 
     def check(self) -> None:
         if (self.to is None) == (self.images is None) or (self.to is None) != (self.out is None):
@@ -226,34 +226,34 @@ class ExportConfig(CommandOptions):
 
     @property
     def format(self) -> ExportFormat:
-        """The format, also where it is asked for by --images."""
+        """The format, also if --images requests it."""
         return self.to or "images"
 
     @property
     def folder(self) -> Path:
-        """Where it goes."""
+        """Output folder."""
         return self.out or self.images or Path()
 
 
 @dataclass(frozen=True, slots=True)
 class ImportConfig(RecordedOptions):
-    """Make a recording of data of others: bags of ROS 1 and 2, MCAP, CSV and Parquet tables, folders of them, our own
-    exports among these. A map says what becomes of what: --inspect proposes one, in which `"?"` stands for what
-    the source does not say. Bags need `pip install 'deformscope[import]'`. --stage computes five times a second of the
-    source's time, --stage contact of every approach; `deformscope explore RUN.rrd` maps what the recording touched."""
+    """Make a recording from data of other robots: bags of ROS 1 and 2, MCAP, CSV and Parquet tables, folders of them,
+    and exports of this program. A map assigns each topic to a stream: --inspect proposes one, with `"?"` for values
+    that the source lacks. Bags need `pip install 'deformscope[import]'`. --stage computes five times a second of the
+    source's time, --stage contact of every approach; `deformscope explore RUN.rrd` maps the recorded touches."""
 
     source: Annotated[Path, Positional, arg(metavar="SOURCE"), flags.Reads()]
     """A bag, a table, or a folder."""
     map: Annotated[Path | None, flags.one_word("FILE.toml", Path), flags.unset, flags.Reads()] = None
     """The map."""
     inspect: bool = False
-    """List topics with types, rates, gaps and clocks, and a map, all of which is TOML; import nothing."""
+    """List topics with types, rates, gaps and clocks, and a map, as TOML; import nothing."""
     pairs: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
     """Of a folder of meshes with forces (PokeFlex): write pair files and a motion file, into a new folder."""
     unseen: Annotated[int, flags.least(2)] = 4
-    """With --pairs: every so many frames are kept apart, and not seen in the motion."""
+    """With --pairs: every n-th frame is left out of the motion, for tests."""
     particles: Annotated[int, flags.least(8)] = 300
-    """With --pairs: so many of the meshes' vertices at most, spread evenly."""
+    """With --pairs: largest number of vertices per mesh, spread evenly."""
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 
@@ -266,44 +266,44 @@ class ImportConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class DoubleConfig(CommandOptions):
-    """Run simulated devices that speak the real bytes at the real pace, until Ctrl-C; prints the rig file that reaches
-    them from another terminal."""
+    """Run simulated devices with the real protocol and timing, until Ctrl-C; print a rig file that connects to them
+    from another terminal."""
 
     what: Annotated[tuple[str, ...], Positional, arg(metavar="DRIVER|RIG")]
-    """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are to be doubled."""
+    """Drivers (optoforce, dsa, sdh), or a rig file or lab:NAME whose byte-stream devices are simulated."""
     seconds: flags.PositiveFlag = None
-    """How long [s]; default: until Ctrl-C."""
+    """Duration [s]; default: until Ctrl-C."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmConfig(RecordedOptions):
-    """Measure the compliance of the arm, by touching something rigid that stands firmly on the surface, and write it
-    into the rig file. The arm moves, after a table of checks and a question."""
+    """Measure the compliance of the arm, by touching something rigid that is fixed to the surface, and write it into
+    the rig file. The arm moves, after a table of checks and a question."""
 
     rig: flags.SceneFlag
     """A rig file (.toml), or a simulated scene (lab:homogeneous-rigid)."""
     at: flags.PlaceFlag = None
-    """Where to touch, in the surface frame [m]; default: the middle."""
+    """Place of the touch, in the surface frame [m]; default: the middle."""
     touches: flags.ManyFlag = 3
-    """How often."""
+    """Number of touches."""
     set_force: flags.ForceFlag = None
-    """Force to press with [N], 5 N at most, and 5/3 of it (5 N at most) since nothing gives; default: the rig file's
-    target_force_n."""
+    """Force of a touch [N], 5 N at most, and 5/3 of it (5 N at most) because the contact is rigid; default: the rig
+    file's target_force_n."""
     write: bool = True
-    """Write what was found and the date into the rig file; --no-write prints the lines alone."""
+    """Write the result and the date into the rig file; --no-write only prints the lines."""
     yes: bool = False
-    """Let a real arm move, once the checks have passed, without asking."""
+    """Let a real arm move without asking, once the checks have passed."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 
 @dataclass(frozen=True, slots=True)
 class DemoConfig(RecordedOptions):
-    """The main job on what is built in: a simulated arm maps the stiffness of a table with three materials, by looking
-    and touching. Leaves runs/demo-<stamp>.rrd, or what --record names."""
+    """The main task on simulated devices: an arm maps the stiffness of a table with three materials, by looking and
+    touching. It writes runs/demo-<stamp>.rrd, or the file of --record."""
 
     images: bool = False
-    """Measure the images that ship instead: a specimen under tension, filmed."""
+    """Measure the included images instead: a specimen under tension, filmed."""
     detail: Detail = "full"
     """As of explore."""
 
@@ -312,16 +312,16 @@ class DemoConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class ReplayConfig(RecordedOptions):
-    """Run the same stages on a recording's inputs, and compare with the numbers that it holds."""
+    """Run the same stages on a recording's inputs, and compare the results with the recorded numbers."""
 
     recording: flags.RecordingFlag
     """The recording."""
     pace: Literal["fast", "real", "step"] = "fast"
-    """As fast as possible, as it was recorded, or frame by frame at each Enter."""
+    """As fast as possible, at the recorded rate, or frame by frame at each Enter."""
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
-    """Another setting than the recorded one, of an exploration: what comes of it is printed beside what was recorded,
-    and not compared to the bit. Several: --set beta_model=none --set threshold=0.1"""
+    """Change a setting of an exploration: the new result is printed with the recorded one, and not compared to the bit.
+    Several: --set beta_model=none --set threshold=0.1"""
     beside: flags.BesideFlag = None
-    """With --viewer page: what this other recording's devices measured, in the same plots, both from their first
-    contact on. Nothing is computed again."""
+    """With --viewer page: the devices of this other recording in the same plots, both from their first contact on.
+    Nothing is computed again."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)

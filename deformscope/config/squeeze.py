@@ -18,7 +18,7 @@ NAME = flags.Rule(
     "a name of letters, digits, -, _ and . after {flag}",
     show=repr,
 )
-"""What becomes part of a file's name."""
+"""A part of a file's name."""
 NameFlag = Annotated[str, NAME]
 DatasetFolder = Annotated[Path, Positional, arg(metavar="FOLDER")]
 Trials = Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
@@ -26,50 +26,51 @@ Trials = Annotated[tuple[str, ...], Positional, arg(metavar="TRIAL...")]
 
 @dataclass(frozen=True, slots=True)
 class SqueezeConfig(RecordedOptions):
-    """Squeeze a container once with the SDH hand, under a low motor current, and take what fingertips and depth camera
-    give at first contact and steady state: one trial of a data set, or, with --model, the name of the content. The
-    hand is brought to where the grasp was drawn by a person, or by the arm that carries it (--place), and a real one
-    closes after a question. lab:containers is a simulated container, squeezed through the real drivers on doubles; one
-    stands between the doubles of a rig file too.
+    """Squeeze a container once with the SDH hand, under a low motor current. Fingertips and depth camera are evaluated
+    at first contact and steady state: one trial of a data set, or, with --model, the name of the content. A person
+    brings the hand to the drawn grasp, or the arm that carries it does (--place); a real hand closes after a question.
+    lab:containers is a simulated container, squeezed through the real drivers on doubles; the doubles of a rig file
+    have one too.
     """
 
     rig: Annotated[str, Positional, arg(metavar="RIG|lab:containers"), flags.Reads()]
     """A rig file (.toml) with [hand], [container] and [squeeze], or the laboratory."""
     content: NameFlag = ""
-    """What is in the container: empty, water, yogurt, flour, rice, or any word. Left out with --model."""
+    """Content of the container: empty, water, yogurt, flour, rice, or any word. Omit it with --model."""
     container: NameFlag = ""
-    """Which container it is, such as box-07: trials of one container never stand on both sides of a split. In the
+    """Name of the container, such as box-07: trials of one container are never split between training and test. In the
     laboratory its name begins with box or cylinder."""
     dataset: FolderFlag = None
     """Add the trial to this data set, with its recording unless --keep says otherwise."""
     keep: Literal["trial", "features"] = "trial"
-    """What a data set keeps of a trial: its whole recording and its features, or these alone."""
+    """Stored part of a trial: its whole recording and its features, or only these."""
     model: Annotated[Path | None, flags.one_word("MODEL.npz", Path), flags.unset, flags.Reads()] = None
-    """Name the content by this classifier (`deformscope classify --save`), with probabilities while it is squeezed."""
+    """Classify the content by this classifier (`deformscope classify --save`), with probabilities during the
+    squeeze."""
     fill: Annotated[float, flags.SHARE] = 0.9
-    """How full the container is, as a share of its height."""
+    """Filling of the container, as a share of its height."""
     session: NameFlag = ""
     """Name of the session; default: today's date, in the laboratory lab-0."""
     operator: NameFlag = ""
-    """Who does it; kept with the trial."""
+    """Name of the operator; stored with the trial."""
     place: Literal["person", "jaco", "kuka"] = "person"
-    """Who places the hand at the container: a person, or the arm that carries it, of this kind. An arm finds the
-    container in the depth image, draws a grasp that it reaches from --seed, approaches on a way that was checked, and
-    withdraws after the squeeze. The laboratory has either arm; a rig file needs [hand] T_arm_hand, [camera]
-    T_arm_camera, [surface] T_arm_surface and the box of [workspace]."""
+    """How the hand reaches the container: by a person, or by the arm of this kind that carries it. An arm finds the
+    container in the depth image, draws a reachable grasp from --seed, approaches on a checked path, and withdraws after
+    the squeeze. The laboratory has either arm; a rig file needs [hand] T_arm_hand, [camera] T_arm_camera, [surface]
+    T_arm_surface and the box of [workspace]."""
     grasp: Annotated[
         tuple[float, float, float] | None,
         flags.one_word("MM,DEG,DEG", flags.numbers("along in mm,tilt,turn in degrees", "5,0,180"), flags.joined(",")),
         flags.unset,
     ] = None
-    """With --place jaco or kuka: grasp there instead of drawing: so far above the middle of the longest edge [mm],
-    tilted about the axis of closing, and turned about the upright by so much [deg]."""
+    """With --place jaco or kuka: grasp at this place instead of a random one. Height above the middle of the longest
+    edge [mm], tilt about the axis of closing, and turn about the upright [deg]."""
     yes: bool = False
     """Let a real hand close, and a real arm place it, without asking."""
     paused: bool = False
-    """With --viewer page: squeeze in the laboratory, too, once somebody says so on the page."""
+    """With --viewer page: squeeze after a confirmation on the page, in the laboratory too."""
     page_timeout: flags.TimeoutFlag = 0.3
-    """Stop a hand whose motion was confirmed on the page where the page is not heard of for so long [s]."""
+    """Stop a hand whose motion the page confirmed after this time without a message from the page [s]."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -86,7 +87,7 @@ class SqueezeConfig(RecordedOptions):
 
 @dataclass(frozen=True, slots=True)
 class DatasetConfig(CommandOptions):
-    """Look at a data set of squeezes: its trials by content and container, and those that are left out."""
+    """List a data set of squeezes: its trials by content and container, and discarded trials."""
 
     folder: DatasetFolder
     """The data set."""
@@ -98,7 +99,7 @@ class DatasetConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class RelabelConfig(CommandOptions):
-    """Correct what the index says of trials: content, container, its type, or the session."""
+    """Correct the index of trials: content, container, its type, or the session."""
 
     folder: DatasetFolder
     """The data set."""
@@ -115,23 +116,23 @@ class RelabelConfig(CommandOptions):
             raise InputError("--content, --container, --container-type or --session", "none of them")
 
     def changes(self) -> dict[str, str]:
-        """What is to be set."""
+        """The new values."""
         named = ("content", "container", "container_type", "session")
         return {name: getattr(self, name) for name in named if getattr(self, name)}
 
 
 @dataclass(frozen=True, slots=True)
 class DiscardConfig(CommandOptions):
-    """Leave trials out of all that is learned, with the reason, or take them back. They stay in the folder."""
+    """Discard trials, with the reason, so that no classifier uses them, or restore them. They stay in the folder."""
 
     folder: DatasetFolder
     """The data set."""
     trial: Trials
     """Names of trials."""
     reason: str = ""
-    """Why."""
+    """The reason."""
     restore: bool = False
-    """Take them back."""
+    """Restore the trials."""
     json: flags.JsonFlag = None
 
     def check(self) -> None:
@@ -142,20 +143,19 @@ class DiscardConfig(CommandOptions):
 
 @dataclass(frozen=True, slots=True)
 class MergeConfig(CommandOptions):
-    """Take the trials of other data sets over into one, with their recordings; those that are there already, the same
-    in all, are passed over."""
+    """Copy the trials of other data sets into one, with their recordings; identical trials are skipped."""
 
     folder: DatasetFolder
-    """The data set that grows; made where there is none."""
+    """The data set to extend; made if missing."""
     sources: Annotated[tuple[Path, ...], Positional, arg(metavar="SOURCE..."), flags.Reads()]
-    """The others."""
+    """The other data sets."""
     json: flags.JsonFlag = None
 
 
 @dataclass(frozen=True, slots=True)
 class RepairConfig(CommandOptions):
-    """Take in the recordings in a data set's folder that its index lacks, as after a run that was cut short: their
-    features are computed again from the raw frames."""
+    """Add recordings in a data set's folder that its index lacks, for example after an interrupted run: features are
+    computed again from the raw frames."""
 
     folder: DatasetFolder
     """The data set."""

@@ -29,8 +29,8 @@ COMMON_SD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ComplianceTouch:
-    """One touch of something rigid. seen_m, met_m: height of the surface as the camera sees it, and as the arm meets it
-    [m, surface frame]"""
+    """One touch of something rigid. seen_m, met_m: height of the surface by the camera, and by the arm's contact [m,
+    surface frame]"""
 
     found: ArmCompliance
     peak_force_n: float
@@ -43,7 +43,7 @@ class CombinedCompliance:
     """compliance_m_per_n: mean of the touches; compliance_sd: what is not known of it, the scatter between touches
     included [m/N]; dome: mean dent of the tip itself at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)],
     not in the compliance
-    off_m: the camera sees the surface so much higher than the arm meets it [m], off_sd_m: its scatter
+    off_m: height of the surface by the camera minus that by contact [m], off_sd_m: its scatter
     """
 
     touches: tuple[ComplianceTouch, ...]
@@ -61,7 +61,7 @@ def touch_rigid(
     touches: int,
     found_one: Callable[[ComplianceTouch], None],
 ) -> RigExperiment[None]:
-    """The experiment that touches a place (2,) [m] of something rigid so often, after a look at it.
+    """The experiment that touches a place (2,) [m] of something rigid several times, after a look at it.
 
     found_one: called with each. Raises ExplorationStopped, and InputError where there is nothing to see.
     """
@@ -83,7 +83,7 @@ def touch_rigid(
             raise InputError(
                 f"something rigid, which a tip dents by {1e3 * DOME_AT_MOST:g} mm at 1 N at most",
                 f"a dent of {1e3 * found.dome:.2f} mm at 1 N that stiffens as it grows, as foam's",
-                "a block of steel or stone, firmly on the surface",
+                "a block of steel or stone, fixed to the surface",
             )
         found_one(ComplianceTouch(found, law.peak_force_n, height_m, met_m))
 

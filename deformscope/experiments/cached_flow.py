@@ -12,7 +12,7 @@ from deformscope.stages.see.flow import FlowField, FlowMethod, FlowStep, flow_on
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, seed_grid, select_held, start
 
 MOST_BYTES = 2 << 30
-"""Of flow that is kept."""
+"""Memory limit of the stored flow."""
 
 
 class CachedFlow:

@@ -35,7 +35,7 @@ def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
 
 
 def images_of(config: BetaConfig | ThetaConfig | MaterialOptions) -> ImageOptions:
-    """How the images become particles: what was asked for, or what suits a sample."""
+    """The options that turn images into particles: the requested ones, or those of a sample."""
     sources = config.sources
     if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
         return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
@@ -52,7 +52,7 @@ def sample_images(name: str) -> ImageOptions:
 
 
 def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
-    """What was asked for, with the sample's own particles where nothing was said about them."""
+    """The requested options, with the sample's own particles by default."""
     known = sample_images(name)
     particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
     if any(value is not None for value in particles):

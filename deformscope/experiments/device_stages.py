@@ -1,4 +1,4 @@
-"""The stages that run while devices do: which frames each takes, and what it computes from them.
+"""The stages that run with the devices: which frames each takes, and what it computes from them.
 
 A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
 """
@@ -38,7 +38,7 @@ StageName = Literal["flow", "particles", "beta", "theta", "field", "surface", "t
 """What is computed while a rig is watched."""
 
 PARTICLES_ALONG = 9
-"""Particles along the longer side of the region where neither shape nor spacing is asked for: a fit takes 0.2 s."""
+"""Particles along the longer side of the region if neither shape nor spacing is given: a fit takes 0.2 s."""
 CANDIDATES = 12
 """Values of beta that the sweep tries before it refines: a finer one finds the same."""
 NOISE_SHARE = 0.005
@@ -48,9 +48,9 @@ CELL_M = 0.01
 DEPTH_ALONG = 160
 """Pixels that are taken of a depth image's longer side: lone points are found among 12 000 in 0.1 s."""
 ABOVE_M, BELOW_M = 0.02, 0.03
-"""How far above and below the surface's top at rest points are taken for the surface."""
+"""Height range around the surface's top at rest whose points count as surface."""
 TOUCHING_N = 0.5
-"""Force from which on an approach is in contact; it is over at half of it."""
+"""Force from which an approach is in contact; it is over at half of it."""
 BEFORE_S, LONGEST_S = 0.5, 8.0
 """What belongs to an approach before that, and how long it lasts at most."""
 ALONG_WAY = 0.5
@@ -65,12 +65,12 @@ FOLLOW = 0.01
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Which stages run, on which devices, and how; all that decides their results beside the frames.
+    """Stages to run, their devices and options; all that determines their results besides the frames.
 
     color, depth, tactile, wrench, arm: devices by name; lossless: colour images are recorded as PNG
     particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
     focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
-    T_ee_tip: (4, 4) the tool's tip, whose z axis points at what it presses, to the arm's end [m]
+    T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
     tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
     version: of fits, see `NEWEST_FIT`
@@ -113,9 +113,9 @@ NEEDS: dict[StageName, tuple[Kind, ...]] = {
 }
 """The kinds of devices that a stage takes its frames from; its results belong to the first."""
 SQUEEZED = {
-    "tracking": "it begins where the hand was placed, before first contact",
-    "depth-change": "it is around the fingertip that presses, on the tracked container",
-    "posterior": "it is of what fingertips felt since first contact",
+    "tracking": "it begins at the hand's placement, before first contact",
+    "depth-change": "it needs the pressing fingertip and the tracked container",
+    "posterior": "it needs the fingertips' forces since first contact",
 }
 """Stages of a squeeze, which a rig that nothing moves cannot feed, and why."""
 SQUEEZE = "deformscope squeeze RIG --content NAME, with --model FILE for posterior"
@@ -123,11 +123,11 @@ REFERENCE: dict[str, Literal["first", "previous"]] = {
     "flow": "previous",
     **dict.fromkeys(("particles", "beta", "theta", "field"), "first"),
 }
-"""Which image stages take beside the newest."""
+"""The second image of image stages, besides the newest."""
 
 
 def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """The options with what a rig file says of devices and their places; the colour camera may be named already.
+    """The options completed from a rig file's devices and poses; the colour camera may be given already.
 
     streams: of the devices, where they are not the file's
     Raises InputError where the rig lacks a device or a calibration that a stage needs.
@@ -138,7 +138,7 @@ def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> L
     for name in options.names:
         if name in SQUEEZED:
             wanted = f"a squeeze for --stage {name}: {SQUEEZED[name]}"
-            raise InputError(wanted, "a rig that is watched", SQUEEZE, rig.name)
+            raise InputError(wanted, "a rig that is recorded or shown", SQUEEZE, rig.name)
         for kind in NEEDS[name]:
             found[kind] = _device_for(name, kind, options.color if kind == "color" else "", rig, kinds)
     found["lossless"] = bool(streams) or found.get("color") in rig.record.lossless
@@ -220,7 +220,7 @@ class Chooser(Protocol):
 
     @property
     def lacks(self) -> str:
-        """What has to come before a first result, in words."""
+        """Missing items before a first result, as text."""
 
     def see(self, item: Item) -> None: ...
 
@@ -320,7 +320,7 @@ def _beta(stage: Stage, packed: Any) -> MomentFit:
 def fit_moment(
     rest: ImageArray, now: ImageArray, particles: ParticleOptions, fit: FitOptions, longest_px: int
 ) -> MomentFit:
-    """Follow the particles of an image at rest directly to another one, and fit that pose by itself.
+    """Track the particles of an image at rest directly to another one, and fit that pose alone.
 
     A pose that cannot be fitted (too few particles seen, none of those to be held) gives particles and the reason.
     """
@@ -404,7 +404,7 @@ class ApproachReadings:
     """What arm and force sensor gave of an approach.
 
     arm_ns: (m,) stamps; position_m: (m, 3) of the arm's end; rotation_rad: (m, 3) its Euler angles, in the arm's base
-    force_ns: (n,); force_n: (n, 3) what the tip does to what it presses, in the tip's frame
+    force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame
     """
 
     arm_ns: IntArray
@@ -430,9 +430,11 @@ class ApproachChooser:
     @property
     def lacks(self) -> str:
         if self._free_n is None:
-            return f"no force of {self._wrench} came"
+            return f"no force of {self._wrench} arrived"
         began = self._since_ns is not None
-        return "an approach has not ended" if began else f"no approach: {self._wrench} feels less than {TOUCHING_N:g} N"
+        return (
+            "an approach has not ended" if began else f"no approach: {self._wrench} measures less than {TOUCHING_N:g} N"
+        )
 
     def see(self, item: Item) -> None:
         if isinstance(item, ArmFrame) and item.device == self._arm:
@@ -465,7 +467,7 @@ class ApproachChooser:
         self._recent.clear()
 
     def _follow(self, passed_s: float) -> float:
-        """By what share the force without contact follows a reading, so long after the one before."""
+        """Share by which the force without contact follows a reading, after this time since the one before."""
         return FOLLOW
 
     def take(self) -> tuple[Frame, ...] | None:
@@ -502,7 +504,7 @@ def fit_contact(
     Raises InputError where the arm did not press, and where the law cannot be fitted.
     """
     if len(approach.arm_ns) < 2:
-        raise InputError("an arm that reports while it presses", f"{len(approach.arm_ns)} states")
+        raise InputError("an arm that reports its pose during contact", f"{len(approach.arm_ns)} states")
     rotations = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad])
     turned, tip_m = rotations @ T_ee_tip[:3, :3], approach.position_m + rotations @ T_ee_tip[:3, 3]
     at_arm = [np.interp(approach.arm_ns, approach.force_ns, approach.force_n[:, axis]) for axis in range(3)]
@@ -511,11 +513,13 @@ def fit_contact(
     way = tip_m[peak] - tip_m[0]
     length = float(np.linalg.norm(way))
     if length < 1e-4:
-        raise InputError("an arm that moves into what it presses", f"{length * 1e3:.2g} mm of way")
+        raise InputError("an arm that moves into the surface", f"{length * 1e3:.2g} mm of way")
     normal, pressed_n = -way / length, force_n[peak] - force_n[0]
     share = float(pressed_n @ normal / np.linalg.norm(pressed_n))
     if not share >= ALONG_WAY:  # nan: no force at all
-        raise InputError("an arm that presses along its way", f"{share:.0%} of the force along it")
+        raise InputError(
+            "an arm that presses along its direction of motion", f"{share:.0%} of the force in that direction"
+        )
     time_s = (approach.arm_ns - approach.arm_ns[0]) / 1e9
     fit = fit_approach(time_s, tip_m, force_n, normal, tip=tip, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]

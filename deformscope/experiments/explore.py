@@ -1,7 +1,7 @@
-"""Thesis chapter 4: look, decide where to touch, touch, estimate, map, again; until the map says what it can.
+"""Thesis chapter 4: look, choose a place, touch, estimate, update the map, repeat; until the map is complete.
 
 `explore` is an experiment (`deformscope.session`): it commands a robot, has `ExplorationStages` computed, and yields
-their results; whether robot and stages are simulated, recorded, or run by themselves makes no difference to it.
+their results. It is the same for simulated, recorded and real robots and stages.
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 ESTIMATES_FAILED = "estimates failed"
+AT_END = "recording at its end"
 DRY_RUN = "dry run"
 """Kind of the stop at the end of a dry run, which is as it should be."""
 AFTER_S = 0.5
-"""A recording goes on for so long after the robot was stopped."""
+"""Duration of a recording after the robot was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,26 +50,26 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """A command: stand still and let the devices be recorded, stopped or not."""
+    """A command: rest and let the devices be recorded, stopped or not."""
 
     seconds: float
 
 
 class ExplorationStopped(InputError):
-    """The robot must not go on, or what it was to do came to nothing. stop: why, and when on the robot's clock"""
+    """The robot must stop, or its command failed. stop: why, and when on the robot's clock"""
 
     def __init__(self, stop: ExplorationStop, time_ns: int) -> None:
-        super().__init__("an exploration that comes to its end", f"{stop.kind}: {stop.reason}", stop.advice)
+        super().__init__("an exploration that ends normally", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
 
 class TouchHeld(Exception):
-    """A touch was broken off before it measured anything; the robot stands, and may be sent elsewhere."""
+    """A touch was stopped before it measured anything; the robot is at rest, and accepts another target."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NextMove:
-    """What comes next: go on = as planned, veto = another plan without xy_m, touch = there, after a confirm, and
+    """The next step: go on = as planned, veto = another plan without xy_m, touch = there, after a confirmation, and
     replan. xy_m: (2,) [m]"""
 
     kind: Literal["go on", "veto", "touch", "replan"] = "go on"
@@ -76,7 +77,7 @@ class NextMove:
 
 
 class Steering(Protocol):
-    """A person, where one may change what comes next: asked where the loop decides, before each touch."""
+    """A person who may change the next step: consulted before each touch."""
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         """plan: None where nothing could be planned; touches: made so far"""
@@ -134,14 +135,14 @@ class ExploringRobot(Protocol):
 
 
 class AtOnce:
-    """A robot that is done before the loop goes on; a `SessionRobot`."""
+    """A robot that finishes before the loop continues; a `SessionRobot`."""
 
     def __init__(self, robot: ExploringRobot) -> None:
         self.stopped: Future[None] = Future()
         self._robot = robot
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Look or touch, now; nothing comes of waiting."""
+        """Look or touch, now; waiting has no effect."""
         if isinstance(command, Touch):
             return Inline().submit(self._robot.touch, command)
         return Inline().submit((lambda: None) if isinstance(command, Wait) else self._robot.look)
@@ -159,8 +160,8 @@ class Exploration:
     ended_ns, iou: of each touch, when it had ended on the robot's clock, and of the map after it (None without a truth)
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
-    started: touches that were started; asked: numbers of those that a person asked for, from 1
-    stop, stop_ns: why and when the robot stopped before its plan said so
+    started: touches that were started; asked: numbers of touches that a person requested, from 1
+    stop, stop_ns: reason and time of a stop before the plan's end
     compute_s, slowest_s: spent computing, and on the slowest touch [s]
     """
 
@@ -219,11 +220,10 @@ def explore(
     permitted: RigExperiment[None] | None = None,
     steering: Steering | None = None,
 ) -> RigExperiment[None]:
-    """Look, then touch until the plan says enough; `found` holds what was found.
+    """Look, then touch until the plan is complete; `found` collects the results.
 
-    clock: the robot's [ns]; stage: has a stage computed; permitted: what comes before the robot may move; steering:
-    may change what comes next
-    It returns also where the robot must not go on, or it makes no sense: `found.stop` says why.
+    clock: the robot's [ns]; stage: has a stage computed; permitted: steps before the robot may move; steering: may
+    change the next touch It also returns when the robot must stop or the input is invalid: `found.stop` has the reason.
     """
     try:
         if permitted is not None:
@@ -267,7 +267,7 @@ def _explore(clock: Callable[[], int], stage: Stage, found: Exploration, steerin
 def _next_touch(
     clock: Callable[[], int], stage: Stage, found: Exploration, steering: Steering
 ) -> Generator[Step, Any, Touch | None]:
-    """As planned, unless somebody wants another; None where there is none to be made."""
+    """The planned touch, unless a person requests another; None without a next touch."""
     count = len(found.touches)
     plan = yield from _computed(clock, stage("plan"), found)
     while True:
@@ -298,7 +298,7 @@ def _next_touch(
 
 
 def _answer_to(steering: Steering, asked: Future[Any]) -> Generator[Step, Any, Any]:
-    """What a person says; the session goes on meanwhile."""
+    """A person's answer; the session continues meanwhile."""
     if asked.done():
         return asked.result()
     given = yield Step(command=asked)
@@ -329,7 +329,7 @@ def _computed(
 
 
 def _recorded_input(given: Any) -> Any:
-    """What is recorded of what a robot gave: the frames that it used, or what it measured."""
+    """The recorded input of a robot's action: the frames that it used, or its measurement."""
     return given if isinstance(given, SurfaceMeasurement | TouchMeasurement) else given.used
 
 
@@ -338,7 +338,7 @@ def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> Ex
     stop = ExplorationStop(
         kind=ESTIMATES_FAILED,
         reason=reason,
-        advice="what failed, in the recording",
+        advice="the failure, in the recording",
         action="stop",
         touch=len(found.touches),
     )
@@ -367,7 +367,7 @@ class RecordedRobot:
     def _next(self) -> Any:
         if not self.given:
             stop = ExplorationStop(
-                kind="recording at its end", reason="nothing was recorded after it", advice="", action="stop", touch=0
+                kind=AT_END, reason="nothing was recorded after it", advice="", action="stop", touch=0
             )
             raise ExplorationStopped(stop, 0)
         return self.given.pop(0)

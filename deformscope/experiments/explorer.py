@@ -1,7 +1,7 @@
 """What is computed of an exploration: pure stages in their order, the same every time.
 
-A stage that fails on one touch costs that stage's result: the failure is a result like the others (`StageFailure`), and
-the exploration goes on with the touches that could be used, until too many in a row could not.
+A stage that fails on one touch costs that stage's result. The failure is a result like the others (`StageFailure`), and
+the exploration continues with the usable touches, until too many in a row fail.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from deformscope.experiments.touch_fit import (
     off_seen_m,
     touch_estimate,
 )
+from deformscope.processes import release_memory
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
 from deformscope.session import measuring
@@ -58,15 +59,15 @@ StageResult = TypeVar("StageResult")
 Estimate = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult
 Result = Estimate | PlannedTouch | TouchForecast | StageFailure | Perception
 VETO_M = 0.03
-"""A veto leaves out what is so near."""
+"""A veto leaves out places this near."""
 SEEN_M = 0.01
-"""A place counts as seen where a point of the surface was, so near."""
+"""A place counts as seen if a point of the surface was this near."""
 BEFORE_A_MAP = ("contact", "creep", "loss", "regions", "maps")
 """Stages without which a touch gives no map."""
 WAY = "way"
 """Stage of a failure that left a place out: there is no way to it within the workspace."""
 MOST_FAILED = 3
-"""After so many touches in a row that gave no map the exploration ends: whatever is wrong does not pass by itself."""
+"""After this number of touches in a row without a map the exploration ends: the fault is then permanent."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,19 +130,19 @@ class ExplorationStages:
                 break
             except NotThere as error:  # left out, until the arm has moved
                 self._no_way.append(plan.target_m)
-                where = f"({100 * plan.target_m[0]:.0f}, {100 * plan.target_m[1]:.0f}) cm is left out: "
+                where = ""
                 explorer.failures.append(
                     StageFailure(stage=WAY, touch=len(explorer.touches), reason=f"{where}{error}", trace="")
                 )
         return self._computed(_present(plan), began, touch)
 
     def veto(self, xy_m: FloatArray) -> Computed:
-        """Plan anew, from now on without a place (2,) [m] and what is near it."""
+        """Plan again, from now on without a place (2,) [m] and its surroundings."""
         self._vetoed.append(xy_m)
         return self.plan()
 
     def aim(self, xy_m: FloatArray) -> Computed:
-        """What a touch of a place (2,) [m] would be, and what it is expected to feel; or why it cannot be made."""
+        """The plan of a touch at a place (2,) [m], and its forecast; or the reason why it is impossible."""
         began = time.perf_counter()
         touch, forecast = None, None
         try:
@@ -158,15 +159,15 @@ class ExplorationStages:
         grid = self.explorer.grid
         x_cm, y_cm = (100.0 * value for value in grid.size_m)
         if not ((xy_m > 0.0) & (xy_m < grid.size_m)).all():
-            return f"it is beside the surface, which has {x_cm:g} by {y_cm:g} cm"
+            return f"it is outside the surface, which has {x_cm:g} by {y_cm:g} cm"
         border_m = self.explorer.options.border_m
         if not ((xy_m > border_m) & (xy_m < np.asarray(grid.size_m) - border_m)).all():
             return f"it is within {100 * border_m:g} cm of the surface's edge"
         seen_m = self.explorer.surface.points_m
         if not len(seen_m) or float(np.hypot(*(seen_m[:, :2] - xy_m).T).min()) > SEEN_M:
-            return f"the camera has not seen the surface there: no point within {1e3 * SEEN_M:g} mm"
+            return f"the camera measured no surface there: no point within {1e3 * SEEN_M:g} mm"
         cell = tuple((xy_m[::-1] / grid.cell_m).astype(int))
-        return "" if self._reached()[cell] else "the arm cannot be led there from above"
+        return "" if self._reached()[cell] else "the arm cannot reach it from above"
 
     def _reached(self) -> BoolArray:
         if self._reachable is None:
@@ -180,6 +181,7 @@ class ExplorationStages:
         self._no_way.clear()  # from here there may be one
         after = self.explorer.touch(made, lambda: self.geometry.dent(touched))
         every = (after.estimate, after.perception, made.force_pose, after.maps, after.inclusions)
+        release_memory()  # of a process of its own, or on a simulated clock: nothing waits for it
         return self._computed(tuple(one for one in every if one is not None), began)
 
     def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:
@@ -208,7 +210,7 @@ def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class AfterTouch:
     """What is known after a touch. estimate: of the touch; maps: None where it gave none; inclusions: None also where
-    none are sought; perception: None where that is not asked for"""
+    none are sought; perception: None unless requested"""
 
     estimate: TouchEstimate
     maps: MapEstimate | None
@@ -231,7 +233,7 @@ class UnseenSurface:
         failed: Collection[StageFailure] = (),
         error: TouchErrorModel | None = None,
     ) -> None:
-        """failed: is not computed again, and fails as it did; error: of touches, default as of a rig that is not
+        """failed: is not computed again, and fails as recorded; error: of touches, default as of a rig that is not
         calibrated"""
         error = error or TouchErrorModel()
         self.options, self.arm, self.gain_sd, self.truth = options, arm, error.gain_sd, truth
@@ -247,9 +249,9 @@ class UnseenSurface:
 
 
 class Explorer:
-    """The estimates after each touch of a surface that was seen; pure, but for what it was given so far.
+    """The estimates after each touch of a measured surface; pure, except for its input so far.
 
-    surface: as the look saw it; search: what is sought, and what the usable touches say of it
+    surface: as the look saw it; search: the goal, and its posterior by the usable touches
     touches, betas: of every touch made
     maps: the newest, None before the first; region_probability: of each number of regions, with it
     failures: every stage that failed; travel_m: over the surface, from its corner (0, 0), from place to place
@@ -281,7 +283,7 @@ class Explorer:
         if self._without_map < MOST_FAILED:
             return ""
         last = next((one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP), None)
-        why = "none was held for long enough" if last is None else f"the last for {last.stage}: {last.reason}"
+        why = "no touch held its force long enough" if last is None else f"the last for {last.stage}: {last.reason}"
         return f"{self._without_map} touches in a row gave no map, {why}"
 
     # The next touch ---------------------------------------------------------------------------------------------------
@@ -318,7 +320,7 @@ class Explorer:
         """Raises InputError where the arm does not reach a place (2,) [m]."""
         cell = int(np.argmin(np.linalg.norm(self.grid.centres_m - xy_m, axis=1)))
         if reachable is not None and not reachable.ravel()[cell]:
-            raise InputError("--first at a place that the tip can be led to", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
+            raise InputError("--first at a place that the tip can reach", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
         """The touch of a place (2,) [m]; None where it could not be planned."""
@@ -334,13 +336,13 @@ class Explorer:
         return self.surface.highest_m(self.touches[-1].xyz_m[:2], xy_m) if self.touches else None
 
     def known_m(self, xy_m: FloatArray) -> float | None:
-        """How far the surface at a place (2,) [m] may be from where it was seen: as far as any touch felt it from
-        there, and what its process doubts; None before the first touch, of a place that was seen."""
+        """Uncertainty of the surface's height at a place (2,) [m]: the largest deviation of a contact from the observed
+        height, and the process's deviation. None before the first touch, of an observed place."""
         doubt_m = self.surface.doubt_m(xy_m)
         return None if not self.touches and doubt_m <= SEEN_M else self._off_seen_m + doubt_m
 
     def forecast(self, touch: Touch) -> TouchForecast:
-        """What a touch is expected to feel: the map's stiffness there, of the law that touches had so far."""
+        """The forecast of a touch: the map's stiffness there, with the exponent of the touches so far."""
         options = self.options
         row, column = (touch.xy_m[::-1] / self.grid.cell_m).astype(int)
         field, field_sd = self._quantity.stiffness_field(self.maps) or (
@@ -400,7 +402,7 @@ class Explorer:
     def _perception(
         self, touched: TouchMeasurement, contact: TouchContact | None, sample: StiffnessSample | None
     ) -> TouchPerception | None:
-        """Of the newest touch, with what its maps were trained with; None where that is not asked for."""
+        """Of the newest touch, with the training data of its maps; None unless requested."""
         options, beta = self.options, self.betas[-1]
         if options.detail == "lean":
             return None

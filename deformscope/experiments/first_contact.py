@@ -1,4 +1,4 @@
-"""When something first touched, as a recording's force sensors and tactile arrays felt it."""
+"""Time of the first contact, by a recording's force sensors and tactile arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector
 
 KINDS = (WrenchFrame, TactileFrame, SessionNote, PhaseStart)
-"""What it is found by."""
+"""Its source."""
 FOLLOW_S = 5.0
 """Time constant by which the force without contact follows the readings [s]."""
 
@@ -24,8 +24,8 @@ def first_contact_ns(rows: Sequence[Row]) -> int | None:
     """Session time of the first contact [ns], None = there is none. rows: of a recording, in order of time
 
     Of an exploration: the beginning of its first press. Else by a force sensor: the first reading TOUCHING_N away from
-    the force without contact, which is followed until then as fast as sensors drift, and begins anew where it is tared;
-    by a tactile array: the rule of `squeeze`, for each of its pads; whichever was first.
+    the force without contact. That force is followed until then as fast as sensors drift, and starts again after a
+    tare. By a tactile array: the rule of `squeeze`, for each of its pads; whichever was first.
     """
     if phases := [row for row in rows if isinstance(row.item, PhaseStart)]:
         return next((row.session_ns for row in phases if row.item.name == "press"), None)

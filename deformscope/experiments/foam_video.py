@@ -1,6 +1,6 @@
 """A deforming thing in a sequence of images: flow, particles, and the fit of the last pose (Thesis 3, experiment 5.2).
 
-The sweep fits the last frame, as in the thesis (`whole_motion` fits every frame); the best value is then simulated at
+The sweep fits the last frame, as in the thesis (`whole_motion` fits every frame). The best value is then simulated at
 every frame, so that simulated particles follow the observed ones on the `frame` timeline.
 """
 
@@ -28,7 +28,7 @@ FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True, slots=True)
 class ParticleOptions(ParticleFlags):
-    """How an image becomes particles: what can be asked for, and noise_px, the deviation of a measured position.
+    """Options that turn an image into particles, and noise_px, the deviation of a measured position.
     frames_of: how many the sequence has, of which some are followed; None = all are"""
 
     held: tuple[HeldPart, ...] = ("top", "bottom")
@@ -124,7 +124,7 @@ def hold_what_is_seen(
     """(n,) indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
 
     Particles lost on the way are prescribed nowhere, hence free. A part that was lost altogether (the specimen's end
-    has left the image) is held at the outermost row or column still seen: what is beyond moves with it.
+    has left the image) is held at the outermost row or column in view: the rest moves with it.
     """
     chosen: list[IntArray] = []
     moved: list[str] = []
@@ -136,7 +136,7 @@ def hold_what_is_seen(
             continue
         if part == "contact" or still.size < 4:
             raise InputError(
-                f"held particles of {part!r} that can be followed", "all of them lost", "a --roi with more texture"
+                f"held particles of {part!r} that can be tracked", "all of them lost", "a --roi with more texture"
             )
         rest = ParticleGrid(grid.rest_px[still], grid.shape, grid.cell[still], grid.spacing_px)
         chosen.append(still[select_held(rest, [part])])

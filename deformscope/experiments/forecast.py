@@ -1,4 +1,4 @@
-"""What a touch that a person asks for is expected to feel, before it is made."""
+"""The forecast of a touch that a person requests, before it is made."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deformscope.stages.poke.contact import Z_90
 from deformscope.stages.poke.local_shape import ShapeShift
 
 FORCES = 25
-"""At so many the depth is forecast."""
+"""Number of points of the depth forecast."""
 
 
 def forecast_touch(

@@ -1,13 +1,13 @@
-"""Stages that run while devices do: items of a rig in, results out, computed beside the loop that takes the items.
+"""Stages that run during a rig's recording: items of a rig in, results out, computed outside the loop that takes the
+items.
 
     with StageProcesses(options.names, quiet_warp) as executors:
         counts = session.run(rig, live_stages(stages_of(options, streams), executors, ended), recorder)
 
-The newest frame wins: while a stage computes, frames pass it by, and are counted. A stage that gives nothing notes why
-after a second, or with its first frame; one that does not keep up notes how far behind its frame it is. An image is
-computed on as it is recorded (decoded from JPEG), and a result names the frames that it rests on: `replay_stages`
-computes every result of a recording again and compares it to the last bit. A stage that fails gives a `StageFailure`,
-and goes on with what comes.
+The newest frame wins: while a stage computes, frames pass it by, and are counted. A stage without a result notes the
+reason after a second, or with its first frame; a slow one notes its delay behind its frame. A stage uses an image as
+recorded (decoded from JPEG), and a result names its frames. `replay_stages` computes every result of a recording again
+and compares it to the last bit. A stage that fails gives a `StageFailure`, and continues with later items.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 
 SOON_S = 0.02
-"""How long what devices give is gathered while stages wait for it: a frame is not kept waiting longer."""
+"""Time for which device items are collected while stages wait for them: the largest delay of a frame."""
 AT_ONCE_S = 1.0
-"""What has given nothing for so long says why."""
+"""Time without a result after which a stage reports the reason."""
 AGAIN_S = 10.0
 """A reason that comes and goes is said again after this at the earliest."""
 LEFT_OUT_LEAST = 3
@@ -44,14 +44,14 @@ NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
 
 
 class StageExecutor(Protocol):
-    """Computes a stage while the loop goes on."""
+    """Computes a stage while the loop continues."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]: ...
 
 
 @dataclass(slots=True)
 class StageCounts:
-    """What became of a stage's frames. frames: that came; results; failures among them; late_s: of each result [s]
+    """Outcomes of a stage's frames. frames: that came; results; failures among them; late_s: of each result [s]
 
     left: frames that were skipped because newer ones came; the others were not finished when it ended
     lasted_s: since the first frame [s]; reasons: of the results that give nothing, with how many there were of each
@@ -92,7 +92,7 @@ class StageCounts:
         failed = f", {self.failures} of them FAILED" if self.failures else ""
         late = "behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {max:.0f} ms at most"
         lag = "" if self.lag_ms is None else f", {late.format(**self.lag_ms)}"
-        why = f" ({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
+        why = f"({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
         rate = f", {self.rate_hz:.3g}/s" if self.results else ""
         found = f"{self.results} results of {self.frames} frames{rate}{failed}, {self.skipped} skipped{why}{lag}"
         found += "".join(f"; {count} without a value: {reason}" for reason, count in self.reasons.items())
@@ -108,7 +108,7 @@ def live_stages(
     watch: Callable[[StageResult], None] = lambda result: None,
     clock: Callable[[], int] = monotonic_ns,
 ) -> RigExperiment[dict[str, StageCounts]]:
-    """The experiment that passes on what comes to stages, and gives the `StageResult`s that came; returns the counts.
+    """The experiment that passes items to stages, and yields their `StageResult`s; returns the counts.
 
     executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
     every batch with what stages note, and says when it is over; lossless: colour images are recorded as they are
@@ -133,7 +133,7 @@ def live_stages(
 
 
 class _Running:
-    """A stage, what it computes now, and what became of its frames so far."""
+    """A stage, its present computation, and the outcomes of its frames so far."""
 
     def __init__(self, stage: Stage, executors: StageExecutor, lossless: bool, clock: Callable[[], int]) -> None:
         self.stage = stage
@@ -149,7 +149,7 @@ class _Running:
         self._costs: list[StageCost] = []
 
     def go_on(self, items: Sequence[Item]) -> None:
-        """Take what came; begin with the newest where nothing is being computed."""
+        """Take finished results; begin with the newest item if nothing is being computed."""
         for item in items:
             self._chooser.see(item)
             if isinstance(item, Frame) and item.device == self.stage.device:
@@ -209,7 +209,7 @@ class _Running:
         return counts
 
     def notes(self) -> list[SessionNote]:
-        """What is to be said of it now."""
+        """Its present notes."""
         since_ns = self._frames[-1].stamp.host_ns if self._frames else self._began_ns
         if not self._counts.results and self._clock() - since_ns >= AT_ONCE_S * 1e9:
             self._say(self._lack)

@@ -1,5 +1,5 @@
-"""Anisotropy, fields of stiffness, yielding and recovery of what a camera followed, or of files: one fit, and every
-frame beside it."""
+"""Anisotropy, fields of stiffness, yielding and recovery from tracked images, or from files: one fit, and its
+comparison with every frame."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ MOST_FRAMES = 8
 
 @dataclass(frozen=True, slots=True)
 class UnloadingOptions:
-    """How the end of a push is known. released: of the held parts, those that let go; at: the loaded and the unloaded
-    frame, where somebody names them; force: of the tool, where it was recorded"""
+    """How the end of a push is known. released: the held parts that are released; at: the loaded and the unloaded
+    frame, if given; force: of the tool, where it was recorded"""
 
     released: tuple[str, ...] = ("contact",)
     at: tuple[int, int] | None = None
@@ -66,7 +66,7 @@ class MaterialFit:
 def material_video(
     particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFit], mask: BoolArray | None = None
 ) -> Experiment[MaterialFit]:
-    """Follow particles through the frames that are sent, fit, and show every frame beside the fit.
+    """Track particles through the frames that are sent, fit, and show every frame with the fit.
 
     mask: (H, W) True where the thing is in the first frame
     """
@@ -124,20 +124,20 @@ def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | Non
 def camera_motion(
     tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions
 ) -> tuple[Motion, PressCycle]:
-    """All frames, the first one at rest among them, and when what was pressed is let go.
+    """All frames, the first one at rest among them, and the time of the release.
 
-    The parts that let go are held as long as something may hold them: until the frame from which nothing does. From
-    then on they count as not seen.
+    Released parts are held as long as anything may hold them: until the frame of the release. From then on they count
+    as not seen.
     """
     released = [part for part in particles.held if part in unloading.released]
     if not released:
         came = f"--held {','.join(particles.held)}"
         hint = "--contact X,Y,WIDTH,HEIGHT where the tool presses, or --released PART"
-        raise InputError("a held part that is let go in the end", came, hint)
+        raise InputError("a held part that is released at the end", came, hint)
     stays = [part for part in particles.held if part not in released]
     if not stays:
-        hint = "hold what stands still too, such as --held bottom,contact"
-        raise InputError("a held part that stays", f"--held {','.join(particles.held)} alone", hint)
+        hint = "hold the fixed part too, such as --held bottom,contact"
+        raise InputError("a held part that is not released", f"--held {','.join(particles.held)} alone", hint)
     grid, history = tracked.grid, tracked.history
     still, pressed = (select_held(grid, parts, particles.contact_rect) for parts in (stays, released))
     still = np.setdiff1d(still, pressed)
@@ -159,7 +159,7 @@ def camera_motion(
     held &= seen
     position[cycle.unloaded :, pressed] = np.nan  # what a tool covered is not followed well once it lifts
     if not held[:, still].any(axis=1).all():
-        raise InputError(f"held particles of {','.join(stays)} that can be followed", "all of them lost at a frame")
+        raise InputError(f"held particles of {','.join(stays)} that can be tracked", "all of them lost at a frame")
     scale = None if particles.px_per_cm is None else 0.01 / particles.px_per_cm
     duration = _durations(np.asarray(tracked.times))
     origin: NoiseSource = "flow" if particles.noise_px is None else "given"
@@ -176,7 +176,7 @@ def some_frames(motion: Motion, rows: IntArray, end_s: FloatArray) -> Motion:
 def _durations(time_s: FloatArray) -> FloatArray:
     gap = np.diff(time_s)
     if not (gap > 0.0).all():
-        raise InputError("frames whose time rises", f"a step of {gap.min():g} s", "--fps, or a recording with stamps")
+        raise InputError("frames with rising times", f"a step of {gap.min():g} s", "--fps, or a recording with stamps")
     return np.append(gap, gap[-1])
 
 
@@ -232,13 +232,14 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 
 
 def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
-    """Of a motion file: what is held at its deepest and no longer at the end was let go, from then on."""
+    """Of a motion file: particles that are held at the greatest depth and no longer at the end are released, from then
+    on."""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])
     if not gone.size:
         came = "the same particles held in every frame"
-        raise InputError("a motion that is let go", came, "`held` as bool (T, K), and frames after the tool is off")
+        raise InputError("a motion with a release", came, "`held` as bool (T, K), and frames after the tool is off")
     time_s = np.concatenate([[0.0], motion.duration[0] + np.cumsum(np.append(0.0, motion.duration[:-1]))])
     whole = dataclasses.replace(
         motion,

@@ -46,24 +46,24 @@ from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.arms import chain_of
 
 LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
-"""What is taken away around the arm's links, whose shape is rough, and around stick and ball: there four deviations of
-a depth at 0.8 m (0.9 mm), as points on the stick itself have, and what the arm bends (0.6 mm). A dent is seen best
-within 2 cm of the ball."""
+"""Margin removed around the arm's links, whose shape is approximate, and around stick and ball. The latter is four
+standard deviations of a depth at 0.8 m (0.9 mm), plus the arm's deflection (0.6 mm). A dent is seen best within 2 cm of
+the ball."""
 DENT_M = 0.08
 """Half the side of what is seen around a dent."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
 DWELL_S, DWELL_AT_MOST_S = 0.5, 3.0
-"""A touch stands still for so long, and no longer than that after it has held its force for as long as asked for."""
+"""Time at rest during a touch, and the largest such time after the requested hold."""
 COARSE_M = 0.02
-"""Reach is computed at places so far apart, and taken for the cells around."""
+"""Spacing of the places whose reach is computed, each for the cells around it."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 HOP_M, HOP_SPEED_M_S, HOP_PASSING_M, HOP_BRAKING_PER_S = 0.02, 0.05, 2e-3, 8.0
-"""Over a surface that is known, the tip's height before and after a touch, how fast it comes down and goes up, how
-near it comes to where it begins, and how it slows down. Chosen."""
+"""Over a known surface: the tip's height before and after a touch, its speeds down and up, its accuracy at the start,
+and its deceleration. Chosen."""
 HOP_MARGIN_M, HOP_SLOW_M = 5e-3, 0.015
-"""It is slow from so much above where the surface may be; the first touch from the other above where it was seen. Where
+"""Height above the surface from which it is slow; the first touch uses the larger one, above the measured height. Where
 it may be higher than that, all is as at a careful pace. Chosen."""
 
 
@@ -135,7 +135,7 @@ def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupGeometry:
-    """Where surface, arm and camera are to one another, and what follows of it; pure.
+    """Poses of surface, arm and camera relative to each other, and their consequences; pure.
 
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: what the robot looks like
     """
@@ -220,7 +220,7 @@ class SetupGeometry:
         return sample_box(self.size_m, options.thickness_m, share)
 
     def _table(self, looked: Looked, box: Box) -> TableSeen | None:
-        """What the surface lies on, as it is seen beside it."""
+        """The table under the surface, as measured around it."""
         used = looked.used
         low = (box.low_m[0] - AROUND_M, box.low_m[1] - AROUND_M, -WITHIN_M)
         around = Box(low, (box.high_m[0] + AROUND_M, box.high_m[1] + AROUND_M, box.high_m[2]))
@@ -264,8 +264,8 @@ class SetupGeometry:
         )
 
     def dent(self, touched: Touched, look: LookFrames, options: ExploreOptions) -> tuple[FloatArray, SeenPixels | None]:
-        """(k, 3) points seen around a place while it was pressed, of all images [m], and the pixels that they are of,
-        None where these are not asked for."""
+        """(k, 3) points measured around a place during the press, of all images [m], and their pixels, None unless
+        requested."""
         used, box = touched.used, self._box(options)
         low = (*np.maximum(box.low_m[:2], used.xy_m - DENT_M), box.low_m[2])
         high = (*np.minimum(box.high_m[:2], used.xy_m + DENT_M), box.high_m[2])
@@ -284,15 +284,15 @@ class SetupGeometry:
         self, depth_m: npt.NDArray[np.floating], pose: ArmSample, look: LookFrames, box: Box, cell_m: float | None
     ) -> Perceived:
         if self.camera.T_surface_camera is None:
-            raise InputError("[camera] T_arm_camera", "none", "where the camera stands")
+            raise InputError("[camera] T_arm_camera", "none", "the camera's pose")
         (fx, fy), (cx, cy) = look.focal_px, look.center_px
         camera = Intrinsics((fx, fy), (cx, cy), self.camera.distortion)
         robot = self.posed_robot(pose, chain_of(look.arm_model))
         return perceive(depth_m, camera, self.camera.T_surface_camera, box, robot=robot, cell_m=cell_m)
 
     def posed_robot(self, pose: ArmSample, chain: Chain | None) -> PosedRobot:
-        """What arm, gripper, stick and cables may fill where the arm reports that they are, surface frame; of an arm
-        without a chain, what is at its end alone."""
+        """The volume of arm, gripper, stick and cables at the arm's reported pose, surface frame; of an arm without a
+        chain, the parts at its end alone."""
         T_base_links = pose.T_base_ee[None] if chain is None else chain.forward(pose.joints_deg)
         described = self.described
         capsules = arm_shape(
@@ -330,9 +330,10 @@ class SetupGeometry:
     ) -> TouchPlan:
         """A touch of a place (2,) [m] whose surface was seen at this height, with the unit normal (3,).
 
-        over_m: how high the surface may be on the straight way to it, None = not known: then as high as nothing stands
-        known_m: how far from there the surface may be, None = seen, and nothing was touched yet; at a quick pace it is
-        slow where that is
+        over_m: greatest height of the surface on the straight path, None = unknown: then the greatest height of any
+        obstacle
+        known_m: uncertainty of the surface's height there, None = measured, before any touch; at a quick pace the
+        motion is slow within it
         """
         highest, standoff_m, quick = highest_m(options), options.standoff_m, dict[str, float]()
         still_s = DWELL_S
@@ -404,8 +405,8 @@ class SetupGeometry:
     def reachable(
         self, grid: MapGrid, options: ExploreOptions, chain: Chain | None, joints_deg: npt.ArrayLike
     ) -> BoolArray:
-        """(rows, columns) cells that the tip can be led down to with the stick upright, as deep as a touch goes, all
-        but a margin at the border; without a chain, all those."""
+        """(rows, columns) cells that the tip can reach from above with the stick upright, as deep as a touch, except a
+        margin at the border; without a chain, all those."""
         if chain is None:
             return off_the_border(grid, options.border_m)
         rows, columns = grid.shape

@@ -36,28 +36,28 @@ TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 PLANNED_COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen: near enough to
-what they take, and such that both paces weigh a touch and its way alike, and touch the same places."""
+"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen near the measured
+times, and such that both paces weight a touch and its travel alike, and touch the same places."""
 DRY_RUN_M = 0.1
 """A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
 EDGE_M, ABOVE_M, LOW_SHARE, LOW_UNSTATED = 0.005, 0.08, 0.5, 0.2
-"""What a camera sees counts as the surface so far from its edges, so far above its thickness, and down to this share of
-it; or to the other one, where its thickness is not stated."""
+"""Bounds of points that count as surface: distance from its edges, height above its thickness, and lowest share of the
+thickness; another share without a stated thickness."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExploreOptions(ExploreFlags):
-    """How to explore: what can be asked for, what a rig file or a scene says, and what studies set.
+    """How to explore: options of a user, of a rig file or a scene, and of studies.
 
-    relief, beta_grid_m, beta_step, sigma_w_m: where nothing is said, as in older recordings, the foam is level and as
-    thick as stated, and beta is swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
+    relief, beta_grid_m, beta_step, sigma_w_m: without values, as in older recordings, the foam is level and as thick as
+    stated. beta is then swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
     set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam; cell_m: of the maps; seed
     standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
-    go_on: touch until the budget is spent, even where the plan says enough (for studies)
+    go_on: touch until the budget is spent, even if the plan is complete (for studies)
     inclusion_m: radius of the smallest inclusions that are sought
-    lift_m: all touches are made so far above the surface, where nothing is met: a dry run
+    lift_m: all touches are made this far above the surface, without contact: a dry run
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
-    thickness_stated: else thickness_m says where to look for the surface, and nothing more
+    thickness_stated: else thickness_m is only the height at which the surface is sought
     detail: where nothing is said, as in older recordings, lean
     """
 
@@ -138,7 +138,7 @@ class ExploreOptions(ExploreFlags):
         return RegionSearch(posterior, self.seed)
 
     def first_place(self, size_m: tuple[float, float], search: SurfaceSearch) -> tuple[FloatArray, str] | None:
-        """Where to touch first (2,) [m], and why; None = where it says most."""
+        """Place of the first touch (2,) [m], and its reason; None = the most informative place."""
         if self.first_m is not None:
             return np.array(self.first_m), "as asked for"
         if search.first_share is not None:

@@ -1,5 +1,5 @@
-"""An arm places the hand (Thesis ch. 2): the container is found in the depth image, a grasp drawn among those that are
-reached, the hand brought there under the same supervisor as for exploring, and withdrawn after the squeeze.
+"""An arm places the hand (Thesis ch. 2): the container is found in the depth image, and a grasp within reach is drawn.
+The hand is brought there under the same supervisor as for exploring, and withdrawn after the squeeze.
 
 `Placing` has the two halves of an experiment, before and after the squeeze; `PlacingArm` carries out its commands.
 """
@@ -57,26 +57,26 @@ from deformscope_drivers.arms import CHAINS
 from deformscope_drivers.errors import DeviceError
 
 LOOK_S, LOOKS = 0.6, 3
-"""The robot stands still for so long, and the median of the last so many images is taken: fewer are noisier."""
+"""Time at rest, and number of last images for a median: fewer are noisier."""
 ROBOT_MARGIN_M = 0.015
 """Around links and fingers that is left out of an image: arms differ by a centimetre or so from capsules."""
 AREA_M = 0.45
-"""Things on the table further from the middle of its frame are not looked at [m]: an arm's foot, what lies there."""
+"""Objects on the table further from the middle of its frame are ignored [m]: an arm's foot, other objects."""
 BACK_M = 0.03
-"""Backed away from what was felt on the way."""
+"""Distance to back away from a contact on the way."""
 STUCK_S = 2.0
-"""A finger whose arrays say the same force for so long, and not 0, is stuck: 22 frames at worst. A shorter time stops
-arrays with little noise; a longer one lets the arm go on for longer with a finger that may feel nothing."""
+"""A finger whose arrays repeat the same force for this time, and not 0, is stuck: 22 frames at worst. A shorter time
+stops arrays with little noise; a longer one lets the arm move on for longer with a finger that may be dead."""
 NOT_FOUND, NO_GRASP, CONTAINER = "container not found", "no grasp is reached", "container"
 BEGINS_NEAR, NOT_READY = "arm begins too near the container", "checks before motion"
-"""Kinds of stops; `CONTAINER` with what became of it: `container moved`."""
+"""Kinds of stops; `CONTAINER` with its change: `container moved`."""
 LEAVE_OUT = ("plan", "arm: reach", "force sensor: noise", "force sensor: alive")
 """Rows of the preflight that are of touches, and of sensors that are never silent: arrays in the air may all say 0."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckArm:
-    """A command: look at everything before the arm moves; its answer is a `Preflight`."""
+    """A command: run all checks before the arm moves; its answer is a `Preflight`."""
 
     plan: GraspPlan
 
@@ -100,7 +100,7 @@ class PlacingArm:
     """The arm over the devices of an open source; commands are carried out where they are called.
 
     begin: called with each phase as it begins; cycled: in every control period; reached: the last phase
-    stands: it stands, or was never commanded
+    stands: it is at rest, or was never commanded
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class PlacingArm:
         )
 
     def do(self, command: object) -> object:
-        """Carry a command out. Raises SqueezeEnded, after which the arm stands, and takes no further one."""
+        """Carry a command out. Raises SqueezeEnded, after which the arm is at rest, and takes no further one."""
         try:
             with self._stopping():
                 robot = self._made = self._made or self._robot()
@@ -161,8 +161,8 @@ class PlacingArm:
 
     @contextlib.contextmanager
     def watched(self) -> Iterator[Callable[[], str]]:
-        """While the hand does something: called in each of the hand's control periods, what is yielded says why it must
-        not go on, as the arm that has placed it does not stand there any more; empty = it may.
+        """During the hand's motion: called in each of the hand's control periods. It yields the reason to stop if the
+        arm has left its pose; empty = continue.
 
         The arm is judged as when it moves, but for the forces of fingers that squeeze. It is not stopped here: the hand
         is first, as an arm that does not answer takes seconds.
@@ -185,7 +185,7 @@ class PlacingArm:
             robot.rest()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person wants it to stop: it stands within a control period."""
+        """A person requests a stop: it is at rest within a control period."""
         if self._made is not None:
             self._made.ask_to_stop(reason)
 
@@ -208,7 +208,7 @@ class PlacingArm:
             if not one.name.startswith(LEAVE_OUT)
         ]
         felt = robot.supervisor.sees_collisions
-        wanted = "joint torques or motor currents, by which a collision is seen"
+        wanted = "joint torques or motor currents, which collisions are detected by"
         rows.append(Check("arm: collisions", felt, wanted, "reported" if felt else "none"))
         return Preflight((*rows, *plan_checks(plan, robot)))
 
@@ -231,7 +231,7 @@ class PlacingArm:
             raise self._stop(kind, " ".join(str(error).split()), cause) from error
 
     def _back_off(self, robot: Robot) -> None:
-        """Back along the hand, away from what was felt."""
+        """Back along the hand, away from the contact."""
         self._begin("back off")
         back = -robot.placement.T_surface_center(robot.pose.T_base_ee)[:3, 2] * APPROACH_M_S
         with contextlib.suppress(RobotStopped):
@@ -306,8 +306,8 @@ class Placing:
     """An arm that places the hand, before and after the squeeze.
 
     grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed
-    permit: asked with the preflight before the arm moves, whether it had to wait for a person; arm: as of `PlacingArm`
-    found: where sightings and placement are kept
+    permit: called with the preflight before the arm moves, whether it had to wait for a person; arm: as of `PlacingArm`
+    found: collects sightings and placement
     """
 
     setup: SqueezeSetup
@@ -324,7 +324,7 @@ class Placing:
         """Look, draw, check, carry, look again. Raises SqueezeEnded."""
         first = yield from self._look("before")
         if first.fit is None:
-            raise self._ended(NOT_FOUND, first.refused, "the table, and where camera and table are to one another")
+            raise self._ended(NOT_FOUND, first.refused, "the table, and the poses of camera and table")
         placing, grip = self.setup.placing, GripShape.of(self.setup.container, self.setup.squeeze)
         assert placing is not None
         assert self.frames.arm_now is not None
@@ -342,7 +342,7 @@ class Placing:
             yield from self._planned(none, obstacle)
             if none.refused == (BEGINS_AT_IT,):
                 raise self._ended(BEGINS_NEAR, str(none), "the arm: move it away by its joystick") from none
-            raise self._ended(NO_GRASP, str(none), "where the container stands, and the arm's reach") from none
+            raise self._ended(NO_GRASP, str(none), "the container's place, and the arm's reach") from none
         self._plan = plan
         yield from self._planned(plan, obstacle)
         preflight: Preflight = yield from ask(CheckArm(plan))
@@ -373,7 +373,7 @@ class Placing:
         try:
             yield from self._look("after", near=stopped is not None)
         except (InputError, ValueError) as error:  # what was squeezed, and why the arm stopped, count for more
-            yield Step(notes=(SessionNote(self.setup.clock(), "stage", f"container not looked at: {error}"),))
+            yield Step(notes=(SessionNote(self.setup.clock(), "stage", f"container not measured: {error}"),))
         if stopped is not None:
             raise stopped
 
@@ -383,7 +383,7 @@ class Placing:
         placed = when == "placed"
         change = (yield from self._look(when, near=placed)).change
         if change is not None and (change.changed if placed else change.kind != "stands"):
-            met = "the hand has met it" if placed else "somebody has moved it"
+            met = "the hand hit it" if placed else "a person moved it"
             raise self._ended(f"{CONTAINER} {change.kind}", change.words, f"the container: {met}")
 
     def _look(self, when: str, *, near: bool = False) -> RigExperiment[ContainerSighting]:

@@ -50,7 +50,8 @@ def poke_files(
     for poke in pokes:
         if not surface.covers(poke.at[None, :2])[0]:
             raise InputError(
-                "pokes of one surface", f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m, beside the first file's points"
+                "pokes of one surface",
+                f"one at ({poke.at[0]:.3g}, {poke.at[1]:.3g}) m, outside the first file's points",
             )
         check_poke(surface.points, surface.thickness, poke.depth, poke.tip.width)
     most = np.inf if layers.most_particles is None or layers.spacing_m is not None else layers.most_particles

@@ -17,8 +17,8 @@ from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import StiffnessSample
 
 SPEED_SD = 0.03
-"""Of log stiffness for each e-fold of the approach speed, where a touch's creep could not be fitted: a third of a
-modulus that relaxes evenly over three decades of time changes a ball's stiffness so [assumed]."""
+"""Change of log stiffness for each e-fold of the approach speed, for touches without a fitted creep. It corresponds to
+a third of the modulus relaxing evenly over three decades of time [assumed]."""
 
 
 class ApparentStiffness:
@@ -33,8 +33,8 @@ class ApparentStiffness:
     ) -> StiffnessSample | None:
         """The stiffness by which touches compare; None where the touch does not say it.
 
-        felt: as its contact gave it; creep: None where it was not fitted; speed_m_s: of the approach in contact, None
-        where it is not known
+        felt: the stiffness of the contact; creep: None where it was not fitted; speed_m_s: of the approach in contact,
+        None where it is not known
         """
         return felt
 
@@ -43,17 +43,17 @@ class ApparentStiffness:
         return stiffness
 
     def maps(self, maps: MapEstimate, stiffness: Sequence[StiffnessSample]) -> MapEstimate:
-        """The maps, named as what they are. stiffness: of every touch that has one"""
+        """The maps, with the names of their quantities. stiffness: of every touch that has one"""
         return maps
 
     def stiffness_field(self, known: MapEstimate | None) -> tuple[FloatArray, FloatArray] | None:
-        """(rows, columns) log stiffness [N/mm] and its deviation, where the newest maps have them beside the quantity;
-        None where what is mapped is stiffness itself."""
+        """(rows, columns) log stiffness [N/mm] and its deviation, if the newest maps have them in addition to the
+        quantity; None if the mapped quantity is stiffness."""
         return None
 
 
 class StiffnessAtReferenceSpeed(ApparentStiffness):
-    """Stiffness as an approach at the reference speed would have felt it: of touches whose creep was asked for."""
+    """Stiffness at the reference speed of approach: of touches with measured creep."""
 
     def stiffness(
         self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
@@ -84,7 +84,7 @@ class RelaxedStiffness(ApparentStiffness):
 
 
 class EnergyLoss(StiffnessAtReferenceSpeed):
-    """The share of its energy that a touch loses, stiffness beside it."""
+    """The share of its energy that a touch loses, with stiffness."""
 
     def error(self, error: TouchErrorModel) -> TouchErrorModel:
         """The force that goes in and the one that comes back are off by the same gain."""

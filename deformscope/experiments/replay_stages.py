@@ -24,9 +24,9 @@ Key = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class ReplayedStages:
-    """What came of it. results: that were computed again; failures: that were recorded, and are not computed again:
-    whether a stage fails may hang on the machine; different: largest difference of each stage's numbers, as a share of
-    the number (0 = equal to the last bit; inf = other words or sizes)
+    """Outcome of a replay of stages. results: that were computed again; failures: that were recorded, and are not
+    computed again: whether a stage fails may hang on the machine; different: largest difference of each stage's
+    numbers, as a share of the number (0 = equal to the last bit; inf = other words or sizes)
     """
 
     results: int
@@ -85,7 +85,7 @@ def _with_frames(path: Path, results: Sequence[StageResult]) -> Iterator[tuple[S
 
 
 def _missing(key: Key, path: Path) -> InputError:
-    return InputError("every frame that a result rests on", f"no frame {key[1]} of {key[0]}", where=path)
+    return InputError("every frame that a result needs", f"no frame {key[1]} of {key[0]}", where=path)
 
 
 def _keys(one: StageResult) -> list[Key]:

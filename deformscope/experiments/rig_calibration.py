@@ -1,6 +1,6 @@
 """What a rig's set-up is measured from: places where the arm was held, pushes, taps and views of a board.
 
-A person does what each request says, then frames are taken for a moment, and the next is asked for. No robot commands
+A person follows each request, then frames are taken for a moment, and the next request follows. No robot commands
 anything here: the arm is moved by its joystick, by `deformscope arm jog`, or in the laboratory.
 """
 
@@ -37,7 +37,7 @@ PATIENCE = 400
 
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
-    """What a person is asked to do.
+    """A request to a person.
 
     kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
     axis: of a push: what the finger does to the tip, surface frame; of a load its force [N]
@@ -50,11 +50,11 @@ class SetupRequest:
 
 
 Assistant = Callable[[SetupRequest], RigExperiment[None]]
-"""Who does what is asked; frames pass meanwhile."""
+"""Carries out requests; frames pass meanwhile."""
 
 
 CORNER_WORDS = (
-    "the corner that is to be the origin",
+    "the corner of the origin",
     "the corner at the end of the x edge",
     "the corner at the end of the y edge",
     "the far corner",
@@ -97,7 +97,7 @@ def held(frames: Sequence[ArmFrame]) -> HeldArm:
 
 
 def _frames(seconds: float, wanted: dict[str, type[Frame]]) -> RigExperiment[dict[str, list[Frame]]]:
-    """The frames of devices, by name, until all of them have given so many seconds of them."""
+    """The frames of devices, by name, until all of them have given this number of seconds of them."""
     taken: dict[str, list[Frame]] = {name: [] for name in wanted}
     given: Sequence[Item] | Answer | None = yield Step(batch_s=0.05)  # what waited is from before
     for _ in range(PATIENCE):
@@ -112,7 +112,7 @@ def _frames(seconds: float, wanted: dict[str, type[Frame]]) -> RigExperiment[dic
 
 
 def _sort(given: Sequence[Item] | Answer | None, wanted: dict[str, type[Frame]], taken: dict[str, list[Frame]]) -> None:
-    """Put what came of the wanted devices to what was taken of each."""
+    """Append the received items of the requested devices."""
     if given is None or isinstance(given, Answer):
         return
     for item in given:
@@ -125,7 +125,7 @@ def _span_s(frames: Sequence[Frame]) -> float:
 
 
 def _held(operator: Assistant, request: SetupRequest, arm: str, note: Callable[[str], None]) -> RigExperiment[HeldArm]:
-    """Where the arm is held after a request; asked again while it moves."""
+    """Pose of the arm, held after a request; requested again while it moves."""
     for _ in range(TRIES):
         yield from operator(request)
         frames = yield from _frames(HOLD_S, {arm: ArmFrame})
@@ -133,7 +133,7 @@ def _held(operator: Assistant, request: SetupRequest, arm: str, note: Callable[[
         if found.moved_m < STILL_M and found.moved_deg < STILL_DEG:
             return found
         note(f"the arm moved by {1e3 * found.moved_m:.1f} mm: again")
-    raise InputError("an arm that is held still", f"one that moved, {TRIES} times", "let go of the joystick")
+    raise InputError("an arm at rest", f"one that moved, {TRIES} times", "let go of the joystick")
 
 
 def touch_corners(
@@ -170,9 +170,10 @@ class ForceReadings:
 class PushedTip:
     """T_base_ee: (4, 4) of the arm's end; free: in free air
 
-    force_n, axis: (n, 3) of each push: what was felt beyond free air [N], what the finger did to the tip, surface frame
-    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) what was felt there [N]
-    load_n: the known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]
+    force_n, axis: (n, 3) of each push: measured force relative to free air [N], force of the finger on the tip, surface
+    frame
+    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) forces there [N]
+    load_n: the known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]
     """
 
     T_base_ee: FloatArray
@@ -194,9 +195,9 @@ def push_tip(
     note: Callable[[str], None],
     load_n: float | None = None,
 ) -> RigExperiment[PushedTip]:
-    """What the sensor gives in free air, while a finger pushes the tip along the table's axes, under a known load [N],
-    and in free air with the stick tilted so often."""
-    yield from operator(SetupRequest("rest", 0, "let nothing touch the tip, the stick upright"))
+    """The sensor's forces in free air, while a finger pushes the tip along the table's axes, under a known load [N],
+    and in free air with the stick tilted several times."""
+    yield from operator(SetupRequest("rest", 0, "keep the tip free of contact, the stick upright"))
     rest = yield from _frames(REST_S, {wrench: WrenchFrame})
     free = _forces(rest[wrench])
     where = yield from _frames(HOLD_S, {arm: ArmFrame})
@@ -215,7 +216,7 @@ def push_tip(
         note(f"  {np.linalg.norm(felt[-1]):.1f} N")
     loaded: list[FloatArray] = []
     for number in range(LOADS if load_n is not None else 0):
-        yield from operator(SetupRequest("rest", 1 + number, "let nothing touch the tip"))
+        yield from operator(SetupRequest("rest", 1 + number, "keep the tip free of contact"))
         before_n = _forces((yield from _frames(PUSH_S, {wrench: WrenchFrame}))[wrench]).force_n
         words = (
             f"press the tip down onto a scale until it shows {load_n:g} N ({(load_n or 0.0) / 9.80665:.3f} kg), hold"
@@ -226,7 +227,7 @@ def push_tip(
         note(f"  {np.linalg.norm(loaded[-1]):.2f} N")
     tilted, weighed = [], []
     for number in range(tilts):
-        words = f"let nothing touch the tip, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
+        words = f"keep the tip free of contact, tilt the stick {TILT_WORDS[number % len(TILT_WORDS)]} by 30 degrees"
         tilted.append((yield from _held(operator, SetupRequest("tilt", number, words), arm, note)).T_base_ee)
         frames = yield from _frames(PUSH_S, {wrench: WrenchFrame})
         weighed.append(_forces(frames[wrench]).force_n.mean(axis=0))
@@ -275,8 +276,8 @@ def tap_tip(operator: Assistant, wrench: str, other: str, kind: type[Frame]) -> 
 
 
 def taps_of(forces: Sequence[Frame], others: Sequence[Frame]) -> Taps:
-    """Of frames of a force sensor and another device, one or more of each; as they arrived: an offset that was measured
-    before is in the stamps already."""
+    """Frames of a force sensor and another device, one or more of each, by arrival: their stamps contain an offset that
+    was measured before."""
     start_ns = forces[0].stamp.arrived_ns
     x = np.array([np.linalg.norm(one.force_n[0]) for one in forces if isinstance(one, WrenchFrame)])
     times = [np.array([one.stamp.arrived_ns - start_ns for one in some]) / 1e9 for some in (forces, others)]
@@ -312,8 +313,8 @@ class BoardViews:
 def view_board(
     operator: Assistant, arm: str, camera: str, board: CharucoSpec, count: int, note: Callable[[str], None]
 ) -> RigExperiment[BoardViews]:
-    """So many views of a board that the arm carries, and more until the arm was turned about two axes; views without
-    the board do not count."""
+    """The requested number of views of a board that the arm carries, and more until the arm has turned about two axes;
+    views without the board do not count."""
     poses: list[FloatArray] = []
     seen: list[SeenBoard] = []
     size_px = (0, 0)
@@ -324,7 +325,7 @@ def view_board(
         image = _colour(frames[camera][-1])
         found = find_board(image, board)
         if found is None:
-            note("  the board was not seen in this one")
+            note("the camera did not find the board in this view")
             continue
         poses.append(pose.T_base_ee)
         seen.append(found)
@@ -333,7 +334,7 @@ def view_board(
         if len(seen) >= count and turned_about(np.array(poses)) >= LEAST_SPREAD_RAD:
             return BoardViews(np.array(poses), tuple(seen), size_px)
         if len(seen) >= count:
-            note("  turned about one axis alone so far: more views, as the next request says")
+            note("turned about one axis only so far: more views, as the next request says")
     if len(seen) >= count:
         check_turns(np.array(poses))
     raise InputError(f"{count} views of the board", f"{len(seen)}", "more light, the board flat and whole in view")

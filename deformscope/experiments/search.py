@@ -1,5 +1,5 @@
-"""What an exploration seeks, and what its touches so far say of it: regions of one stiffness each, the thesis's regions
-of beta, or inclusions below a surface that shows nothing. `ExploreOptions.search` chooses."""
+"""The goal of an exploration, and its posterior by the touches so far: regions of one stiffness each, the thesis's
+regions of beta, or inclusions below a homogeneous surface. `ExploreOptions.search` chooses."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 FEWEST_FOR_FIELD = 2
-"""Touches with a beta, from which on it has a field."""
+"""Number of touches with a beta from which it has a field."""
 FREE_EXPONENT_SD = 0.3
-"""Of the contact's exponent where inclusions are sought, which show in it: next to nothing is taken for granted."""
+"""Prior deviation of the contact's exponent in a search for inclusions, which change it: nearly uninformative."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSearch(ABC):
-    """What the touches so far say of what is sought; `with_touch` gives what one more says.
+    """The goal's posterior by the touches so far; `with_touch` adds a touch.
 
     exponent_sd, least_share: of the fit of each contact, as `fit_approach` takes them
     on_level_layer: whether touches are always compared as on a level layer, however even the surface is
-    first_share: where to touch first, in shares of the surface; None = where it says most
+    first_share: place of the first touch, in shares of the surface; None = the most informative one
     """
 
     posterior: RegionPosterior | InclusionPosterior
@@ -75,8 +75,8 @@ class SurfaceSearch(ABC):
     def beta_field(
         self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
     ) -> tuple[FloatArray, FloatArray, TrainedField] | None:
-        """(rows, columns) mean and deviation of beta, from touches at places (n, 2) [m] with these (n,), nan where a
-        deviation is not known, and with what it was trained; None where they are too few."""
+        """(rows, columns) mean and deviation of beta, from touches at places (n, 2) [m] with these (n,), nan for an
+        unknown deviation, and the training data. None with too few touches."""
         if len(beta) < FEWEST_FOR_FIELD:
             return None
         sds = np.where(np.isfinite(beta_sd), beta_sd, BETA_PRIOR.nugget)

@@ -1,5 +1,5 @@
-"""The surface as the camera saw it before any touch, and what follows of it for touches: where to aim, how high the way
-there is, what the shape of the foam does to stiffness."""
+"""The surface as the camera measured it before any touch, and its consequences for touches: targets, height of the path
+there, and effect of the foam's shape on stiffness."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.pixel_labels import SeenPixels
 
 CORRIDOR_M, SURE_SD = 0.02, 3.0
-"""What the tip crosses is looked at this far to either side of its path, at its height plus so many deviations."""
+"""The surface under the tip's path is checked this far to either side, at its height plus this number of standard
+deviations."""
 LEAST_THICKNESS = 0.1
-"""Of the stated thickness: no foam is taken for thinner."""
+"""Least share of the stated thickness."""
 CURVED_OVER_M = 0.01
-"""Curvature is taken over so far to either side: a tip of 1 cm feels no finer."""
+"""Half width over which curvature is taken: a tip of 1 cm resolves no finer shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenSurface:
     """points_m: (n, 3) as seen [m, surface frame]; process, heights: of their height, and on the grid
     layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on that layer even where
-    the surface is level; pixels: that the points are of, None = not asked for, or no images
+    the surface is level; pixels: of the points, None = not requested, or no images
     """
 
     grid: MapGrid
@@ -85,7 +86,7 @@ class SeenSurface:
 
     @property
     def perception(self) -> LookPerception | None:
-        """What it was computed from; None where that is not asked for."""
+        """Its input; None unless requested."""
         if self.options.detail == "lean":
             return None
         masks = None if self.pixels is None else self.pixels.masks(self.process.used)
@@ -110,7 +111,7 @@ class SeenSurface:
 
     @property
     def levels(self) -> bool:
-        """Whether touches compare as on a level, wide layer: the foam is uneven, or that is asked for."""
+        """Whether touches are converted to a level, wide layer: the foam is uneven, or it is requested."""
         return self.layer.uneven or self.on_level_layer
 
     def shape(self, xy_m: FloatArray) -> LocalShape | None:

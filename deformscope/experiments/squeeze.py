@@ -26,7 +26,7 @@ FEATURES_FAILED = "features not computed"
 
 @dataclass
 class Squeezed:
-    """What came of it so far, whatever ends it.
+    """The outcome so far, for any end.
 
     features: with its events, None where there are none; posterior: what a model takes its content for
     stop, stop_ns: why and when it ended before its time; untracked: why the container was not tracked on, or empty
@@ -56,8 +56,8 @@ def squeeze(
     """Pre-shape, squeeze once, compute the features; `found` holds what was found.
 
     clock: the devices' [ns]; name: what names the content, None = nothing does
-    permitted: what comes before the hand may move; placed: before it closes; withdrawn: once it has opened again
-    It returns also where the hand must not go on: `found.stop` says why.
+    permitted: steps before the hand may move; placed: before it closes; withdrawn: once it has opened again It returns
+    also when the hand must stop: `found.stop` has the reason.
     """
     frames = observer.frames
     try:

@@ -43,7 +43,7 @@ AROUND = 0.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeGeometry:
-    """What the features need to know beside the frames; it stands in a recording's settings.
+    """Information for the features besides the frames; a recording's settings have it.
 
     T_camera_hand: (4, 4), None = not known, or by the arm: T_arm_hand (hand to the arm's end) and T_arm_camera
     T_hand_container: (4, 4) where the container is expected
@@ -149,7 +149,7 @@ def trial_features(
     """The events and features of a squeeze. Raises InputError where it has no first contact or no steady state.
 
     tracked: images in which the container was tracked before, in order of time; none = it is tracked in all of them
-    Without a camera, or with a bad track, there is no visual feature, and the reason stands in its place.
+    Without a camera, or with a bad track, there is no visual feature, but the reason for it.
     """
     events = frames.events()
     if not events.first_ns or not events.steady_ns:
@@ -185,8 +185,8 @@ def _gaps(hands: Sequence[HandFrame], geometry: SqueezeGeometry, when_ns: Sequen
 
 
 def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | None:
-    """Left, top, right and bottom of what is worth seeing of an image: the container where it is expected, and as much
-    again around it; None where the camera's place or projection is not known before."""
+    """Left, top, right and bottom of the part of an image to show: the container at its expected place, and the same
+    size around it. None without the camera's pose or projection."""
     camera, pose = geometry.camera, geometry.T_camera_hand
     if pose is None or camera.focal_px is None or camera.center_px is None:
         return None
@@ -205,7 +205,7 @@ def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | 
 
 
 def container_tracker(geometry: SqueezeGeometry) -> ContainerTracker:
-    """The camera that looks at the container. Raises InputError where its projection is not known."""
+    """The camera in front of the container. Raises InputError where its projection is not known."""
     camera = geometry.camera
     if camera.focal_px is None or camera.center_px is None:
         raise InputError("[camera] focal_px and center_px", "none")
@@ -231,15 +231,15 @@ class SqueezeImages:
         self._hand_ns = np.array([frame_ns(one) for one in self._hands])
 
     def due(self, first_ns: int) -> range:
-        """Places of those to be tracked, each once the hand's next reading is known: from the one on with which there
-        are enough to locate the container, or the last one before first contact [ns], 0 = not known yet."""
+        """Indices of those to track, each once the hand's next reading has arrived. They begin with enough images to
+        locate the container, or with the last one before first contact [ns], 0 = not yet."""
         before = sum(frame_ns(one) < first_ns for one in self.frames) if first_ns else REST_IMAGES
         known_ns = self._hand_ns[-1] if len(self._hand_ns) else 0
         known = sum(frame_ns(one) <= known_ns for one in self.frames)
         return range(max(min(before, REST_IMAGES) - 1, 0), known)
 
     def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
-        """The image at a place, and those before it, `together` so many. first_ns: of first contact, 0 = not known
+        """The image at a place, and those before it, `together` in number. first_ns: of first contact, 0 = not known
         since_ns: from when on the fingertips have come closer, default from there"""
         when_ns = frame_ns(self.frames[at])
         frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])

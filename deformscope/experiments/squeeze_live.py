@@ -1,4 +1,4 @@
-"""The container tracked while the hand squeezes it, beside the loop, and what was tracked when it is replayed."""
+"""The container tracked during the squeeze, outside the loop, and the recorded tracks in a replay."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, 
 BEHIND_S = 0.25
 """Where an image waits for longer than this, all but the newest one are left out. Devices' items come every 0.1 s."""
 FRESH_S = 0.5
-"""A change of depth that is older says nothing of now."""
+"""An older change of depth does not describe the present."""
 
 _tracker: ContainerTracker | None = None
 
@@ -29,8 +29,8 @@ _tracker: ContainerTracker | None = None
 def live_tracking(
     frames: SqueezeFrames, geometry: SqueezeGeometry, clock: Callable[[], int], *, real_time: bool
 ) -> Iterator[Tracking]:
-    """What tracks: a process of low priority beside devices that go on by themselves, else within the loop; nothing
-    without a camera, or where camera or container cannot be modelled, and `failed` says why."""
+    """The tracker: a process of low priority for devices on their own clock, else within the loop. None without a
+    camera, or if camera or container have no model; `failed` then has the reason."""
     frames.all_images, none, tracker = True, Tracking(), None
     try:
         tracker = container_tracker(geometry) if frames.camera else None
@@ -74,7 +74,7 @@ class LiveTracking(Tracking):
         self._newest_ns = self._skipped = 0
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """What came meanwhile is begun with."""
+        """Begin with the images that arrived meanwhile."""
         known = self._known()
         try:
             self._ask(first_ns)

@@ -1,6 +1,6 @@
-"""The container in one depth image after the other: its pose, and how the depth around the fingertip differs from that
-of the rigid model (Thesis ch. 2). It is the same function of the same images while the hand squeezes, afterwards, and
-when a recording is replayed."""
+"""The container in successive depth images: its pose, and the difference of the depth around the fingertip from that of
+the rigid model (Thesis ch. 2). It is the same function of the same images while the hand squeezes, afterwards, and when
+a recording is replayed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ DENT_M = 0.035
 JUMP_M, FASTEST_M_S = 0.005, 0.15
 """A container that is held moves by no more than the first and, for each second, the second. Chosen."""
 MARGIN_PX = 120
-"""Around the container: no pixel farther away is looked at."""
+"""Margin around the container: no pixel farther away is used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +59,7 @@ class ContainerImage:
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedImage:
     """What was found in an image. when_ns: its time on the host's clock; measured: the change of depth, None = none
-    costs: what it took while the hand squeezed"""
+    costs: its computation time during the squeeze"""
 
     when_ns: int
     container: TrackedContainer
@@ -75,7 +75,7 @@ class TrackedImage:
 
 
 class ContainerTracker:
-    """A camera that looks at a container of known form, and at the hand that squeezes it; where it was seen last.
+    """A camera in front of a container of known form, and of the hand that squeezes it; the last pose.
 
     rest: the image in which it was located before, None = not yet
     """

@@ -36,7 +36,7 @@ AIR_FRAMES = BASELINE_FRAMES
 """Tactile frames in the air, the fingers open and at rest, before they close."""
 AIR_TIMEOUT_S = 3.0
 AFTER_S = 0.5
-"""A recording goes on for so long after the hand was stopped."""
+"""Duration of a recording after the hand was stopped."""
 RELEASES = (
     SqueezeFault.SATURATED,
     SqueezeFault.OVER_SQUEEZED,
@@ -44,7 +44,7 @@ RELEASES = (
     SqueezeFault.NO_CONTACT,
     SqueezeFault.NOT_STILL,
 )
-"""After these the hand, once it stands, opens again: what it holds is not to be pressed any longer."""
+"""After these the hand, once at rest, opens again: it must not press its content any longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +54,28 @@ class PreShape:
 
 @dataclass(frozen=True, slots=True)
 class SqueezeOnce:
-    """A command: close until the fingers stand still, hold, open."""
+    """A command: close until the fingers rest, hold, open."""
 
 
 @dataclass(frozen=True, slots=True)
 class HandWait:
-    """A command: stand still and let the devices be recorded, stopped or not."""
+    """A command: rest and let the devices be recorded, stopped or not."""
 
     seconds: float
 
 
 class SqueezeEnded(InputError):
-    """The squeeze must not go on. stop: why; time_ns: when, on the devices' clock"""
+    """The squeeze must stop. stop: why; time_ns: when, on the devices' clock"""
 
     def __init__(self, stop: SqueezeStop, time_ns: int) -> None:
-        super().__init__("a squeeze that comes to its steady state", f"{stop.kind}: {stop.reason}", stop.advice)
+        super().__init__("a squeeze that reaches its steady state", f"{stop.kind}: {stop.reason}", stop.advice)
         self.stop, self.time_ns = stop, time_ns
 
 
 @contextlib.contextmanager
 def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
-    """What computes the features. Devices that go on by themselves are not waited for: hand and features then have a
-    thread each."""
+    """What computes the features. Devices on their own clock are not waited for: hand and features then have a thread
+    each."""
     if not setup.runs_itself:
         yield Inline()
         return
@@ -169,18 +169,18 @@ class SqueezingHand:
 
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:
-        """Carry commands out in a thread of their own: devices that run by themselves are recorded meanwhile."""
+        """Carry commands out in a thread: devices on their own clock are recorded meanwhile."""
         with ThreadPoolExecutor(1, "hand", be_prompt, (STEERING,)) as self._pool:
             yield
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person wants it to stop: the hand stands within a control period."""
+        """A person requests a stop: the hand is at rest within a control period."""
         self._robot.ask_to_stop(reason)
         if self.arm is not None:
             self.arm.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Stop the hand and set its current limits as they were; whether it confirmed both. From any thread: a command
+        """Stop the hand and restore its current limits; returns whether it confirmed both. From any thread: a command
         that is under way ends in its next control period."""
         self._robot.ask_to_stop(reason)
         try:
@@ -264,7 +264,7 @@ class SqueezingHand:
         self.doing = ""
 
     def _wait_in_the_air(self, onset: OnsetDetector) -> None:
-        """Take the fingertips' baseline. What already touches them would be taken for nothing."""
+        """Take the fingertips' baseline. An existing contact would become the zero."""
         robot, seen = self._robot, 0
         until_ns = self._clock() + round(1e9 * AIR_TIMEOUT_S)
         while seen < AIR_FRAMES:
@@ -279,7 +279,7 @@ class SqueezingHand:
                 robot.fail(SqueezeFault.TACTILE_SILENT, f"{seen} frames in {AIR_TIMEOUT_S:g} s")
 
     def _ended(self, stopped: SqueezeStopped) -> SqueezeEnded:
-        """The hand stands, its limits are as they were; it opens where what it holds must not be pressed longer."""
+        """The hand is at rest, its limits are restored; it opens if it must not press its content longer."""
         verdict, robot = stopped.verdict, self._robot
         self.halt(str(verdict.fault))
         self.begin("stopped")
@@ -304,8 +304,8 @@ class SqueezingHand:
         return self._setup.clock()
 
     def cycled(self) -> None:
-        """In each control period, the arm's too. An arm that must not stand so ends what the hand does, in the same
-        period; but for fingers that open, as an arm that is pushed is freed by that (it does not withdraw then)."""
+        """In each control period, the arm's too. An arm that left its pose ends the hand's motion, in the same period.
+        Fingers that open continue, which frees an arm that is pushed (it does not withdraw then)."""
         self._on_cycle()
         if (faulty := self._arm_faulty()) and self.doing != OPEN:
             self._robot.supervisor.stop(SqueezeFault.ARM, faulty, self._clock())

@@ -28,8 +28,8 @@ def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: 
 def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Executor, Stage]]:
     """What computes, and how to have a stage computed there; its state lasts until the end of the context.
 
-    Devices that go on by themselves are not to be waited for: then it is a process of its own, with one thread of BLAS
-    and a low priority. On a simulated clock nothing goes on meanwhile, and it is computed within the loop.
+    Devices on their own clock must not wait: then it is a child process, with one thread of BLAS and a low priority. On
+    a simulated clock nothing runs meanwhile, and it is computed within the loop.
     """
     given = SetupGeometry.of(setup), options, setup.truth
     if not setup.runs_itself:

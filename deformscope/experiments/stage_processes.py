@@ -1,4 +1,4 @@
-"""Processes that compute stages beside the loop that reads devices."""
+"""Processes that compute stages outside the loop that reads devices."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from deformscope.stages.regions.touches import MapGrid
 
 
 class StageProcesses:
-    """A process for every stage; they have loaded what they need when the context begins, before any device is opened.
+    """A process for every stage; they have loaded their modules when the context begins, before any device is opened.
 
     A process, no thread: both ask for Python's lock all the time. On two cores with `lab:bench` a fit of beta came
-    3.6 s after its frame from a thread, 0.6 s from a process. Of the lowest priority unless `nice` says otherwise:
-    eight stages of the same priority as the recording left it 6 % of a core, and ended it.
+    3.6 s after its frame from a thread, 0.6 s from a process. Of the lowest priority by default: eight stages of the
+    same priority as the recording left it 6 % of a core, and ended it.
     """
 
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, nice: int = LAST_NICE) -> None:

@@ -152,7 +152,7 @@ def touch_estimate(
 
 
 def off_seen_m(touched: TouchMeasurement, estimate: TouchEstimate, tip_radius_m: float) -> float:
-    """How far along the normal a touch met the surface from where it was seen [m]; infinite where it met none."""
+    """Distance along the normal from the observed surface to a touch's contact [m]; infinite without a contact."""
     if not np.isfinite(estimate.contact_m):
         return float("inf")
     began_m = float((touched.position_m[0] - estimate.xyz_m) @ estimate.normal)

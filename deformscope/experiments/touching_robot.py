@@ -44,32 +44,32 @@ from deformscope_drivers.priority import STEERING, be_prompt
 from deformscope_drivers.subscription import Subscription
 
 DENT_PICTURES = 10
-"""Of a dent's pictures, at most the last so many are taken together."""
+"""Largest number of last pictures of a dent that are combined."""
 PREFLIGHT_CELL_M = 0.02
 """The outermost places that can be reached are sought on a grid of this."""
 LOOKS = 3
 """Pictures of the surface that are taken together before any touch."""
 OFF_MIDDLE = 0.15
-"""Share of an image's width and height by which the principal point may be off its middle: real lenses are off by less,
-values of another resolution by more."""
+"""Largest distance of the principal point from the image's middle, as a share of width and height. Real lenses are
+closer, values of another resolution further."""
 LOOK_PERIODS = 1000
 """Control periods in which they come, or the camera is silent."""
 KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
 IDLE_S = 0.02
-"""A robot that may not move yet looks so often whether there is a command."""
+"""Period at which a robot without permission checks for a command."""
 SWITCH_S = 5e-4
 """A thread that waits for Python's lock is let in after this. With Python's 5 ms a control period, which waits for it
-several times, comes late where threads beside it write and draw."""
+several times, is late if other threads write and draw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckFirst:
-    """A command: look at everything before anything moves; its answer is a `Preflight`.
+    """A command: run all checks before anything moves; its answer is a `Preflight`.
 
-    calibrated: what has to be, by name, and whether it is; places_m: (n, 2) that will be touched, None = any that can
-    be reached; ask_finger: says to a person that they have to press the tip, where nothing else guards the arm; None =
-    they have
+    calibrated: the required calibrations, by name, and whether they are done; places_m: (n, 2) that will be touched,
+    None = any that can be reached; ask_finger: says to a person that they have to press the tip, where nothing else
+    guards the arm; None = they have
     """
 
     calibrated: Mapping[str, bool] = field(default_factory=dict)
@@ -81,8 +81,8 @@ class CheckFirst:
 def touching_robot(
     setup: Setup, source: RigSource, options: ExploreOptions, on_cycle: Callable[[], None] = lambda: None
 ) -> Iterator[TouchingRobot]:
-    """The robot over the devices of an open source; it cycles by itself, where its devices do, until the end of the
-    context. on_cycle: called in every control period"""
+    """The robot over the devices of an open source; with devices on their own clock it cycles in a thread, until the
+    end of the context. on_cycle: called in every control period"""
     robot = TouchingRobot(lambda watch: setup.robot(source, watch), setup, options, on_cycle)
     if not setup.runs_itself:
         yield robot
@@ -93,8 +93,8 @@ def touching_robot(
 
 @contextlib.contextmanager
 def without_long_pauses() -> Iterator[None]:
-    """Keep what was loaded until now out of Python's search for garbage, which would hold all threads up for 0.1 s and
-    more, in the middle of a motion; and have threads take turns more often."""
+    """Exempt loaded objects from Python's garbage collection, which would stop all threads for 0.1 s and more, in the
+    middle of a motion; and switch threads more often."""
     gc.collect()
     gc.freeze()
     as_before_s = sys.getswitchinterval()
@@ -110,7 +110,7 @@ class TouchingRobot:
     """Opened devices that look and touch (`deformscope.robot`); a `SessionRobot`.
 
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
-    reason_to_stand: asked in each control period of a motion: a reason to stand still and end it, empty = none
+    reason_to_stand: called in each control period of a motion: a reason to stop and end it, empty = none
     stopped: fails with what stops the robot while it carries nothing out
     largest_force_n: magnitude that the sensor measured in any touch so far, its tare taken off [N]
     """
@@ -198,8 +198,8 @@ class TouchingRobot:
 
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:
-        """Carry commands out in a thread that goes on cycling while there are none, once the robot may move: the
-        supervisor looks in every period, whatever is computed or recorded meanwhile."""
+        """Carry commands out in a thread that continues to cycle between them, once the robot may move. The supervisor
+        checks every period, whatever is computed or recorded meanwhile."""
         commands: queue.SimpleQueue[tuple[object, Future[Any]]] = queue.SimpleQueue()
         self._commands = commands
         over = threading.Event()
@@ -284,7 +284,7 @@ class TouchingRobot:
     def format_forces(self) -> str:
         """What a touch presses with, in words."""
         set_n, more_n = self._options.set_force_n, self.geometry.more_force_n(self._options)
-        return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N where that makes a dent below 2 mm")
+        return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N if the dent is below 2 mm")
 
     def let_move(self, preflight: Preflight) -> None:
         """From now on the robot may move. Raises InputError where a check has failed, with which."""
@@ -294,7 +294,7 @@ class TouchingRobot:
     # Looking and touching ---------------------------------------------------------------------------------------------
 
     def look(self) -> Looked:
-        """The newest pictures of the surface, and where the robot stands."""
+        """The newest images of the surface, and the robot's pose."""
         self._robot.start()
         with self._pictures_kept():
             pictures = self._take_pictures(LOOKS)
@@ -313,7 +313,7 @@ class TouchingRobot:
         """Go to a place (2,) [m], touch along the normal, keep the pictures of the dent, come back; what is returned
         puts together what was measured.
 
-        Raises ExplorationStopped, and TouchHeld where it was broken off: the arm then stands.
+        Raises ExplorationStopped, and TouchHeld for a touch that was stopped: the arm is then at rest.
         """
         robot = self._robot
         robot.start()
@@ -347,13 +347,13 @@ class TouchingRobot:
         return partial(self._touched, record, dents, xy_m, robot.pose)
 
     def _dry_run(self, record: TouchRecord, xy_m: FloatArray) -> ExplorationStopped:
-        """Nothing was met, as it should be; else what was."""
+        """No contact, as expected; else the contact."""
         where = f"{100 * self._options.lift_m:g} cm above ({100 * xy_m[0]:.0f}, {100 * xy_m[1]:.0f}) cm"
         if record.ending is not TouchEnding.NO_CONTACT:
             return self._stop(record.ending, f"{where}: {record.reason or 'something was met'}")
         lowest_m = float(record.position_m[:, 2].min()) - self.geometry.placement.center_offset_m
         over_cm = 100.0 * (lowest_m - float(record.plan.point_m[2]) + self._options.lift_m)
-        reason = f"the first touch, {where}, met nothing; the tip stayed {over_cm:.1f} cm above the surface"
+        reason = f"the first touch, {where}, made no contact; the tip stayed {over_cm:.1f} cm above the surface"
         return ExplorationStopped(ExplorationStop(DRY_RUN, reason, "", str(Action.GO_ON), 0), self._setup.clock())
 
     def _touched(
@@ -394,7 +394,7 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """The present action, or what it waits for, in words; empty between touches."""
+        """The present action, or its condition for continuing, as text; empty between touches."""
         if self._phase is None:
             return self._waits
         words = f"touch {self._touches + 1}: {self._phase}"
@@ -411,7 +411,7 @@ class TouchingRobot:
         return np.zeros(0) if self._made is None else self._made.gaps_s
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person wants it to stop: the arm stands within a control period, and the exploration ends."""
+        """A person requests a stop: the arm is at rest within a control period, and the exploration ends."""
         if self._made is not None:
             self._made.ask_to_stop(reason)
 
@@ -443,7 +443,7 @@ class TouchingRobot:
     def _stop(
         self, cause: Fault | TouchEnding, reason: str, action: Action = Action.STOP, time_ns: int | None = None
     ) -> ExplorationStopped:
-        """The arm stands."""
+        """The arm is at rest."""
         self._robot.halt(f"{cause}: {reason}")
         self._phase = self._pressed_m = None
         time_ns = self._setup.clock() if time_ns is None else time_ns
@@ -457,7 +457,8 @@ class TouchingRobot:
 
     @contextlib.contextmanager
     def _pictures_kept(self) -> Iterator[None]:
-        """From now on new pictures wait to be taken; at other times nobody takes them, and they would count as lost."""
+        """From now on new pictures wait in the queue; at other times no caller takes them, and they would count as
+        lost."""
         if self._robot.camera is None:
             yield
             return
@@ -478,13 +479,13 @@ class TouchingRobot:
 
 
 def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Raises InputError for a principal point (x, y) [px] that is not near the middle of images (rows, columns): of
-    another resolution, by which everything would be seen elsewhere than it is."""
+    """Raises InputError for a principal point (x, y) [px] that is not near the middle of images (rows, columns). It
+    belongs to another resolution, and would displace all measured points."""
     rows, columns = shape[:2]
     off = np.abs(np.asarray(center_px) - (0.5 * columns, 0.5 * rows)) / (columns, rows)
     if (off > OFF_MIDDLE).any():
         came = f"({center_px[0]:g}, {center_px[1]:g}) in images of {columns} x {rows} px"
-        try_this = "focal_px and center_px for this resolution, or neither: then the camera's own are used"
+        try_this = "focal_px and center_px for this resolution, or neither: then the camera's own values are used"
         raise InputError("[camera] center_px near the middle of its images", came, try_this)
 
 
@@ -493,7 +494,7 @@ def reported_lens(reported: Intrinsics | None) -> tuple[tuple[float, float], tup
     if reported is None:
         raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
     if any(reported.distortion):
-        came = f"none, and a camera whose pictures have distortion = {list(reported.distortion)}"
+        came = f"none, and a camera whose images have distortion = {list(reported.distortion)}"
         raise InputError("[camera] focal_px, center_px and distortion", came, "deformscope calibrate camera")
     return (reported.fx_px, reported.fy_px), (reported.cx_px, reported.cy_px)
 

@@ -2,8 +2,8 @@
 
 Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
 `deformscope.stages.fit.shared_errors`, how ways of fitting are compared in `deformscope.stages.fit.held_out`. Cluster
-size and held set are chosen by static states, which alpha and dt do not alter; these two by time stepping through the
-frames, afterwards.
+size and held set are selected by static states, which do not depend on alpha and dt. Those two are selected afterwards,
+by time stepping through the frames.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ class TrackedMotion:
     times: list[float]
 
     def frames(self, most: int) -> IntArray:
-        """(n,) frames after the first, which says nothing: all, or an even part of them that has the last."""
+        """(n,) frames after the first, which has no information: all, or an even part of them that includes the
+        last."""
         count = len(self.history) - 1
         return np.unique(np.linspace(count, 1, min(count, max(most, 1))).round().astype(int))
 
@@ -84,7 +85,7 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The way that was chosen, all that were tried, and what can be said of the choice."""
+    """The selected model, all candidates, and remarks on the selection."""
 
     way: Way
     table: tuple[Choice, ...]
@@ -109,7 +110,7 @@ def whole_motion(
 ) -> Experiment[Calibration]:
     """Follow particles through the frames that are sent, fit all of them, and simulate every frame.
 
-    asked: what is chosen by held-out error; the rest stays as `fit` and `particles` have it
+    asked: options selected by held-out error; the rest stays as in `fit` and `particles`
     mask: (H, W) True where the thing is in the first frame
     """
     motion = yield from tracked_motion(particles, mask)
@@ -180,7 +181,7 @@ def select(
     asked: tuple[Selectable, ...],
     progress: Progress | None = None,
 ) -> Selection:
-    """Choose what is to be chosen by the error on particles left out."""
+    """Select the options by the error on particles left out."""
     if not asked:
         return Selection(_ways(motion, particles, fit.model, ())[0], (), "")
     ways = _ways(motion, particles, fit.model, asked)
@@ -205,7 +206,7 @@ def select(
 
 
 def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
-    """The held sets that are tried: what was asked for, and others that the flags make possible."""
+    """The held sets that are tried: the requested one, and others that the flags make possible."""
     every: list[tuple[str, ...]] = [("bottom",), ("top", "bottom"), ("border",)]
     if particles.contact is not None:
         every = [("bottom", "contact"), ("top", "bottom", "contact"), ("border", "contact")]
@@ -213,7 +214,7 @@ def held_sets(particles: ParticleOptions) -> list[tuple[str, ...]]:
 
 
 def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choices: Sequence[Selectable]) -> list[Way]:
-    """Those of static states; the first is the one that was asked for."""
+    """Those of static states; the first is the requested one."""
     last, contact = motion.history[-1], particles.contact_rect
     sizes: list[int | None] = [model.cluster_size]
     if "cluster-size" in choices:
@@ -236,7 +237,7 @@ def _judges(motion: TrackedMotion, ways: Sequence[Way]) -> BoolArray:
     judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
     if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
         raise InputError(
-            f"{JUDGES_LEAST} particles that are free whatever is held, to judge by",
+            f"{JUDGES_LEAST} particles that are free with all held parts, for the comparison",
             str(np.count_nonzero(judged & motion.history[-1].seen)),
             "a finer --grid, or --select without held",
         )
@@ -348,7 +349,7 @@ def _pace_message(tried: Sequence[Trial], best: int, still: HeldOut, choices: Se
         said.append("alpha " + _span([pace.alpha for pace in good]))
     if "dt" in choices:
         said.append("dt " + _span([pace.dt for pace in good]) + " s")
-    return f"time stepping fits better than static states: {', '.join(said)} (what creeps or yields looks so too)"
+    return f"time stepping fits better than static states: {', '.join(said)} (creep and yield have the same effect)"
 
 
 def _span(values: Sequence[float]) -> str:

@@ -27,7 +27,7 @@ DEFLATED_AT_MOST = 1100
 SAMPLES = {"pair": "sample:pair", "motion": "sample:press"}
 """An example of each kind of file."""
 LATTICE_CELLS = 10_000_000
-"""A lattice with holes may have so many cells: arrays of that size are made of it."""
+"""Largest number of cells of a lattice with holes: arrays of that size are made."""
 
 
 def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.NDArray[Any]]:
@@ -36,9 +36,9 @@ def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.
     expected, where: what the file should be, and its name, for messages. Raises InputError for bytes that are no such
     file or damaged. Nothing is allocated that the bytes cannot fill.
     """
-    came = "a file that is none, or damaged"
+    came = "a damaged file, or one of another kind"
     if raw.startswith(np.lib.format.MAGIC_PREFIX):
-        raise InputError(expected, "one array by itself (.npy)", "numpy.savez(FILE.npz, rest=..., ...)", where)
+        raise InputError(expected, "a single array (.npy)", "numpy.savez(FILE.npz, rest=..., ...)", where)
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename.endswith(".npy")]
@@ -52,7 +52,7 @@ def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:
     """One array; refused before it is allocated where the file cannot hold as much as it says."""
     if entry.file_size > DEFLATED_AT_MOST * (entry.compress_size + 1):
-        raise ValueError("more than its bytes can hold")
+        raise ValueError("more data than its bytes can hold")
     with archive.open(entry) as file:
         version = np.lib.format.read_magic(file)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -122,7 +122,7 @@ def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np
 
 
 def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -> T:
-    """What `parse` makes of a file's arrays; what it refuses names the file."""
+    """The result of `parse` on a file's arrays; a refusal names the file."""
     found = read_arrays(raw, f"a {kind} file (.npz of arrays)", where)
     try:
         return parse(found)
@@ -130,7 +130,7 @@ def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -
         raise type(error).about(error, where) from error
 
 
-NOT_KNOWN = "leave it out if it is not known"
+NOT_KNOWN = "leave it out if it is unknown"
 
 
 def lattice(found: Arrays, rest: npt.NDArray[Any]) -> tuple[tuple[int, ...] | None, npt.NDArray[Any] | None]:

@@ -70,7 +70,7 @@ def classifier_arrays(model: ContentModel) -> dict[str, npt.NDArray[Any]]:
 
 
 def _put(arrays: dict[str, npt.NDArray[Any]], prefix: str, name: str, model: ModalityModel) -> dict[str, Any]:
-    """Adds a modality's arrays; returns what the JSON says of it."""
+    """Adds a modality's arrays; returns their description for the JSON."""
     own = {"used": model.scaling.used, "mean": model.scaling.mean, "scale": model.scaling.scale}
     own |= {"centre": model.centre, "directions": model.directions}
     own |= {"weight": model.expert.pool.weight, "offset": model.expert.pool.offset}
@@ -89,7 +89,7 @@ def _put(arrays: dict[str, npt.NDArray[Any]], prefix: str, name: str, model: Mod
 
 
 def save_classifier(model: ContentModel, path: Path) -> None:
-    """Write a model; a file that stands there is replaced when the new one is complete."""
+    """Write a model; an existing file is replaced when the new one is complete."""
     with replacing(path) as file:
         np.savez_compressed(file, **classifier_arrays(model))  # type: ignore[arg-type]  # numpy's stub
 
@@ -114,7 +114,7 @@ def load_classifier(path: Path) -> ContentModel:
         return _model(found)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError) as error:
         came = f"one without or with a wrong {' '.join(str(error).split())[:120]}"
-        raise InputError("a whole classifier file", came, HOW, path) from error
+        raise InputError("a complete classifier file", came, HOW, path) from error
 
 
 def _model(found: Arrays) -> ContentModel:

@@ -29,7 +29,7 @@ ARRAYS = ("rest", "toward", "fixed", "places", "stiffness", "left_out")
 
 
 def save_model(model: FittedModel, path: Path) -> None:
-    """Write a model; a file that stands there is replaced in one go."""
+    """Write a model; an existing file is replaced in one step."""
     described: dict[str, Any] = {
         "body": model.body,
         "law": dataclasses.asdict(model.law),
@@ -71,7 +71,7 @@ def load_model(path: Path) -> FittedModel:
     try:
         return _model(found)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError("a whole model file", f"one without or with a wrong {error}", where=path) from error
+        raise InputError("a complete model file", f"one without or with a wrong {error}", where=path) from error
     except InputError as error:
         raise type(error).about(error, path) from error
 

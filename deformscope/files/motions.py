@@ -16,8 +16,8 @@ from deformscope.stages.fit.plausible import check_metres, check_same_unit
 def parse_motion(raw: bytes, where: object = "", *, noise_m: float | None = None) -> Motion:
     """The motion in a file's bytes.
 
-    Needed: `rest (K, d)` before any load and `motion (T, K, d)` in metres, d = 2 or 3, NaN where a particle was not
-    seen; `held`, whose positions are prescribed: indices `(n,)` for all frames, or bool `(T, K)` where a tool comes and
+    Needed: `rest (K, d)` before any load and `motion (T, K, d)` in metres, d = 2 or 3, NaN for unseen particles.
+    `held`, whose positions are prescribed, is indices `(n,)` for all frames, or bool `(T, K)` for a tool that comes and
     goes. Optional: `dt` [s] between frames, or `(T - 1,)`; `shape` and `cell` as in a pair file; `noise_m`.
     noise_m: instead of the file's. Raises InputError for what is missing, does not fit together or cannot be metres.
     """

@@ -33,10 +33,10 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     number: deviation of what all held positions are off by as one; 0 = registered exactly), `force_n` with
     `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
-    `tip` (flat, disc, sphere) with `tip_size_m`: what pressed `contact`, where particles do not show its size, and
-    `tip_at_m (d,)`, where its axis met the body: particles show that no better than they stand apart.
-    Without `shape`, a rest shape that is regular within 1 % is taken as a lattice. noise_m: instead of the file's.
-    Raises InputError for what is missing, does not fit together, is not finite, or cannot be metres.
+    `tip` (flat, disc, sphere) with `tip_size_m`: the tip on `contact`, if particles do not show its size, and `tip_at_m
+    (d,)`, the place of its axis: particles show that only within their spacing. Without `shape`, a rest shape that is
+    regular within 1 % is taken as a lattice. noise_m: instead of the file's. Raises InputError for what is missing,
+    does not fit together, is not finite, or cannot be metres.
     """
     return parsed(raw, "pair", where, lambda found: _observation(found, noise_m))
 
@@ -61,7 +61,7 @@ def _observation(found: Arrays, noise_m: float | None) -> Observation:
             raise InputError(f"one noise_m, or {count}", str(noise.size))
         noise = np.broadcast_to(noise.reshape(-1), (count,)).copy()
         if not (np.isfinite(noise).all() and (noise >= 0.0).all()):
-            raise InputError("noise_m of 0 or more", "a negative or no number", NOT_KNOWN)
+            raise InputError("noise_m of 0 or more", "a negative number, or none", NOT_KNOWN)
     held_noise = number(found, "held_noise_m")
     if noise is not None and held_noise:
         noise[held] = held_noise

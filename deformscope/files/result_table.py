@@ -1,4 +1,4 @@
-"""Tables of results: made a row at a time, kept as Parquet, filtered by a condition that can do nothing else."""
+"""Tables of results: made a row at a time, stored as Parquet, filtered by a condition without other effects."""
 
 from __future__ import annotations
 
@@ -99,9 +99,9 @@ def read_table(path: Path) -> pa.Table:
 def select_rows(table: pa.Table, where: str = "", sort: str = "") -> pa.Table:
     """The rows for which a condition holds, in the order of a column. Raises InputError for what cannot be used.
 
-    where: columns compared with values, with `and`, `or`, `not`, `in` and brackets, as Python has them; `"word" in
-    column` looks within texts; a column may be named by the end of its name, where that is of one alone
-    sort: a column, the largest first where a `-` stands before it
+    where: columns compared with values, with `and`, `or`, `not`, `in` and brackets, as in Python. `"word" in column`
+    looks within texts; a column may be named by the end of its name, if that is unique
+    sort: a column, the largest first with a `-` before it
     """
     if where:
         try:
@@ -129,7 +129,7 @@ def find_column(name: str, names: list[str]) -> str:
 
 
 def _condition(node: ast.expr, names: list[str]) -> Any:
-    """Columns and conditions as Arrow's expressions, values as they are."""
+    """Columns and conditions as Arrow's expressions, values unchanged."""
     match node:
         case ast.Constant(value) if value is None or isinstance(value, str | int | float):
             return value

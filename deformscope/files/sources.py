@@ -34,8 +34,8 @@ RECORDING_SUFFIX = ".rrd"
 class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
-    name: what it is, for a progress line; count: how many frames it will give, None where only reading shows (the
-    count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
+    name: the source's name, for a progress line; count: how many frames it will give, None where only reading shows
+    (the count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Source:
         self._ahead: list[ColorFrame] = []
 
     def __enter__(self) -> Source:
-        """Open it and look at the first two frames, so that what cannot be used is refused before any work."""
+        """Open it and read the first two frames, so that unusable input is refused before any work."""
         self._frames = self._open()
         try:
             self._ahead = list(itertools.islice(self._frames, 2))
@@ -75,7 +75,8 @@ class Source:
             yield from self._frames
 
     def thin(self, most: int) -> None:
-        """Give so many frames at most, evenly spread, the last one among them; two at least. Once it was entered."""
+        """Give at most this number of frames, evenly spread, the last one among them; two at least. Once it was
+        entered."""
         if self.count is None or self.count <= most or self._frames is None:
             return
         kept = np.unique(np.linspace(0, self.count - 1, max(most, 2)).round().astype(int)).tolist()
@@ -113,7 +114,7 @@ def open_source(
     """A source of frames from what the user named.
 
     paths: one video, folder, recording or `sample:NAME`, or two or more image files in their order
-    stride: keep every n-th frame; a frame's index counts the kept ones
+    stride: use every n-th frame; a frame's index counts the used ones
     fps: frames a second of the source before `stride`; default: the video's own, else 30; a recording has its stamps
     mask: an image that is no frame, should it lie among them
     camera: whose images, where a recording holds those of several
@@ -172,7 +173,7 @@ def _images(paths: list[Path], name: str, stride: int, fps: float | None, mask: 
     frames = [path for path in paths if path.resolve() != masked]
     if not frames:
         came = "the mask alone" if paths else "none"
-        raise InputError("a folder with images, one a frame", came, "a folder that holds PNG, TIFF or JPEG files", name)
+        raise InputError("a folder with images, one a frame", came, "a folder with PNG, TIFF or JPEG files", name)
     kept = frames[::stride]
     if len(kept) < 2:
         came = f"{len(frames)} image{'s' * (len(frames) > 1)}" + (f" and a stride of {stride}" if stride > 1 else "")
@@ -235,7 +236,7 @@ def _capture(path: Path) -> Iterator[cv2.VideoCapture]:
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
         if not capture.isOpened():
-            came = "an empty file" if path.stat().st_size == 0 else "a file that is none, or damaged"
+            came = "an empty file" if path.stat().st_size == 0 else "a damaged file, or one of another kind"
             raise InputError("a video that FFmpeg can read", came, "convert it to MP4, or to a folder of PNG", path)
         yield capture
     finally:

@@ -37,7 +37,7 @@ STEP_S = 0.1
 MODALITIES = ("tactile", "vision", "vision_small", "physical")
 """In this order."""
 SERIES = {"tactile": "series", "vision_small": "series_vision_small"}
-"""Columns of the modalities that are kept over the squeeze."""
+"""Columns of the modalities that are stored over the squeeze."""
 NEW = "deformscope squeeze ... --dataset FOLDER"
 
 
@@ -46,7 +46,7 @@ class TrialEntry:
     """One squeeze in the index.
 
     trial: its name, unlike any other; content, container, container_type: what was squeezed; fill: share of the height
-    session, operator; T_hand_container: (16,) row by row, where the hand was to stand; seed: that it was drawn from
+    session, operator; T_hand_container: (16,) row by row, planned pose of the hand; seed: that it was drawn from
     software: versions; recorded_at: ISO 8601, UTC; recording: path from the folder, or empty
     first_s, steady_s: the events, since the recording's start [s], nan = none
     discarded: why it is left out, None = it is not
@@ -82,7 +82,7 @@ class TrialRow:
 
 
 class SqueezeDataset:
-    """`dataset = SqueezeDataset(folder)`, read anew by each call; `add` makes the folder where there is none.
+    """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing.
 
     settings: of the features; None = those of the folder
     """
@@ -238,7 +238,7 @@ class SqueezeDataset:
                 same = measured.setdefault(_features_of(row), name)
                 if same != name:
                     came = f"{name}, whose features are those of {same}"
-                    raise InputError("a trial that is not there yet", came, "another --seed", self.folder)
+                    raise InputError("a trial with a new name", came, "another --seed", self.folder)
             names.add(name)
 
     def _write(self, rows: Sequence[TrialRow]) -> None:
@@ -316,7 +316,7 @@ def _features_of(row: TrialRow) -> tuple[tuple[str, bytes], ...]:
 
 
 def _alike(one: TrialRow, other: TrialRow) -> bool:
-    """Features and label; what was said of it later may differ."""
+    """Features and label; later corrections may differ."""
     return one.features.keys() == other.features.keys() and all(
         np.array_equal(values, other.features[name], equal_nan=True) for name, values in one.features.items()
     )

@@ -183,4 +183,4 @@ def _parquet(raw: bytes) -> pa.Table:
     try:
         return parquet.read_table(pa.BufferReader(raw))
     except (pa.ArrowException, OSError) as error:
-        raise InputError("a Parquet table", "a file that is none, or damaged", HOW) from error
+        raise InputError("a Parquet table", "a damaged file, or one of another kind", HOW) from error

@@ -1,6 +1,6 @@
 """Whether a video gave all frames that it holds: what its container lists against what could be read, and the times.
 
-A damaged video is read without complaint: a decoder conceals, or leaves out, what it cannot make sense of.
+A damaged video is read without an error: a decoder conceals, or leaves out, undecodable parts.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ ROUNDED_S = 0.0015
 class VideoCheck:
     """Fed with each frame that is read, and each that is not; `problems` once the end has come.
 
-    claimed: how many frames the container is said to hold, 0 = not known; rate_hz: as it says
-    Only a container with a table of its frames (MP4, MOV, AVI) is taken at its word; elsewhere the count is made of a
-    duration, which may be that of the sound. There, times must be even for a gap to be one.
+    claimed: how many frames the container is said to hold, 0 = not known; rate_hz: as stated Only a container with a
+    table of its frames (MP4, MOV, AVI) is relied on; elsewhere the count comes from a duration, which may be that of
+    the sound. There, times must be even for a gap to be one.
     """
 
     def __init__(self, path: Path, claimed: float, rate_hz: float) -> None:
@@ -54,7 +54,7 @@ class VideoCheck:
         period_s = _even_period_s(self._times_s)
         gaps = [] if period_s is None else _gaps(self._times_s, period_s)
         if layout.cut_off:
-            found.append("the file is cut off")
+            found.append("the file is truncated")
         if self._unreadable:
             found.append(f"{self._unreadable} frames could not be decoded")
         if layout.listed and self._claimed:
@@ -67,7 +67,9 @@ class VideoCheck:
         elif layout.silent and self._claimed and self._rate_hz and period_s is not None:
             short_s = self._claimed / self._rate_hz - (self._times_s[-1] - self._times_s[0] + period_s)
             if short_s > 2.5 * period_s:
-                found.append(f"it should last {self._claimed / self._rate_hz:.3g} s, {short_s:.3g} s more than it does")
+                found.append(
+                    f"its stated duration is {self._claimed / self._rate_hz:.3g} s, {short_s:.3g} s more than it has"
+                )
         return found + [f"{missing} frames are missing after {time_s:.3g} s" for time_s, missing in gaps]
 
 

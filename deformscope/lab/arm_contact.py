@@ -41,7 +41,7 @@ class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
     world: what is touched; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest
-    magnitude so far; finger_n: (3,) somebody's finger on the tip besides, surface frame [N]
+    magnitude so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
     """
 
     def __init__(
@@ -56,8 +56,8 @@ class ArmContact:
     ) -> None:
         """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
 
-        goes_on: between two looks at the world the force goes on as it went between the two before, rather than stay:
-        half a cycle less behind the place, which an energy lost in a touch would show
+        goes_on: between two evaluations of the world the force is extrapolated rather than constant: half a cycle less
+        behind the place, which an energy lost in a touch would show
         """
         self.force_n: FloatArray = np.zeros(3)
         self.max_force_n = 0.0
@@ -91,7 +91,7 @@ class ArmContact:
             self._arm.push(np.zeros(6))
 
     def load(self, time_s: float) -> FloatArray:
-        """(3,) what a force sensor in the tip feels, in the tip's frame [N]."""
+        """(3,) force on a force sensor in the tip, in the tip's frame [N]."""
         felt_n = self._felt_n
         if self._goes_on and np.any(felt_n) and np.any(self._before_n):
             since = np.clip((time_s * 1e9 - self._felt_ns) / ARM_CYCLE_NS, 0.0, 1.0)
@@ -120,8 +120,8 @@ class ArmContact:
         """The force at which the arm's give and the world's are in balance.
 
         The deflection s along the force's direction solves |press(center + s e)| * compliance = s, whose left side
-        falls with s: by the secant method from where the last cycle ended, which takes one or two looks at the world,
-        and between brackets where the contact is so stiff that this leaves them.
+        falls with s. The secant method starts from the end of the last cycle and takes one or two evaluations of the
+        world. It is bracketed for contacts so stiff that it diverges.
         """
         at_m = self._deflection_m
         force_n = self.world.press(center_m + at_m * self._direction)

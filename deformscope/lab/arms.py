@@ -28,7 +28,7 @@ from deformscope_drivers.wires import LOOPBACK
 
 UP = np.array([0.0, 0.0, 1.0])
 LOOKS = 5
-"""A simulated person answers at the so many-th look."""
+"""Number of the look at which a simulated person answers."""
 ACROSS_SD_M, ALONG_SD_M = 5e-4, 3e-5
 """How exactly a person places a stick across, and by the scale of a slide along it. Chosen."""
 
@@ -43,8 +43,8 @@ class ArmBody(PushedArm, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, closed; body: what moves; person: who places it, None = it moves by itself
-    wire: between them, to be entered before the arm is opened, None = nothing runs by itself
+    """arm: the driver's device, closed; body: what moves; person: places it; None = an arm with motors
+    wire: between them, to be entered before the arm is opened, None = no thread or process runs
     """
 
     arm: Arm[Any]
@@ -54,7 +54,7 @@ class ArmInLab:
 
 
 class SimulatedPerson:
-    """Puts a stand where they are asked to, as exactly as people do. asked: every request, in its order"""
+    """Places a stand at requested places, as exactly as people do. asked: every request, in its order"""
 
     def __init__(self, stand: StandDouble, seed: int = 0) -> None:
         self.asked: list[PlaceRequest] = []

@@ -1,12 +1,12 @@
 """A rigid ball pressed into a bonded layer of foam at large strain, without friction: finite elements around its axis.
 
 Nine-node quadrilaterals in a half plane (r, z), whose deformation gradient has the ring's stretch 1 + u_r / r as a
-third axis; Ogden's law; the ball's surface pushes out what enters it, along its own normal, by a penalty so stiff that
-the foam enters it by about a five hundredth of its radius where it is pressed hardest. Newton's method as of
+third axis; Ogden's law. The ball's surface pushes out nodes within it, along its own normal, by a penalty so stiff that
+they enter by about a five hundredth of its radius at the highest pressure. Newton's method as of
 `deformscope.lab.finite_strain`.
 
-Forces scale with the law's moduli, so that what large strain does is one number at each depth: the force over that of
-foam of the same modulus that stays linear (`deformscope.lab.plateau_world`).
+Forces scale with the law's moduli. So the effect of large strain is one number at each depth: the force over that of
+linear foam of the same modulus (`deformscope.lab.plateau_world`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the bench's doubles see and feel: a block of foam that a stick presses now and then, alike for all of them."""
+"""Scene of the bench's doubles: a block of foam that a stick presses now and then, the same for all of them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ FOAM_PX = (80, 400, 120, 520)
 FOAM_RGB, TABLE_RGB = (235, 205, 90), (120, 122, 126)
 MIDDLE_PX = (240.0, 330.0)
 PLATE_PX, STROKE_PX, BULGE = 70.0, 40.0, 0.5
-"""From the side: the lower edge of the plate at rest, how far it presses, and how much the foam widens in its middle
-for each share that it is shortened by; plate and table hold its ends."""
+"""From the side: the lower edge of the plate at rest, its press depth, and the foam's widening in its middle per share
+of shortening; plate and table hold its ends."""
 PLATE_RGB = (95, 98, 110)
 
 
@@ -69,8 +69,8 @@ def _picture(share: float) -> Picture:
 
 
 def side(time_s: float) -> Picture:
-    """(480, 640, 3) what a camera sees that looks at the foam from the side, RGB: a plate presses it from above, every
-    speck moves with the material."""
+    """(480, 640, 3) view of a camera at the foam's side, RGB: a plate presses it from above, every speck moves with the
+    material."""
     way_px = STROKE_PX * pressed(time_s)
     if way_px == 0.0:
         return _side_texture()

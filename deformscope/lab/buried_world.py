@@ -3,12 +3,12 @@
     world = slab_world(built_in("buried", seed=3))      # `SlabWorld` where nothing is buried
     world.press(tip, center_m)                          # as any
 
-What a tip feels within its own width needs elements of 1.5 mm, which a mesh as wide and as deep as an inclusion's
-effect cannot have. So the surface's compliance is that of the patch without the ball (`slab_world`), plus what the ball
-changes of it: the difference of two solutions of the whole slab on one mesh, with the ball and without, of elements of
-5 mm around the ball, wider elsewhere. That difference is smooth, since the ball lies a centimetre deep or more, and its
-mesh's errors at the surface are the same in both. The two are factorised once for a slab; a press costs what it costs
-without a ball. `tests/lab/test_buried_world.py` compares with one fine mesh of all.
+The contact at the tip's own scale needs elements of 1.5 mm, which a mesh as wide and as deep as an inclusion's effect
+cannot have. So the surface's compliance is that of the patch without the ball (`slab_world`), plus the ball's change of
+it. The change is the difference of two solutions of the whole slab on one mesh, with and without the ball, of elements
+of 5 mm around the ball, wider elsewhere. That difference is smooth, since the ball lies a centimetre deep or more, and
+its mesh's errors at the surface are the same in both. The two are factorised once for a slab; a press then costs no
+more than without a ball. `tests/lab/test_buried_world.py` compares with one fine mesh of all.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from deformscope.lab.scenes import BuriedBall, Scene
 from deformscope.lab.slab_world import Contact, Patch, SlabWorld
 
 ELEMENT_M, AROUND, GROWTH = 0.005, 1.5, 1.5
-"""Size of the elements around the ball, up to so many of its radii from its middle, and their growth beyond."""
+"""Size of the elements around the ball, up to this multiple of its radius from its middle, and their growth beyond."""
 UPPER_M = 0.0025
 """Thickness of the uppermost two layers of elements."""
 SAMPLES = 4
@@ -112,8 +112,8 @@ def _surface_compliance(
 
 
 def _moduli_pa(scene: Scene, ball: BuriedBall, corner_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(E,), (E,) modulus of each element, (3, 8, E) its corners [m], without the ball and with it: where its rim goes
-    through, the mean of what evenly strained and evenly stressed parts would have (Hill 1952)."""
+    """(E,), (E,) modulus of each element, (3, 8, E) its corners [m], without the ball and with it. Elements on its rim
+    have the mean of evenly strained and evenly stressed parts (Hill 1952)."""
     low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
     spots = np.stack(np.meshgrid(share, share, share), axis=-1).reshape(-1, 1, 3)

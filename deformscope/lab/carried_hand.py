@@ -1,5 +1,5 @@
-"""The laboratory of squeezes with an arm that carries the hand, and a container that stands on a table at an unknown
-place: seen by the camera, slid or toppled by whatever meets it.
+"""The laboratory of squeezes with an arm that carries the hand, and a container on a table at an unknown
+place: measured by the camera; a hit slides or topples it.
 
 Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's.
 """
@@ -51,10 +51,10 @@ T_BASE_TABLE: Final = {
 }
 """The table's frame where each arm reaches it well; a Jaco's wrist does not reach straight ahead."""
 READY_M: Final = (0.0, -0.12, 0.32)
-"""The middle between the pads where the arm stands first, the hand level and pointing away from it, table's frame."""
+"""First position of the middle between the pads, with the hand level and pointing away from the arm, table's frame."""
 SPREAD_M, TURNED_DEG = 0.08, 20.0
-"""Half the range along x and y of where the container stands, and of how it is turned: somebody sets a carton down with
-a narrow side towards the arm, more or less."""
+"""Half the range along x and y of the container's place, and of its turn. A person sets a carton down with a narrow
+side roughly towards the arm."""
 CAMERA: Final = DepthViewConfig(distance_m=1.0)
 T_TABLE_CAMERA: Final = looking_at(np.array([0.0, 0.0, 0.08]), 1.0, 35.0, 65.0)
 """It looks from beyond the container towards the arm, and from the side: the hand comes from behind the container."""
@@ -62,7 +62,7 @@ ARM_POLL_NS, ALL_POLL_NS = 2_000_000, 10_000_000
 
 
 class StandingContainer(SqueezedContainer):
-    """body: the arm; T_table_container: (4, 4) where the container stands, or lies, now; toppled
+    """body: the arm; T_table_container: (4, 4) present pose of the container; toppled
 
     blind: the camera gives no depth; injected_n: (3,) something presses the pads of each finger with [N]
     """
@@ -119,7 +119,7 @@ class StandingContainer(SqueezedContainer):
         self.place(lying, toppled=True)
 
     def robot(self) -> list[Capsule]:
-        """Arm, hand and fingers as they are, table's frame."""
+        """Arm, hand and fingers at their true pose, table's frame."""
         links = link_capsules(self.body.T_base_links, self._T_table_base)
         angles = np.array([axis.position_deg for axis in self.hand.motion.axes])
         return [*links, *moved([*finger_capsules(angles), PALM], self.T_table_hand)]
@@ -131,7 +131,7 @@ class StandingContainer(SqueezedContainer):
         return View(np.where(flat | self.blind, np.nan, exact.depth_m), exact.color)
 
     def meet(self) -> None:
-        """In each of the arm's cycles in which it moved: what it meets is slid aside, or toppled where met high."""
+        """In each of the arm's cycles with motion: objects that it hits are pushed aside, or topple if hit high."""
         links = self.body.T_base_links
         if self._links is not None and np.array_equal(links, self._links):
             return
@@ -156,7 +156,7 @@ class StandingContainer(SqueezedContainer):
     def reach_deg(
         self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
     ) -> Sequence[float]:
-        """As of `SqueezedContainer`, around the container where the hand stands; nothing is pressed elsewhere."""
+        """As of `SqueezedContainer`, around the container at the hand; nothing is pressed elsewhere."""
         hand = self.T_table_hand
         away = np.linalg.inv(hand) @ self.T_table_container
         middle = np.array(finger_capsules(np.array(position_deg))[1].end_m)
@@ -211,7 +211,7 @@ class _Wire(MemoryTransport):
 
 class CarriedHandLab(SqueezeLab):
     """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, wire: of a
-    KUKA, which can be disturbed; scheduled: what happens at moments of the clock"""
+    KUKA, which can be disturbed; scheduled: events at moments of the clock"""
 
     simulated: StandingContainer
 
@@ -279,7 +279,7 @@ def chain_of_arm(arm: str) -> Chain:
 
 
 def ready_deg(chain: Chain, placement: Placement) -> FloatArray:
-    """(n,) joint angles where the arm stands first."""
+    """(n,) first joint angles of the arm."""
     level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the hand's y axis down, its z away
     poses = []
     for height_m in (READY_M[2], 0.5 * READY_M[2] + 0.05):

@@ -16,9 +16,10 @@ Sources:
   CRAWFORD  Crawford, Plastics Engineering, 3rd ed.: high-density polyethylene
   ROS       package schunk_simulated_tactile_sensors: "measurement range 250 kPa (from the data sheet)", output up to
             about 3500 "by experiment from the real SDH"
-  ROBWORK   RobWorkData (University of Southern Denmark; skyellen/robwork-mirror at a05f4ea),
-            devices/hands/SchunkHandV2/SchunkHandTactile6.dwc.xml: a simulated SDH whose force limits are 2.1 Nm in the
-            proximal joints and 1.4 Nm in the distal ones, pads to 250 kPa; Schunk's own catalogue was not at hand
+  ROBWORK RobWorkData (University of Southern Denmark; skyellen/robwork-mirror at a05f4ea),
+            devices/hands/SchunkHandV2/SchunkHandTactile6.dwc.xml. It is a simulated SDH with force limits of 2.1 Nm in
+            the proximal joints and 1.4 Nm in the distal ones, and pads to 250 kPa; Schunk's own catalogue was not
+            available
   KHOSH     Khoshelham and Oude Elberink 2012, Sensors 12: depth noise of a first Kinect
 """
 
@@ -43,7 +44,7 @@ class Content:
     friction_deg, cohesion_pa: of Coulomb's law, for what is granular
     load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for what is granular
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
-    rate^index above it (Herschel-Bulkley), for what is fluid; a Newtonian liquid has index 1 and no yield
+    rate^index above it (Herschel-Bulkley), for fluids; a Newtonian liquid has index 1 and no yield
     """
 
     density_kg_m3: float

@@ -1,23 +1,23 @@
 """What a container's content does to its walls: gas above and within it, and a resistance behind each patch of wall.
 
-Gas: all that is no solid or liquid of the closed container is air at one temperature; when the walls move inwards by a
-volume V, its pressure over the outside becomes p0 (T / T0) Vg / (Vg - V) - p0. A liquid passes it on to every wall.
+Gas: the rest of the closed container is air at one temperature. When the walls move inwards by a volume V, its pressure
+over the outside becomes p0 (T / T0) Vg / (Vg - V) - p0. A liquid passes it on to every wall.
 
 Patches: the content resists a wall that moves inwards by w with a traction q [Pa] over what it had at rest. It is
 elastic (q_e = k (w - w_p)) until it yields, and then flows or fails, with a viscous part (Perzyna):
 
     q = q_y(w_p) + N K (dw_p/dt / l)^n  while w_p grows,     q_y(w_p) = q_1 w_p / (w_p + a)
 
-- granular: k = chi_u s / l on unloading, and the first loading (slope q_1 / a) is softer, chi_l s / l in all
-  (EN 1991-4 annex C: modulus = chi x stress); q_1 is the passive earth pressure K_p sigma_v + 2 c sqrt(K_p) less that
-  at rest (Rankine), so that failing needs more at depth, and flour's cohesion adds to it. Unloading follows k:
-  hysteresis. For flour the softer first loading is its compaction.
+- granular: k = chi_u s / l on unloading, and the first loading (slope q_1 / a) is softer, chi_l s / l in all (EN 1991-4
+  annex C: modulus = chi x stress). q_1 is the passive earth pressure K_p sigma_v + 2 c sqrt(K_p) less that at rest
+  (Rankine), so that failure needs more at depth, and flour's cohesion adds to it. Unloading follows k: hysteresis. For
+  flour the softer first loading is its compaction.
 - yogurt: k = 3 G / l (incompressible), q_1 = N tau_y at once (a = 0), then Herschel-Bulkley's K and n.
 - water: no yield, n = 1: its viscosity alone, which is as good as nothing at this speed (about 1e-3 Pa).
 Here l is half the container's width along the squeeze, N = 2 + pi bears on shear (Prandtl), s the stress half way to
 q_1. Unloading beyond rest is limited by the active pressure: nothing pulls at a wall.
 
-What is left out: waves and inertia (rho v^2 is 1 Pa), flow of a granular filling along the container, settling between
+Not modelled: waves and inertia (rho v^2 is 1 Pa), flow of a granular filling along the container, settling between
 squeezes, the shape of grains.
 """
 
@@ -51,8 +51,8 @@ class Gas:
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The resistance behind patches of wall, (p,) each: elastic stiffness, greatest and least yield traction, plastic
-    displacement at which half of the greatest is reached, viscous traction at 1 m/s; and the index of the rate."""
+    """The resistance behind patches of wall, (p,) each. It has elastic stiffness, greatest and least yield traction,
+    plastic displacement at half of the greatest, and viscous traction at 1 m/s; and the index of the rate."""
 
     stiffness_pa_m: FloatArray
     most_pa: FloatArray
@@ -113,8 +113,8 @@ class Patches:
     def _grow(
         self, at: BoolArray, trial: FloatArray, plastic_m: FloatArray, over: FloatArray, step_s: float
     ) -> tuple[FloatArray, FloatArray]:
-        """How much the plastic displacement grows, and the traction's slope: Newton from below, where the residual is
-        convex and falls, so that it never passes the root."""
+        """Growth of the plastic displacement, and the traction's slope: Newton from below, where the residual is convex
+        and falls, so that it never passes the root."""
         k, most, half, viscous = (v[at] for v in (self.stiffness_pa_m, self.most_pa, self.half_m, self.viscous_pa))
         rate = viscous / step_s**self.index
         harden = np.where(half > 0.0, most * half / np.maximum(plastic_m + half, 1e-12) ** 2, 0.0)

@@ -1,5 +1,5 @@
-"""lab:containers as a setup to squeeze with, and the container that a rig's doubles squeeze: what is asked for stands
-there, the rest is drawn from the seed."""
+"""lab:containers as a setup to squeeze with, and the container that a rig's doubles squeeze. Its requested properties
+are set, the rest is drawn from the seed."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
 CAMERA_HZ = 30.0
 OPEN_DEG, DISTAL_DEG = -24.0, 32.0
-"""Of the proximal axes: the open fingertips are a centimetre or more from the containers of this laboratory. Of the
-distal ones: the fingertips lean in by some 15 deg when they touch, and press with their first six rows, which are the
+"""Of the proximal axes: the open fingertips are a centimetre or more from the containers of this laboratory. Angle of
+the distal axes: the fingertips lean in by about 15 deg at contact, and press with their first six rows, which are the
 feature. Upright ones would press with the middle of their pads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerLab:
-    """A setup, closed, what stands there, and the laboratory behind it, which has the truth."""
+    """A setup, closed, its container, and the laboratory behind it, which has the truth."""
 
     setup: SqueezeSetup
     content: str
@@ -108,7 +108,7 @@ def _carried(
     seed: int,
     camera_hz: float,
 ) -> ContainerLab:
-    """The container stands on a table, and an arm carries the hand: the thumb, which is parked, is above it."""
+    """The container is on a table, and an arm carries the hand: the parked thumb is above it."""
     middle = transform(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), GripShape.of(section, squeeze).middle_m)
     section = dataclasses.replace(section, T_hand_container=tuple(tuple(map(float, row)) for row in middle))
     T_base_table = T_BASE_TABLE[arm]
@@ -137,7 +137,7 @@ def _carried(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigContainer:
-    """What stands between the doubles of a rig."""
+    """The container between the doubles of a rig."""
 
     simulated: SimulatedContainer
     content: str
@@ -170,7 +170,7 @@ def rig_container(parts: SqueezeParts, content: str, container: str, session: st
 
 
 def _drawn(content: str, container: str, kind: str, seed: int) -> tuple[str, str]:
-    """What is asked for, or drawn where it is empty."""
+    """The requested content, or a random one if it is empty."""
     random = np.random.default_rng([seed, 0xC0])
     content = content or list(CONTENTS)[int(random.integers(len(CONTENTS)))]
     return content, container or f"{kind}-{int(random.integers(100)):02d}"

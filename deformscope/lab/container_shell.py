@@ -4,18 +4,18 @@ Coordinates: s runs around the container (0 in the middle of the side at +x, gro
 bottom [m]. The container's own frame has its origin in the middle of the body, x along the squeeze, z upwards.
 
 Elements are rectangles of class C1 (Bogner-Fox-Schmit), as products of one-dimensional cubic Hermite elements of
-scikit-fem, so that every integral over the wall is a product of two integrals over lines. With w outwards, v along s
-and u along z, the energy is Donnell's for shallow shells:
+scikit-fem. So every integral over the wall is a product of two integrals over lines. With w outwards, v along s and u
+along z, the energy is Donnell's for shallow shells:
 
     1/2 int  D11 w_ss^2 + 2 D12 w_ss w_zz + D22 w_zz^2 + 4 D66 w_sz^2
            + A11 e_s^2 + 2 A12 e_s e_z + A22 e_z^2 + A66 g^2,     e_s = v_s + w / R, e_z = u_z, g = u_s + v_z
 
-A box is four plates of it (1 / R = 0, where w alone is left), joined by slopes that go on around the corners; a corner
-does not move, as the plate around it would have to be stretched. A cylinder has all three fields. Bottom and lid keep
-their rim round or square, and hinge there.
+A box is four plates of it (1 / R = 0, where w alone is left), joined by slopes that continue around the corners. A
+corner does not move, because the plate around it would have to stretch. A cylinder has all three fields. Bottom and lid
+keep their rim round or square, and hinge there.
 
-What is left out: stiffening by large dents (von Karman), buckling, creases of a carton, creep; bottom and lid do not
-bend. Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
+Not modelled: stiffening by large dents (von Karman), buckling, creases of a carton, creep; bottom and lid do not bend.
+Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
 factorisation serves them all.
 """
 
@@ -38,9 +38,9 @@ from deformscope.lab.container_constants import BOX_M, CARDBOARD, CYLINDER_M, PL
 FINE_M, COARSE_M = 0.0075, 0.010
 """Sizes of elements where fingers press, and elsewhere along the height."""
 FINE_HALF_M = 0.030
-"""Fingers press within so much of the middle of the height."""
+"""Range of the fingers' heights around the middle."""
 PATCHES = (4, 4)
-"""The filling acts on so many patches along s and z of each pressed side."""
+"""Number of patches along s and z of each pressed side that the filling acts on."""
 PATCH_HALF_M = 0.048
 """Patches reach so far from the middle of the height."""
 
@@ -156,7 +156,7 @@ class Shell:
 
     def pressure_row(self, low_m: float, high_m: float, slope: bool = False) -> FloatArray:
         """(unknowns,) load of a unit pressure on the wall between two heights; with slope, of one that grows from 0 at
-        high_m by 1 a metre downwards."""
+        high_m by 1 per metre downwards."""
         weight = (lambda z: high_m - z) if slope else np.ones_like
         return np.kron(self._along.integral, self._up.weighted(low_m, high_m, weight))
 
@@ -179,8 +179,8 @@ class Shell:
 
     @cached_property
     def filling_compliance(self) -> tuple[FloatArray, FloatArray]:
-        """(unknowns, p + 1) fields of unit pressures on the patches and of one on the whole wall; (p + 1, p + 1) what
-        they do to each other: integrals over patches and whole wall."""
+        """(unknowns, p + 1) fields of unit pressures on the patches and of one on the whole wall; (p + 1, p + 1) their
+        mutual effects: integrals over patches and whole wall."""
         rows = np.vstack([self._patches, self.volume_row])
         fields = self.solve(rows.T)
         return fields, rows @ fields

@@ -1,9 +1,9 @@
 """What a depth camera sees of a container on its table, with its dent, and of the hand that squeezes it.
 
 The world is the hand's frame. The wall is the mesh of the shell's nodes, displaced along its normals; links of the
-fingers are capsules whose surface is that of their pads. The camera sees the side at +x, with the finger that presses
-it, from a metre away (thesis 5.1), from above and from beyond the fingertips. Not there: shadows of the camera's
-projector beside the fingers, a pixel wide on the wall.
+fingers are capsules with the surface of their pads. The camera sees the side at +x, with the pressing finger, from a
+metre away (thesis 5.1), from above and from beyond the fingertips. Not modelled: shadows of the camera's projector
+around the fingers, a pixel wide on the wall.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from deformscope.lab.ray_camera import (
 from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
 
 CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
-"""Around the container's own axes, as it stands unturned in the hand."""
+"""Around the container's own axes, in its unturned pose in the hand."""
 PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
 PALM = Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M)
 TABLE_M = 0.8
 AROUND_PX = 3.0
 FINER = 3
-"""Between two nodes of the shell there are so many facets, flat ones on the true form."""
+"""Number of flat facets between two nodes of the shell, on the true form."""
 
 
 def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
@@ -48,7 +48,7 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 
 
 class ContainerView(RayCamera):
-    """A camera that looks at a container in the hand.
+    """A camera in front of a container in the hand.
 
     shape: of the container
     """
@@ -61,8 +61,8 @@ class ContainerView(RayCamera):
         config: DepthViewConfig = CAMERA,
         T_world_camera: FloatArray | None = None,
     ) -> None:
-        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) where the
-        container stands before, on its table; the camera is at its `camera_pose`, however it stands
+        """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) container's pose
+        before, on its table; the camera is at its `camera_pose` for any container
 
         T_world_camera: (4, 4) of a camera in another frame, in which hand and container then are: an arm moves them
         """
@@ -142,7 +142,7 @@ def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
 
 
 def _between(nodes_m: FloatArray, parts: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes with so many equal parts between two of them; the nodes."""
+    """Nodes with this number of equal parts between two of them; the nodes."""
     number = np.arange(parts * (len(nodes_m) - 1) + 1) / parts
     return np.interp(number, np.arange(len(nodes_m)), nodes_m), nodes_m
 

@@ -1,17 +1,16 @@
 """A container between two fingertips: wall, filling and pads in balance, step by step.
 
-Unknown in a step are the inward displacements of the wall under each texel, their means over the patches that the
-filling acts on, the volume that the walls take from the gas, and how far the container has slid on its table. They
-follow from the forces by the shell's compliance (`container_shell`), and the forces from them:
+Unknowns of a step are the inward displacements of the wall under each texel, their means over the filling's patches,
+the volume that the walls take from the gas, and the container's slide on its table. They follow from the forces by the
+shell's compliance (`container_shell`), and the forces from them:
 
-- texel: its foam cover is pressed by as much as the pad stands deeper than the wall: pressure = stiffness x that, or 0;
+- texel: its foam cover is compressed by the pad's depth within the wall: pressure = stiffness x that, or 0;
 - patch and gas: as the filling resists (`container_filling`);
 - table: Coulomb's friction with the container's weight, whichever finger pushes more.
-A few Newton steps on some 60 active unknowns solve it. A joint of a finger goes on only as far as the contact's torque
-about it (virtual work: sum of forces x d depth / d angle) stays within what its motor gives; gears hold what they
-reached.
+A few Newton steps on some 60 active unknowns solve it. A joint of a finger moves on only while the contact's torque
+about it (virtual work: sum of forces x d depth / d angle) is within its motor's torque; gears hold the reached angle.
 
-Texels keep the place on the wall where they were when their finger came near. What is left out: friction of the pads,
+Texels keep the place on the wall where they were when their finger came near. Not modelled: friction of the pads,
 rotation of the container under the squeeze, the shape of the dent under a single texel.
 """
 
@@ -71,7 +70,7 @@ TORQUE_CLOSE = 0.01
 class ContainerDraw:
     """What varies from squeeze to squeeze and between instances.
 
-    T_hand_container: (4, 4) where it stands before [m]; fill: share of the height; softness: of the wall over nominal
+    T_hand_container: (4, 4) its first pose [m]; fill: share of the height; softness: of the wall over nominal
     warming_k: since it was closed; room_k: of hand and pads over their calibration
     gear_loss: (7,) share of each axis's torque
     """
@@ -108,8 +107,8 @@ class ContainerDraw:
 
 
 PADS_MIDDLE_M = (0.0, BASE_SIDE_M / 2 * math.tan(math.radians(30.0)), 0.1445)
-"""Between the middles of both pads in the hand frame: the two fingers stand beside its z axis; along z where upright
-fingertips touch a container of 6 cm."""
+"""Between the middles of both pads in the hand frame: the two fingers are on both sides of its z axis; along z where
+upright fingertips touch a container of 6 cm."""
 
 
 def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArray:
@@ -135,8 +134,8 @@ def misplaced(T_hand_container: FloatArray, deep_m: float, off_m: float, yaw_deg
 
 
 class _Finger:
-    """The distal pad of one finger, texel by texel, row 0 at its tip: where it is in the frame of a container that
-    stands still, and how far within the wall."""
+    """The distal pad of one finger, texel by texel, row 0 at its tip: its pose in the frame of a fixed container, and
+    its depth within the wall."""
 
     def __init__(self, number: int, T_container_hand: FloatArray) -> None:
         """number: 0 or 1, of `SQUEEZING`; T_container_hand: (4, 4) pose of the hand [m]"""
@@ -195,8 +194,8 @@ class _Balance:
 
 @dataclass(slots=True)
 class _Tangent:
-    """How the balance responds to a small load: the matrix of the last Newton step, its compliance between pressed
-    texels and all its unknowns, which texels are pressed, and their normals along the slide."""
+    """Response of the balance to a small load: the matrix of the last Newton step, and its compliance between pressed
+    texels and all its unknowns. It lists the pressed texels, and their normals along the slide."""
 
     matrix: FloatArray
     compliance: FloatArray
@@ -278,7 +277,7 @@ class ContainerWorld:
         return self._shell.s_m, self._shell.z_m
 
     def inward_m(self) -> FloatArray:
-        """(nodes along s, nodes along z) how far the wall stands within the undeformed container now."""
+        """(nodes along s, nodes along z) present depth of the wall within the undeformed container."""
         return self._shell.at_nodes(self._bulge + self._fields @ self._state.loads)
 
     @property
@@ -341,7 +340,8 @@ class ContainerWorld:
     def _corrected(
         goal: FloatArray, off: dict[int, float], slope: FloatArray, position_deg: FloatArray, wanted_deg: FloatArray
     ) -> FloatArray:
-        """Goals with which the stalled axes have their motors' torques, to first order, no farther than wanted."""
+        """Goals with which the stalled axes have their motors' torques, to first order, limited to the requested
+        ones."""
         index = [LOADED.index(axis) for axis in off]
         part = slope[np.ix_(index, index)] + 1e-6 * np.eye(len(index))
         corrected = goal.copy()

@@ -2,23 +2,23 @@
 
     world = CreepingWorld(scene, Relaxation((0.3,), (1.0,)))
     world.at(0.01); world.press(tip, center_m)         # from rest, at a time [s]
-    world.at(0.02); world.press(tip, center_m)         # forces decay while the tip stands still
+    world.at(0.02); world.press(tip, center_m) # forces decay while the tip is at rest
 
-The foam is a generalised Maxwell solid, E(t) = E0 (1 - sum g_i + sum g_i exp(-t / t_i)), Poisson's ratio constant: then
-all that a touch feels is felt through the elastic stiffness K of the nodes that a tip may touch, and
+The foam is a generalised Maxwell solid, E(t) = E0 (1 - sum g_i + sum g_i exp(-t / t_i)), with constant Poisson's ratio.
+Then a touch depends only on the elastic stiffness K of the nodes that a tip may touch, and
 
     f = (1 - sum g_i) K u + sum_i q_i,      dq_i/dt = g_i K du/dt - q_i / t_i
 
-holds for them exactly, those beside the tip included (their f is 0, and their dent recovers slowly). Over a step in
-which u moves evenly this is f = A K u + h with a number A and a known h, so that each step is the same complementarity
+holds for them exactly, those outside the tip included (their f is 0, and their dent recovers slowly). Over a step in
+which u moves evenly this is f = A K u + h with a number A and a known h. So each step is the same complementarity
 problem as an elastic press, of compliance C / A.
 
-A foam that keeps a part of every dent for good is not pressed from its rest any more but from what it kept:
-f = A K (u - u_p) + h, with u_p at each node the same share of how deep it ever was. On the way down that is a foam of a
-modulus lower by that share; on the way back it is as stiff as it was, and the tip leaves it at u_p.
+Foam with a permanent share of every dent is pressed not from its rest but from its set: f = A K (u - u_p) + h, with u_p
+at each node the same share of its greatest depth. On the approach that is a foam of a modulus lower by that share; on
+the retract it has its full stiffness, and the tip leaves it at u_p.
 
-What is left out: foams of different relaxation within the reach of one touch (each touch creeps as the foam below the
-tip's middle does), and the memory of a place that the tip slides away from by more than its mesh allows.
+Not modelled: foams of different relaxation within the reach of one touch (each touch creeps as the foam below the tip's
+middle). Nor is the memory of a place from which the tip slides further than its mesh allows.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Relaxation:
         if not (alike and min((*self.shares, *self.times_s, 1.0)) > 0.0 and sum(self.shares) < 1.0):
             raise InputError("shares above 0, together below 1, each with a time above 0 s", f"{self}")
         if not 0.0 <= self.keeps < 1.0:
-            raise InputError("a share of a dent that stays, from 0 to below 1", f"{self.keeps}")
+            raise InputError("a permanent share of a dent, from 0 to below 1", f"{self.keeps}")
 
     @property
     def share(self) -> float:
@@ -70,8 +70,8 @@ class CreepingWorld(SlabWorld):
         self._memory: _Memory | None = None
 
     def at(self, time_s: float) -> None:
-        """The next press is at this time [s]. Of several presses at one time the last is what happens; without any
-        since the last time, nothing touched the foam meanwhile."""
+        """The next press is at this time [s]. Of several presses at one time the last counts; without any since the
+        last time, nothing touched the foam meanwhile."""
         if time_s < self._now_s:
             raise InputError("a time not before the last", f"{time_s:g} s after {self._now_s:g} s")
         if time_s > self._now_s:
@@ -98,8 +98,8 @@ class CreepingWorld(SlabWorld):
 
 
 class _Memory:
-    """What one patch remembers: what its nodes would carry had nothing relaxed, K (u - u_p) (n,) [N]; how deep each
-    ever was and what of that it keeps, u_p, (n,) [m]; K u_p [N]"""
+    """Memory of one patch: the forces of its nodes without relaxation, K (u - u_p) (n,) [N]; each node's greatest depth
+    and permanent part, u_p, (n,) [m]; K u_p [N]"""
 
     def __init__(self, patch: Patch, relaxation: Relaxation) -> None:
         self.patch = patch
@@ -120,7 +120,7 @@ class _Memory:
         return force_n, self.moves_n(self._next_n)
 
     def moves_n(self, elastic_n: FloatArray) -> FloatArray:
-        """(n,) the forces that would move elastic foam as far, with what it keeps [N]."""
+        """(n,) the forces that would move elastic foam equally, with its permanent set [N]."""
         return elastic_n + self._kept_n
 
     def settle(self, step_s: float) -> None:
@@ -141,7 +141,7 @@ class _Memory:
         return -known_n / stiff
 
     def _law(self, step_s: float) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """A and h (n,) of a step, how much each branch keeps over it, and its mean over it for what comes evenly."""
+        """A and h (n,) of a step, each branch's remaining share over it, and its mean over it for a uniform load."""
         over = step_s / self._time_s
         left, even = np.exp(-over), np.where(over > 1e-9, -np.expm1(-over) / np.maximum(over, 1e-9), 1.0)
         stiff = float(1.0 - self._share.sum() + (self._share * even).sum())

@@ -5,8 +5,8 @@
     depth = view.observe(exact, random)                      # (H, W) uint16 [mm], 0 where the camera measured nothing
     exact.depth_m, exact.color, exact.seen                   # without noise; what each pixel fell on
 
-The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise:
-an arm had better stand opposite.
+The camera looks at the slab's middle from 0.8 m, at 45 degrees, across the long edge at y = 0.4 m unless set otherwise.
+An arm should be opposite.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SPACING_M = 0.003
 """Between the vertices of the foam's surface."""
 
 STILL_M = 1e-5
-"""What has moved less is not cast again."""
+"""Least motion for which rays are cast again."""
 
 CORNERS = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
 """A rectangle's two triangles."""
@@ -47,7 +47,7 @@ TABLE_M = 0.6
 
 
 class DepthView(RayCamera):
-    """A camera that looks at a scene.
+    """A camera in front of a scene.
 
     places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
     """
@@ -55,7 +55,7 @@ class DepthView(RayCamera):
     def __init__(
         self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None
     ) -> None:
-        """surface_from_camera: (4, 4) where it stands, instead of where its configuration says"""
+        """surface_from_camera: (4, 4) its true pose, instead of that of its configuration"""
         config = config or DepthViewConfig()
         self.scene = scene
         middle = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, scene.thickness_m])

@@ -45,8 +45,8 @@ _numbers = itertools.count(1)
 def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
     """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
 
-    config: as for the real device; wherever it says that the device is, the double is reached alike, and no
-    hardware or CAN of the kernel's is needed
+    config: as for the real device; the double has the address that it gives, and no hardware or CAN of the kernel's is
+    needed
     """
     if driver in WIRED and config_bus(config):  # python-can's virtual buses are within a process
         with wire_of(driver, config, f"virtual:double-{next(_numbers)}") as wire:
@@ -61,10 +61,10 @@ def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
 
 @contextlib.contextmanager
 def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
-    """A running double of a byte-stream device, behind a CAN bus where the configuration names one, a socket where it
-    names one, else a pseudo terminal.
+    """A running double of a byte-stream device: behind a CAN bus or a socket if the configuration names one, else a
+    pseudo terminal.
 
-    bus: what stands in for the CAN bus that the configuration names
+    bus: replacement of the CAN bus that the configuration names
     """
     double = WIRED[driver](config)
     wire: Wire
@@ -86,7 +86,7 @@ def _wire_process(driver: str, config: object) -> Iterator[str]:
         try:
             port: str = pipe.recv()
         except EOFError as error:
-            raise InputError(f"a double of {driver} in a process of its own", "one that ended at once") from error
+            raise InputError(f"a double of {driver} in a process of its own", "one that ended immediately") from error
         yield port
 
 
@@ -111,7 +111,7 @@ def _of_any_serial(config: Any) -> Any:
 
 
 def config_bus(config: object) -> str:
-    """The CAN bus that a configuration names; empty where it names none, or its device knows none."""
+    """The CAN bus that a configuration names; empty without one."""
     return str(getattr(config, "bus", ""))
 
 

@@ -10,8 +10,8 @@
     found.force[punch].sum(axis=0)                                 # what the punch exerts on the foam [N]
     slab.sample(found.displacement, points)                        # (n, 3) displacement anywhere inside [m]
 
-scikit-fem gives mesh, shape functions and quadrature. Its assembly visits every pair of an element's unknowns by
-itself; here one matrix product an element does (0.2 s instead of 20 s for 2000 elements).
+scikit-fem gives mesh, shape functions and quadrature. Its assembly visits every pair of an element's unknowns
+separately; here one matrix product per element does (0.2 s instead of 20 s for 2000 elements).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ PerElement = float | FloatArray | Callable[[FloatArray], FloatArray]
 ELEMENTS: dict[Element, Any] = {"serendipity": ElementHexS2, "quadratic": ElementHex2, "trilinear": ElementHex1}
 
 MOST_FACTORISED = 40_000
-"""Unknowns up to which the equations are factorised (2 s, and 0.03 s for each right-hand side); beyond, conjugate
-gradients are faster: 100 000 unknowns of a slab take 3 s at nu = 0.3 and 8 s at 0.49, against 18 s."""
+"""Number of unknowns up to which the equations are factorised (2 s, and 0.03 s for each right-hand side). Beyond,
+conjugate gradients are faster: 100 000 unknowns of a slab take 3 s at nu = 0.3 and 8 s at 0.49, against 18 s."""
 
 LEAF = 50
 """Nodes that nested dissection divides no further."""
@@ -140,7 +140,7 @@ class ElasticBox:
         """(elements,) one number for each element."""
         given = np.asarray(value(self.centres) if callable(value) else value, dtype=np.float64)
         if given.ndim and given.shape != (len(self.centres),):
-            raise InputError(f"one number, or {len(self.centres)}, one an element", str(given.shape))
+            raise InputError(f"one number, or {len(self.centres)}, one per element", str(given.shape))
         return np.broadcast_to(given, (len(self.centres),))
 
 
@@ -150,7 +150,7 @@ class HeldBox:
     def __init__(self, box: ElasticBox, held: BoolArray) -> None:
         held = np.asarray(held, dtype=bool)
         if held.shape != box.nodes.shape:
-            raise InputError(f"held of shape {box.nodes.shape}, one entry a node and component", str(held.shape))
+            raise InputError(f"held of shape {box.nodes.shape}, one entry per node and component", str(held.shape))
         if np.linalg.matrix_rank(_rigid_motions(box.nodes)[held]) < 6:
             raise InputError("a box held against every rigid motion", "one that is free to move", "hold more nodes")
         self.box, self.held = box, held
@@ -240,8 +240,8 @@ def _rigid_motions(nodes: FloatArray) -> FloatArray:
 def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     """An order of unknowns with little fill-in: nested dissection by planes of the mesh (George 1973).
 
-    nodes: (n, 3) node of each unknown. Elements do not reach over a plane of corners, so that what lies on either side
-    of one depends on the other side through the plane alone.
+    nodes: (n, 3) node of each unknown. Elements do not reach over a plane of corners, so that each side of one depends
+    on the other side through the plane alone.
     """
     spacing = np.array([float(np.diff(axis).mean()) for axis in axes])
     tolerance = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)

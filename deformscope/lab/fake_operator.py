@@ -1,4 +1,4 @@
-"""Somebody else at the robot: doubles that move without our drivers having asked them to."""
+"""Another operator of the robot: doubles that move without a command of our drivers."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ GRASP_DEG_S = 40.0
 
 
 class GraspingHand(SdhDouble):
-    """A hand that somebody else closes and opens, every 4 s in turn."""
+    """A hand that another operator closes and opens, every 4 s in turn."""
 
     def __init__(self, port: Port) -> None:
         super().__init__(port)

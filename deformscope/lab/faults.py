@@ -1,4 +1,4 @@
-"""What can go wrong in a simulated laboratory: at once (`inject`), or as the touches go on (`FaultsToCome`)."""
+"""Faults of a simulated laboratory: injected immediately (`inject`), or during the touches (`FaultsToCome`)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Injected(StrEnum):
     FORCE_SILENT = "force sensor silent"
     FORCE_CABLE = "force sensor's cable out"
     FORCE_FROZEN = "force value frozen"
-    FORCE_BROKEN = "force sensor says it failed"
+    FORCE_BROKEN = "force sensor reports a failure"
     STORM = "checksum storm"
     SPIKE = "force spike above the hard stop"
     PUSH = "push above the soft stop"
     ARM_CABLE = "arm's cable out"
     ARM_SILENT = "arm refuses to answer"
     ARM_INVALID = "arm's pose not a number"
-    ARM_TURNS = "arm turns by itself as it moves"
+    ARM_TURNS = "arm turns on its own as it moves"
     ARM_FROZEN = "arm's angles frozen"
     ARM_LATE = "arm answers late"
     COLLISION = "collision from the side"
@@ -47,7 +47,7 @@ FORCE, ARM, CAMERA = _EVERY[:7], _EVERY[7:14], _EVERY[14:]
 """By the device that they strike, in the order above."""
 
 WITHIN_S = {Phase.TRAVEL: 1.0, Phase.APPROACH: 2.0, Phase.PRESS: 0.3, Phase.DWELL: 0.4, Phase.RETREAT: 1.5}
-"""A fault strikes so long after such a phase's begin at most; none of them is much shorter."""
+"""Latest time of a fault after the begin of such a phase; none of them is much shorter."""
 CAMERA_WITHIN_S = 0.3
 
 
@@ -94,7 +94,7 @@ def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> No
 
 
 def _collide(lab: TouchLab, random: np.random.Generator) -> None:
-    """Something pushes elbow, forearm or wrist across, so that the joint that feels it most has 6 to 20 Nm."""
+    """A push across elbow, forearm or wrist, so that the most loaded joint has 6 to 20 Nm."""
     double = lab.arm_double
     links, link = double.T_base_links, int(random.integers(1, 4))
     levers = np.cross(links[: link + 1, :3, 2], links[link + 1, :3, 3] - links[: link + 1, :3, 3])
@@ -104,7 +104,7 @@ def _collide(lab: TouchLab, random: np.random.Generator) -> None:
 
 @dataclass(frozen=True, slots=True)
 class FaultAt:
-    """What is to go wrong in which touch, from 1."""
+    """Kind of a fault and number of its touch, from 1."""
 
     injected: Injected
     touch: int
@@ -124,7 +124,7 @@ class FaultAt:
 
 
 class FaultsToCome:
-    """Lets faults strike while touches go on: each at a moment drawn from the seed, within its touch.
+    """Injects faults during touches: each at a moment drawn from the seed, within its touch.
 
     A fault of force sensor or arm strikes in any phase; one of the camera while it dwells, when its pictures matter.
     struck: which have struck, and when on the laboratory's clock [ns]

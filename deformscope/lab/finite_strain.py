@@ -1,7 +1,7 @@
 """A foam block under a flat clamp by finite elements at large strain, in the plane.
 
 Nine-node quadrilaterals (quadratic: they do not lock), plane strain, Newton's method with a line search on the energy,
-load steps that halve where it fails. The block stands bonded on the ground; the clamp moves straight down and the foam
+load steps that halve where it fails. The block is bonded to the ground; the clamp moves straight down and the foam
 under it does not slip; the rest of the surface and both sides are free. Left and right mirror each other, so the right
 half is computed.
 """
@@ -23,7 +23,7 @@ from deformscope.errors import InputError
 from deformscope.lab.ogden import OgdenFoam, stress_and_tangent
 
 RESIDUAL = 1e-9
-"""Newton ends where the free nodes' forces are this small beside the clamp's."""
+"""Newton ends when the free nodes' forces are this small relative to the clamp's."""
 
 ITERATIONS = 20
 SHORTEST_STEP = 2.0**-6
@@ -129,8 +129,8 @@ class LargeStrain(ABC):
         return None
 
     def _line_search(self, state: FloatArray, step: FloatArray, slope: float) -> FloatArray | None:
-        """The state (n,) after the longest of 1, 1/2, 1/4... of a step (n,) that lowers the energy as its slope lets
-        expect (Armijo 1966); None where none does."""
+        """The state (n,) after the longest of 1, 1/2, 1/4... of a step (n,) that lowers the energy as its slope
+        predicts (Armijo 1966); None if none does."""
         if slope >= 0.0:  # no descent: the tangent is not positive definite here
             return None
         energy = self._energy(state)

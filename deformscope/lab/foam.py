@@ -1,20 +1,20 @@
 """Five virtual foams in the place of those of Thesis table 3.3, each a law of two terms (`deformscope.lab.ogden`).
 
-A maker states density and hardness. What follows from them, and what has to be chosen:
+A maker states density and hardness. Consequences of these, and remaining choices:
 
 - **Hardness sets the scale.** It is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). The law
-  is scaled so that its uniaxial stress at 40 % is that force over that area: what the plate's edge adds is left out,
-  which makes every law somewhat too stiff.
-- **Density sets densification.** Past its plateau the stress of open-cell foam grows as 1 / (e_D - e) with
-  e_D = 1 - 1.4 density / 1200 kg/m3 (of solid polyurethane; Gibson and Ashby 1997, chapter 5). A first term alone grows
-  as 1 / (1 - e): foam that weighs nothing. The second, of exponent -4, makes up the difference at a strain of 65 %.
+  is scaled so that its uniaxial stress at 40 % is that force over that area. The plate's edge is not modelled, which
+  makes every law somewhat too stiff.
+- **Density sets densification.** Past its plateau the stress of open-cell foam grows as 1 / (e_D - e) with e_D = 1 -
+  1.4 density / 1200 kg/m3 (of solid polyurethane; Gibson and Ashby 1997, chapter 5). A first term alone grows as 1 / (1
+  - e): foam that weighs nothing. The second, of exponent -4, makes up the difference at a strain of 65 %.
 - **The plateau is chosen.** Exponent a of the first term puts the plateau near Young's modulus over a: 20 is the 5 % of
   conventional foam (Gibson and Ashby), 6 an almost linear high-resilience one. Makers do not state it. Foams that are
   hard for their density (28/150, 39/200) get the strong plateau, those that are soft for it a weak one.
 - **Poisson's ratio is chosen**, within the 0 to 0.3 that flexible foam shows at small strain. Makers do not state it.
 
-Neither choice rises or falls with hardness (rank correlations over the five: 0.1 and 0), so that no trend of beta is
-put in by hand.
+Neither choice rises or falls with hardness (rank correlations over the five: 0.1 and 0), so that it introduces no trend
+of beta.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Foam:
         return OgdenFoam(tuple(scale * mu for mu in shape.shear), shape.exponent, shape.poisson)
 
     def _shape(self, log_weight: float) -> OgdenFoam:
-        """The law up to its scale, with the second term's shear modulus so many times the first's."""
+        """The law up to its scale, with the ratio of the second term's shear modulus to the first's."""
         return OgdenFoam((1.0, math.exp(log_weight)), (self.plateau, DENSIFYING_EXPONENT), self.poisson)
 
 

@@ -13,20 +13,20 @@ from deformscope.lab.scenes import Scene
 from deformscope_drivers.arm.kinematics import FloatArray
 
 BLUR_M = 0.012
-"""A touch feels the foam around it about this far."""
+"""Radius of the foam around a touch that affects it."""
 SPOTS = 16
 RIGID_N_PER_M = 2e6
 NEWTON_STEPS, LEAST_SLOPE = 6, 0.1
-"""From above and below the steps come to the last bit of a force in four; the slope is held above 0 where a layer is so
-thin that the law ends."""
+"""From above and below the steps converge to the last bit of a force in four; the slope is bounded above 0 in a layer
+so thin that the law ends."""
 
 
 class LayerWorld:
     """A ball on a scene's layers, each place with the mean log modulus around it.
 
-    A half-space below Hertz's ball (Johnson 1985, eq. 4.22) sinks by how deep it is; what it would sink at the depth
-    of the table, which does not sink, is taken off (Steinbrenner 1934; on the axis of a point load, Johnson 1985, eq.
-    3.18).
+    A half-space below Hertz's ball (Johnson 1985, eq. 4.22) sinks by its own depth's displacement. The displacement at
+    the depth of the table, which does not move, is subtracted (Steinbrenner 1934; on the axis of a point load, Johnson
+    1985, eq. 3.18).
 
     pressed: (3,) where the ball is and how deep: x, y, depth [m]
     """

@@ -1,4 +1,4 @@
-"""A simulated table for devices that run by themselves: on the host's clock, each device with its own thread.
+"""A simulated table for devices on their own clock: the host's, each device with its own thread.
 
 What a rig file with `double = true` and `[surface] scene` is explored on; the same code as moves a real arm then moves
 a simulated one. The table lives in processes of its own, as a real one does not wait for this program's threads.
@@ -68,7 +68,7 @@ class _Shared:
     """What the processes share, each value with one writer.
 
     wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
-    finger_n: (3,) of somebody on the tip, surface frame; board: somebody has fixed it to the arm
+    finger_n: (3,) of a person on the tip, surface frame; board: a person has fixed it to the arm
     """
 
     def __init__(self, T_base_links: FloatArray) -> None:
@@ -110,7 +110,7 @@ class _Shared:
 
 
 class LiveLab:
-    """The table, the arm over it, and what is seen and felt there (`robot.setup.SimulatedTable`).
+    """The table, the arm over it, and their state (`robot.setup.SimulatedTable`).
 
     view: the camera; arm: the simulated one, and who places it
     """
@@ -139,7 +139,7 @@ class LiveLab:
 
     @property
     def person(self) -> Person | None:
-        """Who places the arm; None = it moves by itself."""
+        """The person who places the arm; None = an arm with motors."""
         return self.arm.person
 
     @property
@@ -154,7 +154,7 @@ class LiveLab:
 
     @property
     def body(self) -> ArmBody:
-        """The simulated arm, which somebody may move by hand."""
+        """The simulated arm, which a person may move by hand."""
         return self.arm.body
 
     def push_tip(self, force_n: npt.NDArray[np.floating]) -> None:
@@ -220,7 +220,7 @@ def start_places_m(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 class _RemoteArm:
-    """The arm as the table's process knows it."""
+    """The arm in the table's process."""
 
     def __init__(self, shared: _Shared) -> None:
         self._shared = shared
@@ -235,7 +235,7 @@ class _RemoteArm:
 
 
 def _goes_on(shared: _Shared, due_s: float) -> bool:
-    """Wait until then; whether the table is still wanted."""
+    """Wait until then; whether the table is still in use."""
     time.sleep(max(due_s - time.monotonic(), 0.0))
     return not shared.over
 
@@ -290,7 +290,7 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
 
 
 def first_message(pipe: Connection, what: str) -> Any:
-    """What a process says when it is ready. Raises InputError when it says nothing, or sends one."""
+    """What a process says when it is ready. Raises InputError if it sends none, or an error."""
     with contextlib.suppress(EOFError):
         if pipe.poll(START_S):
             if isinstance(message := pipe.recv(), InputError):
@@ -314,7 +314,7 @@ def pass_pictures(pipe: Connection, camera: SyntheticDepthCamera, over: Callable
 
 @contextlib.contextmanager
 def until_done(name: str, work: Callable[[], None]) -> Iterator[None]:
-    """A thread with something that ends by itself, which is waited for at the end of the context."""
+    """A thread that ends on its own, which is joined at the end of the context."""
     thread = threading.Thread(target=work, name=name, daemon=True)
     thread.start()
     try:

@@ -1,7 +1,7 @@
-"""A simulated container for devices that run by themselves: on the host's clock, each device with its own thread.
+"""A simulated container for devices on their own clock: the host's, each device with its own thread.
 
-The same doubles as in `squeeze_lab`, behind pseudo terminals, in a process of their own: a real hand does not wait for
-this program's threads either. Pictures come from that process ready made. Motions may be waited for here.
+The same doubles as in `squeeze_lab`, behind pseudo terminals, in a child process: a real hand does not wait for this
+program's threads either. Pictures come from that process ready made. Motions may be waited for here.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class LiveSqueezeLab:
 
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
-        """The devices by the names that a rig file gives them, set as it says, closed; the container stands there until
-        the end of the context."""
+        """The devices by their names in a rig file, with its settings, closed; the container is present until the end
+        of the context."""
         configs = {entry.driver.name: entry.config for entry in entries}
         self._configs = configs["sdh"], configs["dsa"]
         with self:
@@ -100,7 +100,7 @@ class LiveSqueezeLab:
 
 
 def _stand(answers: Connection, case: ContainerCase, camera_hz: float, pictures: Connection) -> None:
-    """The process: wires with their threads, pictures at their rate, answers, until nobody can ask any more."""
+    """The process: wires with their threads, pictures at their rate, answers, until all callers have ended."""
     try:
         simulated = SqueezedContainer(case, monotonic_ns, Port.RS232)
     except InputError as error:

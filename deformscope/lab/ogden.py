@@ -8,10 +8,10 @@ the principal Kirchhoff stresses are those of linear elasticity:
 
 - A term with a > 0 yields: pressed to l, its nominal stress tends to -2 mu (1 + b) / (a l), a plateau that rises as it
   thins.
-- A term with a < 0 stiffens: densification, where cell walls meet.
+- A term with a < 0 stiffens: densification, where cell walls touch.
 - nu is Poisson's ratio of small strains. With a > 0 it falls towards 0 as the foam is pressed, as in real foam (Gibson
-  and Ashby 1997, chapter 5). The law of Ogden and Hill as commonly used for foam (Storåkers 1986) keeps it the same at
-  all strains, which with nu > 0 would press the plateau away; with nu = 0 both laws are one.
+  and Ashby 1997, chapter 5). The law of Ogden and Hill as commonly used for foam (Storåkers 1986) has the same ratio at
+  all strains, which with nu > 0 would remove the plateau; with nu = 0 both laws are one.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def stress_and_tangent(law: OgdenFoam, gradient: FloatArray) -> tuple[FloatArray
     """First Piola-Kirchhoff stress (n, d, d) and its derivative (n, d, d, d, d) [Pa] at gradients (n, d, d).
 
     With d = 2 the strain is plane. From principal stretches: a change of the gradient that is symmetric, or skew, in
-    the axes of two of them meets its own stiffness (Bonet and Wood 2008, section 6.6).
+    the axes of two of them has its own stiffness (Bonet and Wood 2008, section 6.6).
     """
     left, stretch, right_t = np.linalg.svd(gradient)
     right = np.swapaxes(right_t, 1, 2)

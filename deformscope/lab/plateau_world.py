@@ -1,12 +1,12 @@
 """A slab whose foam yields: `SlabWorld` whose forces are those of Ogden's foam at large strain.
 
-Foam that yields meets a light touch with its modulus, and a deep one with far less, as its cells' walls buckle. How
-much less is found once for a foam, a ball and a thickness, around the ball's axis (`axisymmetric_contact`), and held
-against the same ball on linear foam; at each depth a touch's force is that share of the linear one's. On foam of one
-kind, far from its edges, force over depth is therefore that of the large-strain solution.
+Foam with a plateau answers a light touch with its modulus, and a deep one with far less, as its cells' walls buckle.
+The reduction is computed once for a foam, a ball and a thickness, around the ball's axis (`axisymmetric_contact`),
+relative to the same ball on linear foam. At each depth a touch's force is that share of the linear one's. On foam of
+one kind, far from its edges, force over depth is therefore that of the large-strain solution.
 
-What is left out: beside a border or an edge, the share is that of the foam below the tip's middle on a level layer as
-thick as there; the dent beside the tip is that of linear foam pressed as deep, where one that yields is narrower.
+Not modelled: near a border or an edge, the share is that of the foam below the tip's middle on a level layer of the
+same thickness. The dent around the tip is that of linear foam at the same depth, while on a plateau it is narrower.
 """
 
 from __future__ import annotations

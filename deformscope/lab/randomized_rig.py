@@ -1,4 +1,4 @@
-"""A rig whose doubles are not where its file says: drawn from a number, known to nobody who calibrates.
+"""A rig whose doubles are not at the poses of its file: random poses that the calibration has to find.
 
 `[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` does what the calibrating commands ask for, with a
 hand that is a little off, as a person at a real rig would.
@@ -83,7 +83,7 @@ class RandomizedRig:
         return cls(Placement(T, made), turn @ signs, camera, board, gain)
 
     def felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
-        """(3,) what the sensor makes of a force (3,) in the tip's frame [N]."""
+        """(3,) output of the sensor for a force (3,) in the tip's frame [N]."""
         return np.asarray(self.force_gain * self.R_tip_force.T @ force_n)
 
 
@@ -123,7 +123,7 @@ class BoardPicture:
 
 
 class HandledTable(Protocol):
-    """A simulated table at which somebody stands. body: the arm, which they move by hand"""
+    """A simulated table with a person at it. body: the arm, which they move by hand"""
 
     @property
     def body(self) -> ArmBody: ...
@@ -136,9 +136,9 @@ class HandledTable(Protocol):
 
 
 class SimulatedHand:
-    """Does what is asked for at a table, by the kind of request (`experiments.rig_calibration`); never quite exactly.
+    """Carries out requests at a table, by their kind (`experiments.rig_calibration`); never exactly.
 
-    Raises InputError where the arm does not reach what is asked for.
+    Raises InputError if the arm does not reach the requested pose.
     """
 
     def __init__(self, rig: RandomizedRig, table: HandledTable, size_m: tuple[float, float], seed: int = 0) -> None:
@@ -218,7 +218,7 @@ class SimulatedHand:
             body.put(T_base_ee)
             return True
         if not isinstance(body, JacoDouble):
-            raise TypeError(f"no arm that is moved by hand: {type(body).__name__}")
+            raise TypeError(f"no arm that a person moves: {type(body).__name__}")
         found = body.chain.inverse(np.asarray(T_base_ee, np.float64), body.joints_deg, starts=starts, iterations=40)
         if found.converged:
             body.put(found.joints_deg)

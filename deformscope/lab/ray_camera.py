@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import open3d as o3d
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.capsule import Capsule
@@ -21,18 +20,18 @@ NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
 """What a pixel fell on."""
 
 NEAREST_M = 0.01
-"""What has corners nearer than this to the plane of the camera is sought in all of its picture."""
+"""Corners nearer than this to the plane of the camera are sought in all of its picture."""
 COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 152, 110]], dtype=np.float64)
 """Of each of them, lit along the view; all foams look alike."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthViewConfig:
-    """A camera, where it stands, and what it gets wrong.
+    """A camera, its pose, and its errors.
 
     width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
-    distance_m: from the middle of what it looks at; elevation_deg: of the camera above the table, as seen from there
-    azimuth_deg: where it stands around that, from the x axis towards y
+    distance_m: from the middle of its view; elevation_deg: of the camera above the table, as seen from there
+    azimuth_deg: its direction around that, from the x axis towards y
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
     which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
     missing: share of pixels without depth; grazing_deg: surfaces seen flatter than that have none
@@ -90,8 +89,8 @@ class RayCamera:
         self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
 
     def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
-        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 where it could not: noise along the view,
-        steps, and points missing at random and where a surface is seen too flat."""
+        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 for missing points: noise along the view,
+        steps, and points missing at random and at grazing angles."""
         config = self.config
         depth = np.nan_to_num(exact.depth_m, nan=0.0)
         measured = (depth > 0.0) & (np.abs(exact.facing) >= np.sin(np.deg2rad(config.grazing_deg)))
@@ -113,8 +112,10 @@ class RayCamera:
     def hits(
         self, meshes: list[tuple[FloatArray, npt.NDArray[np.uint32]]], part: tuple[slice, slice]
     ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """What the rays of a part (h, w) of the picture meet first: (h, w) depth [m], nan where nothing; cosine; which
-        mesh. meshes: (n, 3) vertices in the camera's frame [m] and (m, 3) triangles of each"""
+        """First hits of the rays of a part (h, w) of the picture: (h, w) depth [m], nan without one; cosine; index of
+        the mesh. meshes: (n, 3) vertices in the camera's frame [m] and (m, 3) triangles of each"""
+        import open3d as o3d
+
         world = o3d.t.geometry.RaycastingScene()
         for vertex, triangle in meshes:
             points = o3d.core.Tensor.from_numpy(vertex.astype(np.float32))
@@ -171,8 +172,8 @@ class RayCamera:
 
 
 def _enter(capsule: Capsule, eye: FloatArray, ray: FloatArray, length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where rays (..., 3) from `eye` first meet a capsule: (...,) multiples of the ray, inf where they do not, and
-    (..., 3) its outward normal there."""
+    """First hits of rays (..., 3) from `eye` on a capsule: (...,) multiples of the ray, inf without one, and (..., 3)
+    its outward normal there."""
     axis = capsule.end_m - capsule.start_m
     along = float(np.linalg.norm(axis))
     direction = axis / along if along > 1e-9 else np.zeros(3)
@@ -203,7 +204,7 @@ def _nearest_root(a: FloatArray, half_b: FloatArray, c: float) -> FloatArray:
 
 
 def looking_at(middle: FloatArray, distance: float, elevation_deg: float, azimuth_deg: float) -> FloatArray:
-    """(4, 4) pose of a camera that looks at a place from above, its x axis level."""
+    """(4, 4) pose of a camera above a place that it faces, its x axis level."""
     up, around = np.deg2rad([elevation_deg, azimuth_deg])
     view = -np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
     right = np.array([-np.sin(around), np.cos(around), 0.0])

@@ -1,7 +1,7 @@
 """The robot that the laboratory's camera sees: a URDF of meshes, with a gripper, a stick and a cable.
 
-It is what its description says as a robot on a table is: its fingers are closed by a few degrees more or less, and its
-cable hangs and sways, where the description has lines and a radius around them.
+It follows its description as a real robot does: its fingers are closed by a few degrees more or less, and its cable
+hangs and sways, where the description has lines and a radius around them.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class RobotBody:
         return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)
 
     def _cable(self, placement: Placement, T_base_links: FloatArray) -> tuple[Capsule, ...]:
-        """Capsules along the cable, which hangs between its ends and sways anew in each picture. T_base_links: (k, 4,
-        4) [m]"""
+        """Capsules along the cable, which hangs between its ends and sways differently in each picture. T_base_links:
+        (k, 4, 4) [m]"""
         T = placement.T_surface_base @ T_base_links[-1]
         along = np.linspace(0.0, 1.0, CABLE_PIECES + 1)
         knots = np.linspace(0.0, 1.0, len(CABLE_M))

@@ -40,15 +40,15 @@ CAMERA_HZ = 10.0
 CREEP_S = 1.0
 """Time constant of foam that creeps."""
 CAMERA_AZIMUTH_DEG = -90.0
-"""The camera looks across the long edge at y = 0: the arm stands beyond the other, and hides what is behind it."""
+"""The camera looks across the long edge at y = 0: the arm is beyond the other, and hides what is behind it."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
 """Where the tip may go, in the base frame: above the table, and to where the arm is parked."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class SceneLab:
-    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: what it
-    keeps from the estimator"""
+    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: its hidden
+    errors"""
 
     def __init__(
         self,
@@ -63,8 +63,8 @@ class SceneLab:
         described: RobotDescription = AS_CAPSULES,
         travel_speed_m_s: float = 0.05,
     ) -> None:
-        """parked_m: z of the tip's centre where the arm stands first [m, surface frame]; errors: what is drawn of what
-        it keeps, default nothing; sensor: of SENSORS, what the camera measures by, empty = noise alone
+        """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
+        none; sensor: of SENSORS, what the camera measures by, empty = noise alone
         robot: that the camera sees, None = capsules; described: what is known of its shape; travel_speed_m_s: between
         touches"""
         self._robot, self._described = robot, described

@@ -5,24 +5,23 @@
     scene.truth()                                                        # the labels of the map's cells
 
 Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
-at the origin; where the arm stands, `robot.setup.T_BASE_SURFACE` says. Pieces reach from top to bottom, and
-meet sharply.
+at the origin. `robot.setup.T_BASE_SURFACE` is the arm's pose. Pieces reach from top to bottom, with sharp borders.
 
 **Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
-foam less than that, below its plateau, so that it meets the *initial* modulus: the plate's stress at 40 % is taken for
-the plateau's, and the plateau for 5 % of the initial modulus (Gibson and Ashby 1997, chapter 5). 60, 110 and 150 N are
-then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 N sink by more than 17 mm.)
+foam less than that, below its plateau, so that it measures the *initial* modulus. The plate's stress at 40 % is assumed
+to be the plateau's, and the plateau 5 % of the initial modulus (Gibson and Ashby 1997, chapter 5). 60, 110 and 150 N
+are then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 N sink by more than 17 mm.)
 **Rigid** pieces have RIGID_PA, 1000 times the foam of 60 N. **Poisson's ratio** is 0.2 everywhere.
 
 `DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
-`homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on with `soft-spot`, `corner`,
-`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate` and with a
-third for the lump `lump`, where a letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 %
-of its modulus relaxes, with a time constant of 1 s; `60p20` and `60c30p20` keep 20 % of each dent for good. `60y20`
+`homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on. So do `soft-spot`, `corner`,
+`strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate`, and with a
+third for the lump `lump`. A letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 % of its
+modulus relaxes, with a time constant of 1 s; in `60p20` and `60c30p20` 20 % of each dent is permanent. `60y20`
 yields: its stress tends to a plateau near a twentieth of its modulus (Ogden's law, `deformscope.lab.plateau_world`).
 
 `buried-A-B` is a foam of A with a ball of B glued into it, which does not reach the surface, and `empty-A` the same
-foam with nothing in it: smaller and thicker slabs (`BURIED`).
+foam without it: smaller and thicker slabs (`BURIED`).
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ CRATE_M, CRATE_WAVE_M = 0.005, 0.06
 
 
 def initial_modulus_pa(hardness_n: float) -> float:
-    """The modulus that a light touch meets, of foam of an ISO 2439 hardness [N]."""
+    """The modulus in a light touch of foam of an ISO 2439 hardness [N]."""
     return hardness_n / PLATE_M2 / PLATEAU_SHARE
 
 
@@ -200,8 +199,8 @@ class Scene:
 
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
     size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
-    drawn: what the seed gave, by name; buried: what is in the foam below the surface, whose label is that of the places
-    above it, and which no modulus of a place knows
+    drawn: what the seed gave, by name; buried: the part in the foam below the surface. Its label is that of the places
+    above it, and no modulus of a place has it
     """
 
     name: str
@@ -227,7 +226,7 @@ class Scene:
         return tuple(label for label, piece in enumerate(self.pieces) if piece.rigid)
 
     def label(self, xy_m: FloatArray) -> IntArray:
-        """(...,) the region of each place (..., 2); -1 beside the slab, and everywhere where there are no regions."""
+        """(...,) the region of each place (..., 2); -1 outside the slab, and everywhere without regions."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
         if not self.pieces:
@@ -236,20 +235,20 @@ class Scene:
         return np.where(beside, -1, found)
 
     def modulus_pa(self, xy_m: FloatArray) -> FloatArray:
-        """(...,) Young's modulus at places (..., 2) [Pa]; beside the slab, that of its nearest edge."""
+        """(...,) Young's modulus at places (..., 2) [Pa]; outside the slab, that of its nearest edge."""
         xy_m = np.clip(np.asarray(xy_m, dtype=np.float64), 0.0, self.size_m)
         if self._modulus is not None:
             return self._modulus(xy_m)
         return np.array([piece.modulus_pa for piece in self.pieces])[self.label(xy_m)]
 
     def height_m(self, xy_m: FloatArray) -> FloatArray:
-        """(...,) height of the rest surface over the table [m]; 0 beside the slab."""
+        """(...,) height of the rest surface over the table [m]; 0 outside the slab."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
         return np.where(beside, 0.0, self.foam_height_m(xy_m))
 
     def foam_height_m(self, xy_m: FloatArray) -> FloatArray:
-        """(...,) as `height_m` of places (..., 2) [m], but as if the slab went on beside its edges."""
+        """(...,) as `height_m` of places (..., 2) [m], but with the slab continued beyond its edges."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         bumps = 0.0 if self._bumps is None else self._bumps(xy_m)
         return np.broadcast_to(self.thickness_m + bumps, xy_m.shape[:-1])
@@ -291,27 +290,29 @@ class Scene:
 BUILT_IN = {
     "homogeneous-60": "one foam of 60 N",
     "homogeneous-110": "one foam of 110 N",
-    "two-60-150": "two foams, 60 and 150 N, that meet along a tilted line",
-    "two-110-150": "two foams, 110 and 150 N, that meet along a tilted line",
-    "two-150-rigid": "a foam of 150 N beside something rigid",
+    "two-60-150": "two foams, 60 and 150 N, with a border along a tilted line",
+    "two-110-150": "two foams, 110 and 150 N, with a border along a tilted line",
+    "two-150-rigid": "a foam of 150 N next to a rigid part",
     "three-60-110-rigid": "foams of 60 and 110 N and something rigid, as stripes or as a T",
     "disc": "a disc of 16 to 20 cm in another foam, 30 and 200 N, either being the softer",
     "gradient": "foam whose modulus rises evenly from corner to corner, without regions",
     "bumpy": "two foams, 60 and 150 N, under a surface that is not flat",
     "soft-spot": "a spot of 10 to 12 cm and 60 N in a foam of 150 N",
-    "wavy": "two foams, 60 and 150 N, that meet along a wave",
+    "wavy": "two foams, 60 and 150 N, with a border along a wave",
     "corner": "a rectangle in a corner of another foam, 60 and 150 N, either being the softer",
     "strip": "a strip of 12 to 18 cm across another foam, 60 and 150 N, either being the softer",
     "patches": "two discs of 14 to 18 cm in another foam, 60 and 150 N, either being the softer",
     "ring": "a ring 6 to 8 cm wide, 26 to 32 cm across, in another foam, 60 and 150 N, either being the softer",
-    "zigzag": "two foams, 60 and 150 N, that meet along a zigzag",
+    "zigzag": "two foams, 60 and 150 N, with a border along a zigzag",
     "wedge": "one foam of 110 N, 5 cm thick at one corner and 2 at the other",
     "step": "one foam of 110 N, 2 cm thick on one side of a tilted line and 5 on the other, a ramp of 6 cm between",
     "egg-crate": "one foam of 110 N, 5 cm thick, with crests and hollows 1 cm apart in height and 6 cm in waves",
-    "thin-thick": "a foam of 60 N, 2 cm thick, beside one of 75 N, 5 cm thick, which feel alike",
-    "lump": "two foams, 60 and 150 N, that meet along a tilted line, and something rigid 12 cm wide somewhere in them",
+    "thin-thick": "a foam of 60 N, 2 cm thick, next to one of 75 N, 5 cm thick, with the same apparent stiffness",
+    "lump": (
+        "two foams, 60 and 150 N, with a border along a tilted line, and a rigid part 12 cm wide somewhere in them"
+    ),
 }
-"""Scenes by name, and what they are: thesis table 4.1's six, and what it did not try."""
+"""Scenes by name, with their descriptions: thesis table 4.1's six, and others."""
 
 BURIED = {
     "buried": "a foam of 60 N, 20 by 20 cm and 7 cm thick, with a ball of 600 N in it, 4 cm across, 1 to 2 cm deep",
@@ -424,7 +425,7 @@ def _layout(kind: str, drawn: dict[str, float]) -> Labels:
 
 
 def _three(drawn: dict[str, float]) -> Labels:
-    """Three stripes, or one piece beside two that share the rest."""
+    """Three stripes, or one piece next to two that share the rest."""
     order = [(0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)][min(int(drawn["order"]), 5)]
     turned, middle = drawn["turned"] >= 1.0, SIZE_M[1] / 2
     if drawn["pattern"] < 1.0:
@@ -448,7 +449,7 @@ def _border(
     wave: tuple[float, float, float] = (0.0, 1.0, 0.0),
     pointed: bool = False,
 ) -> Places:
-    """How far places are to the right of a line through (x, y), tilted from the y axis; or of a wave along it, which
+    """Distance of places to the right of a line through (x, y), tilted from the y axis; or of a wave along it, which
     may be pointed."""
     tilt = np.deg2rad(tilt_deg)
     along, across = np.array([-np.sin(tilt), np.cos(tilt)]), np.array([np.cos(tilt), np.sin(tilt)])

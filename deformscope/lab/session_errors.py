@@ -3,8 +3,8 @@
     errors = LabErrors().draw(seed)        # LabErrors.none() is the old, clean laboratory
     errors.arm_n_per_m, errors.gain, errors.scatter(xy_m)
 
-The estimator knows the deviations that are common practice (a calibration with its interval, a force sensor's data
-sheet), and never what was drawn.
+The estimator has the deviations of common practice (a calibration with its interval, a force sensor's data sheet), and
+never the random values.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class LabErrors:
     sensor's; drift: deviation of what that changes by in TOUCHES_S
     scatter: between which the deviation of log stiffness within one material lies, drawn evenly in logarithms;
     scatter_length_m: over which it changes
-    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: how far the arm goes on after
-    the stop, evenly from 0; friction: of the tip on the surface, evenly from 0
+    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: overshoot of the arm after the
+    stop, uniform from 0; friction: of the tip on the surface, evenly from 0
     """
 
     arm: float = ARM_DOUBT
@@ -99,8 +99,8 @@ class SessionErrors:
     phase_rad: FloatArray
 
     def scatter(self, xy_m: FloatArray) -> FloatArray:
-        """(...,) by how much log stiffness at places (..., 2) is above its material's level: a Gaussian random field of
-        squared exponential covariance, as a sum of cosines (Rahimi and Recht 2008)."""
+        """(...,) log stiffness at places (..., 2) relative to its material's level: a Gaussian random field of squared
+        exponential covariance, as a sum of cosines (Rahimi and Recht 2008)."""
         waves = np.cos(np.asarray(xy_m) @ self.wave_rad_m.T + self.phase_rad)
         return np.asarray(self.scatter_sd * np.sqrt(2.0 / WAVES) * waves.sum(axis=-1))
 
@@ -109,7 +109,7 @@ class SessionErrors:
         return self.gain + self.drift * time_s / TOUCHES_S
 
     def as_felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
-        """(3,) what the sensor makes of a force (3,) in the tip's frame [N]: its gain, and friction aside."""
+        """(3,) output of the sensor for a force (3,) in the tip's frame [N]: its gain, without friction."""
         aside = np.array([np.cos(self.friction_rad), np.sin(self.friction_rad), 0.0])
         felt = force_n + self.friction * float(np.linalg.norm(force_n)) * aside
         return np.asarray(self.gain_at(time_s) * felt)

@@ -1,7 +1,7 @@
 """A foam slab glued to the ground and pressed from above by a rigid tip, in finite elements: truth for pokes.
 
 Linear elastic, any field of Young's modulus. The mesh covers the slab around the tip and is finest at its edge, where
-the pressure of a flat tip is infinite; farther than that the surface is quiet.
+the pressure of a flat tip is infinite; the surface farther away hardly moves.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class RigidTip:
 
 @dataclass(frozen=True, slots=True)
 class Dent:
-    """A slab under a tip. displaced: (n, 3) of points (n, 3) that were asked for [m]; depth: of the tip [m]; force:
-    on it [N]; touched: (n,) points under the tip"""
+    """A slab under a tip. displaced: (n, 3) of the requested points (n, 3) [m]; depth: of the tip [m]; force: on it
+    [N]; touched: (n,) points under the tip"""
 
     displaced: FloatArray
     depth: float

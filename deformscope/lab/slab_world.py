@@ -6,17 +6,16 @@
     contact.force_n, contact.depth_m           # on the tip, and how far it has sunk
     world.displaced_m(contact, xy_m)           # how the surface has moved there, for the camera
 
-What only the neighbourhood of a touch feels is solved there alone: a mesh around the touch, of 1.5 mm under a tip of
-2 cm and coarser with distance, glued to the table, with the foams as they lie and the surface as high as it is. Its
-equations are factorised once (0.6 s), the nodes that a tip may touch come last, and what is left of the factors there
-is their dense stiffness. A press is then a complementarity problem of about 200 nodes (0.5 ms).
+Only the neighbourhood of a touch is solved: a mesh around the touch, of 1.5 mm under a tip of 2 cm and coarser with
+distance, glued to the table, with the true foams and heights. Its equations are factorised once (0.6 s), with the nodes
+that a tip may touch last; the remaining block of the factors is their dense stiffness. A press is then a
+complementarity problem of about 200 nodes (0.5 ms).
 
 A ball of 2 cm on 5 cm of foam: force within 2 % of the closed form for a bonded layer from 0.5 to 7 mm, within 3 % of
-finer meshes, also near a border; far less deep a single node carries it all.
+finer meshes, also near a border. At much smaller depths a single node carries all of it.
 
-What is left out: friction, speed (`creeping_world`), large strain, and that a deep dent's wall is pushed aside as well
-as down (the gap is closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and
-with finer meshes.
+Not modelled: friction, speed (`creeping_world`), large strain, and the lateral motion of a deep dent's wall (the gap is
+closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and with finer meshes.
 """
 
 from __future__ import annotations
@@ -48,13 +47,13 @@ REACH = 1.6
 """The mesh goes this many thicknesses beyond the tip; a free side there changes the force by less than 0.2 %."""
 
 MARGIN = 1.0
-"""Elements between a tip and the edge of what it may touch: how far it may drift before a new mesh is made."""
+"""Elements between a tip and the edge of its possible contact: how far it may drift before a new mesh is made."""
 
 FLAT_DRIFT = 0.25
 """Share of that for a flat tip: it keeps to its nodes meanwhile."""
 
 TABLE_N_PER_M = 2e5
-"""Stiffness of the table's top, which a tip meets beside the slab or through it."""
+"""Stiffness of the table's top, which a tip touches outside the slab or through it."""
 
 CLEAR_M = 2e-4
 """Farther from the surface than that, a tip needs no mesh."""
@@ -65,7 +64,7 @@ SAMPLES = 5
 FOOT_ROUNDS = 3
 MOST_ROUNDS = 30
 MOST_PATCHES = 3
-"""Meshes that are kept (0.25 GB each); the oldest goes first."""
+"""Number of stored meshes (0.25 GB each); the oldest goes first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +75,8 @@ class Contact:
     depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
     gap_m: from tip to foam, along the normal; 0 in contact [m]
     force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, and what the table adds
-    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) what moves each, along the normal [N]: what it
-    carries, on foam without a memory
+    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each, along the normal [N]: its contact
+    force, on foam without a memory
     tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
     node: (n,) the nodes' numbers in it
     """
@@ -149,8 +148,8 @@ class Patch:
         self._top: IntArray = corners[np.lexsort(flat_at[corners, 1::-1].T)]
 
     def push_out(self, overlap: FloatArray, softer: float = 1.0) -> FloatArray:
-        """(n,) forces along the normal [N] that keep the candidates out of a tip which each overlaps so far [m], where
-        the foam gives so many times as much."""
+        """(n,) forces along the normal [N] that push the candidates out of a tip, by their overlaps [m], for foam with
+        this multiple of compliance."""
         if not (overlap > 0.0).any():
             return np.zeros(len(overlap))
         return _without_pull(softer * self.compliance, overlap)
@@ -166,7 +165,7 @@ class Patch:
 
 
 class SlabWorld:
-    """A scene's foam, to be pressed anywhere. Meshes are made where they are needed and kept."""
+    """A scene's foam, to be pressed anywhere. Meshes are made on demand and stored."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -194,7 +193,7 @@ class SlabWorld:
         return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """What a tip feels at a place, held still there.
+        """The force on a tip at a place, at rest.
 
         center_m: (3,) the middle of a ball, or of a flat tip's face, in the surface frame [m]. A flat tip lies
         along the rest surface below it.
@@ -246,7 +245,7 @@ class SlabWorld:
         return foot, normal
 
     def _reaches(self, tip: RigidTip, center: FloatArray, normal: FloatArray) -> float:
-        """How far the rest surface reaches into a tip, about [m]; negative: how far it is away; -inf beside it."""
+        """How far the rest surface reaches into a tip, about [m]; negative: its distance; -inf outside it."""
         side = np.linspace(-1.0, 1.0, 9)
         spots = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
         # what is beside the slab counts where the slab ends
@@ -267,7 +266,7 @@ def _fine_m(tip: RigidTip) -> FloatArray:
 
 
 def _overlap(tip: RigidTip, center: FloatArray, normal: FloatArray, points: FloatArray) -> FloatArray:
-    """(n,) how far points (n, 3) of the rest surface reach into the tip along a normal [m]; -inf beside the tip."""
+    """(n,) overlap of points (n, 3) of the rest surface with the tip along a normal [m]; -inf outside the tip."""
     aside = (points - center) @ _frame(normal).T
     if tip.half is not None:
         covered = (np.abs(aside[:, :2]) <= _half_m(tip) + 1.1 * FLAT_DRIFT * _fine_m(tip)).all(axis=1)
@@ -304,8 +303,8 @@ def _without_pull(compliance: FloatArray, overlap: FloatArray) -> FloatArray:
 
 
 def _mean_modulus_pa(scene: Scene, corner_m: FloatArray) -> FloatArray:
-    """(E,) the mean over each element, (2, 8, E) its corners [m]: what counts where a border between two foams goes
-    through from top to bottom, and both are pressed down alike."""
+    """(E,) the mean over each element, (2, 8, E) its corners [m]: for a border between two foams from top to bottom,
+    both of which are pressed alike."""
     low, side = corner_m.min(axis=1), np.ptp(corner_m, axis=1)
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
     spots = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 1, 2)

@@ -1,10 +1,10 @@
 """A camera's view of a pressed foam: speckles that move as the finite elements say.
 
-The image is made backwards: for each pixel, the place at rest of what is seen there (Newton's method on the true
-motion, a bicubic spline of the finite element displacement), and the speckles there, also a spline, averaged over the
-pixel. So nothing is displaced by the rendering itself, which would be taken for motion.
+The image is made backwards: for each pixel, the rest position of its point (Newton's method on the true motion, a
+bicubic spline of the finite element displacement). The speckles there, also a spline, are averaged over the pixel. So
+the rendering displaces nothing, which would appear as motion.
 
-Where the foam bulges beside the clamp it would go a millimetre or so behind the clamp's side: the finite elements know
+Where the foam bulges around the clamp it would go about a millimetre behind the clamp's side: the finite elements have
 no contact there, and the clamp is drawn in front.
 
 Image axes: x to the right, y down, a whole number at a pixel's middle [px].
@@ -110,7 +110,7 @@ class Film:
     """A push as a camera takes it.
 
     mask: (H, W) True where the foam is in the first image; motions: the true one at each image
-    images: makes each (H, W) uint8 image when it is asked for
+    images: makes each (H, W) uint8 image on demand
     """
 
     mask: BoolArray
@@ -137,7 +137,7 @@ def film(
 
 
 class _Scene:
-    """Foam, ground, clamp and what stands behind, each with its speckles."""
+    """Foam, ground, clamp and background, each with its speckles."""
 
     def __init__(self, block: Block, clamp_m: float, view: View, seed: int) -> None:
         self.view = view

@@ -11,9 +11,9 @@ itself: `wait_until` lets time pass, so that the same run comes every time, and 
 started with `wait=False`; a call that waits for one hand's reading would leave the other devices unread meanwhile.
 `lab:containers` is this laboratory.
 
-Frames: the hand stands still, and its frame is the world's (`deformscope_drivers.sdh.kinematics`: z away from the
-wrist, x from finger 2 to finger 0; y is upwards here). A container's frame: origin in the middle of its body, x along
-the squeeze, z upwards.
+Frames: the hand is fixed, and its frame is the world's (`deformscope_drivers.sdh.kinematics`: z away from the wrist, x
+from finger 2 to finger 0; y is upwards here). A container's frame: origin in the middle of its body, x along the
+squeeze, z upwards.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ from deformscope_drivers.sdh.motion import AMBIENT_C, CYCLE_NS
 
 POLL_NS: Final = 5_000_000
 OPEN_DEG: Final = (90.0, -17.3, 5.3, -70.0, 0.0, -17.3, 5.3)
-"""Where the hand stands first: fingers 0 and 2 face each other, upright when they touch a box by closing their proximal
+"""First pose of the hand: fingers 0 and 2 face each other, upright when they touch a box by closing their proximal
 joints alone; the thumb is out of the way."""
 CLOSING_AXES: Final = (1, 5)
 CLOSED_DEG: Final = 10.0
@@ -79,8 +79,8 @@ class ContainerTruth:
     `STILL_DEG_S` until they were opened again, or until now; None where there was none (yet)
     T_hand_container, T_hand_camera: (4, 4)
     force_n, dent_m: (2,) of finger 0 and finger 2: how hard they press, and the most that the wall moved inwards
-    inward_m: (nodes along s, along z) how far the wall stands within the undeformed container; a content bulges it also
-    before it is touched
+    inward_m: (nodes along s, along z) depth of the wall within the undeformed container; a content bulges it also
+    before contact
     """
 
     content: str
@@ -98,12 +98,11 @@ class ContainerTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerCase:
-    """What stands in the laboratory.
+    """The content of the laboratory.
 
     container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
     seed: of grasp, fill, temperatures and noise; session: of the room's temperature
-    grasp: (4, 4) container to hand as it was meant to stand, from which the true pose differs a little; None = a random
-    one
+    grasp: (4, 4) container to hand as planned, from which the true pose differs a little; None = a random one
     alike: every content has the physics of water, whatever it is called
     """
 
@@ -158,7 +157,7 @@ class SqueezedContainer:
         )
 
     def seen(self) -> View:
-        """What the camera is to show now, without what it adds itself."""
+        """The camera's present scene, without its own errors."""
         position = np.array([axis.position_deg for axis in self.hand.motion.axes])
         exact = self.view.render(self.world.inward_m(), self.world.T_hand_container, position)
         flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
@@ -264,7 +263,7 @@ class SqueezeLab:
         return RigSource(members(*self._three), clock=self.clock, opener=self.open)
 
     def wait_until(self, until_ns: int) -> None:
-        """Let time pass: the hand goes on in each of its cycles, and every device is polled at its moments."""
+        """Let time pass: the hand moves in each of its cycles, and every device is polled at its moments."""
         while (now_ns := self.clock()) < until_ns:
             self.clock.advance_to(min((now_ns // POLL_NS + 1) * POLL_NS, until_ns))
             self.simulated.hand.position_deg(self.clock())

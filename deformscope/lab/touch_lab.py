@@ -1,7 +1,7 @@
 """The laboratory's touch: an arm, a force sensor and a camera around one world, on one clock.
 
-The doubles speak through the real drivers: the arm's pose presses the world, the world's force goes into the force
-sensor's scene and onto the arm. Nothing runs by itself: `wait_until` lets time pass, so the same run comes every time.
+The doubles use the real drivers: the arm's pose presses the world, the world's force goes into the force sensor's scene
+and onto the arm. There are no threads: `wait_until` lets time pass, so every run is the same.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble,
 from deformscope_drivers.optoforce.protocol import Decoder, Reading, encode
 
 READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
-"""Joint angles near which the arm stands above that table in the configuration that reaches all of it."""
+"""First joint angles of the arm above that table, in the configuration that reaches all of it."""
 READY_M = (0.3, 0.2, 0.2)
 POLL_NS = 2_000_000
 
@@ -69,11 +69,11 @@ class TouchLab:
     ) -> None:
         """arm_stiffness_n_m, goes_on: as of `ArmContact`
 
-        as_felt: what the force sensor makes of a force on it (3,) [N] at a time [s]; default the same
+        as_felt: output of the force sensor for a force on it (3,) [N] at a time [s]; default the same
 
         arm: any simulated arm, on `clock`, in place of a Jaco with arm_model and arm_config
 
-        start_deg: (n,) where the Jaco stands; default: the six-joint arm ready above the middle of the table
+        start_deg: (n,) first angles of the Jaco; default: the six-joint arm ready above the middle of the table
 
         view: what the camera sees at a time since its opening [s]; None = no camera
         """
@@ -176,7 +176,7 @@ class TouchLab:
                     _poll(device)
 
     def _load(self, time_s: float) -> FloatArray:
-        """(3,) what the force sensor makes of its load [N]."""
+        """(3,) output of the force sensor for its load [N]."""
         load = self.contact.load(time_s)
         return load if self._as_felt is None else np.asarray(self._as_felt(load, time_s), np.float64)
 
@@ -202,7 +202,7 @@ class TouchLab:
 
 
 def _poll(device: Device[Any]) -> None:
-    """One round; a link that is lost reports it by itself."""
+    """One round; a lost link reports itself."""
     try:
         device.poll(0.0)
     except DeviceError:
@@ -212,8 +212,8 @@ def _poll(device: Device[Any]) -> None:
 class SpoiledWire(MemoryTransport):
     """A wire from the force sensor that can be spoiled: a share of its bytes, or everything repeated or held back.
 
-    spoiled: chance of a byte to be turned into another; frozen: the same counts again and again, in frames that are
-    whole (their counter goes on), of all axes or of those that are `stuck`
+    spoiled: chance of a byte to be turned into another; frozen: repeated counts, in complete frames (their counter
+    advances), of all axes or of those that are `stuck`
     """
 
     def __init__(self, double: OptoforceDouble, clock: SimulatedClock, seed: int = 0) -> None:
@@ -256,8 +256,8 @@ class Spoiled:
 
     invalid: poses and joint angles are not numbers; frozen: every reading is the one before; waits: called before each
     call, which takes its time
-    turning_rad_s: (3,) the arm turns its end by this beside what each point of joint rates asks, about the tip's
-    centre, in the base frame
+    turning_rad_s: (3,) rotation of the arm's end in addition to each point of joint rates, about the tip's centre, in
+    the base frame
     """
 
     def __init__(self, arm: JacoDouble, T_ee_center: FloatArray) -> None:

@@ -17,16 +17,16 @@ from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
 
 FIRST_M, STEP_M, FINER = 2e-6, 3e-4, 1.35
-"""Depths at which the force is found: from the first, each so many times deeper, until they are a step apart."""
+"""Depths at which the force is computed: from the first, each deeper by this factor, until they are a step apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sensing:
-    """What arm and force sensor make of it.
+    """Errors of arm and force sensor.
 
     rate_hz: samples a second; speed_m_s: of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
     arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
-    gain: force as measured over the true one, which decides where it stops; overshoot_m: how far it goes on after that
+    gain: force as measured over the true one, which decides where it stops; overshoot_m: overshoot after that
     friction: force aside over the normal one, towards `friction_rad` from the x axis
     """
 
@@ -43,9 +43,9 @@ class Sensing:
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """A touch as recorded, and as it was.
+    """A touch as recorded, and its truth.
 
-    time_s: (n,) from the start; position_m: (n, 3) where the arm believes the tip's middle (a flat tip's face) to be
+    time_s: (n,) from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
     force_n: (n, 3) on the tip, as measured; all in the surface frame
     true_depth_m: (n,) how far the tip had sunk along the normal, negative above; true_force_n: (n,) along the normal
     level_n: the force that it was to stop at last; reached: it did, rather than stop at the depth
@@ -77,7 +77,7 @@ def approach(
 ) -> Approach:
     """Come down on a place (2,) along the surface's normal (3,) until the force is reached, or the depth.
 
-    Where the dent at the set force is shallower than `shallow_m`, the arm goes on to the second force. It starts
+    If the dent at the set force is shallower than `shallow_m`, the arm continues to the second force. It starts
     `clearance_m` above the surface, and stays `dwell_s` where it stopped. The last sample before that is at the stop
     itself, in less than a period from the one before.
     """

@@ -1,1 +1,1 @@
-"""How results are logged: a view for each type of result. The only place, with the recorder, that knows rerun."""
+"""How results are logged: a view for each type of result. The only package, with the recorder, that imports rerun."""

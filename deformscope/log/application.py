@@ -14,10 +14,10 @@ PictureLayout = Literal["images", "flow", "pair", "pair-3d"]
 class Application:
     """rerun's application: a viewer keeps one set of views for each.
 
-    name: rerun's id of it; over_picture: which views results over a picture get as soon as the picture is known, None =
-    the views come with what they show
-    devices: whether devices are recorded; robot_moves: whether a robot moves meanwhile, whose run says on a page what
-    goes on, and without whose results a recording is not worth keeping
+    name: rerun's id of it; over_picture: the views of results over a picture, once the picture is known, None = the
+    views come with their results
+    devices: whether devices are recorded; robot_moves: whether a robot moves meanwhile, whose run reports its state on
+    a page. A recording without its results is useless
     """
 
     name: str

@@ -26,7 +26,7 @@ WIDE_FROM = 3.0
 
 
 def blueprint(layout: PictureLayout, canvas: Canvas, chart: str = CHART, body: str = "") -> rrb.Blueprint:
-    """The views for a layout over this picture. chart: what the picture beside the particles shows; body: what lies on
+    """The views for a layout over this picture. chart: content of the chart next to the particles; body: what lies on
     the body, before where the model is wrong; empty = nothing"""
     if layout == "flow":
         root: rrb.Container | rrb.View = rrb.Horizontal(
@@ -108,7 +108,7 @@ def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
 
 
 def deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
-    """A view whose eye stands far enough away to have the whole in sight, above and to the side."""
+    """A view whose eye is far enough away to have everything in sight, above and to the side."""
     low, high = list(canvas.low), list(canvas.high)
     low[1] -= 0.32 * max(canvas.width, canvas.height)  # the legend
     middle = [(first + last) / 2 for first, last in zip(low, high, strict=True)]

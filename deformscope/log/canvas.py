@@ -14,9 +14,9 @@ from deformscope.pictures.palette import Rgb, colors, readable
 TEXT: Rgb = (225, 225, 225)
 
 SIDE_LEGEND_FROM = 3.5
-"""Height over width from which the legend stands beside the picture rather than below it."""
+"""Height over width from which the legend is beside the picture rather than below it."""
 COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
-"""What the legend takes beside the picture, of its width, or below it, of its longer side."""
+"""Size of the legend beside the picture, of its width, or below it, of its longer side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class Canvas:
     spacing: between neighbouring particles, in the same unit; 0 = not known yet
     particles: (K, 2) where the particles are now [px], so that nothing is drawn where the thing is not; None = anywhere
     image: the path of the image under the results; empty = none
-    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = as they are. Corners are of what is
+    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of what is
     drawn
     """
 
@@ -53,7 +53,7 @@ class Canvas:
 
     @property
     def has_side_legend(self) -> bool:
-        """Whether the legend stands beside the picture: only where that is tall and narrow."""
+        """Whether the legend is at the side of the picture: only if that is tall and narrow."""
         return self.height > SIDE_LEGEND_FROM * self.width
 
     def around(self, position: FloatArray) -> Canvas:
@@ -67,7 +67,7 @@ class Canvas:
         return replace(self, low=tuple(map(float, low)), high=tuple(map(float, high)))
 
     def slot(self, place: float, row: int = 0) -> tuple[float, float]:
-        """Where the legend's entry number `place`, 0 to 4, stands, outside the picture [unit of the picture]."""
+        """Place of the legend's entry number `place`, 0 to 4, outside the picture [unit of the picture]."""
         if self.has_side_legend:
             return self.low[0] + self.width * (1.25 + 0.45 * row), self.low[1] + self.height * (0.06 + 0.06 * place)
         below = (0.25 + 0.5 * row) * ROW_SHARE * max(self.width, self.height) + self.rim
@@ -91,7 +91,7 @@ def sides_of(triangles: IntArray) -> IntArray:
 
 
 def log_place(rec: rr.RecordingStream, canvas: Canvas, *paths: str) -> None:
-    """Have the positions at these paths, which stay true in the recording, drawn where the canvas wants them."""
+    """Draw the positions at these paths, which are unchanged in the recording, at the canvas's scale."""
     if canvas.image:
         return
     scale = np.array([*canvas.scale, 1.0, 1.0, 1.0][:3])

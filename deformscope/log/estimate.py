@@ -24,7 +24,7 @@ RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
 """Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""
 
 NET = 1.2
-"""Particles of a surface that are at most so many spacings apart are joined by a net."""
+"""Largest distance, in spacings, of a surface's particles that a net joins."""
 
 CELLS, OVER_IMAGE = 192, 0.75
 """Of the heat map in the plane: cells along its longer side, and how much of it covers an image."""
@@ -36,7 +36,7 @@ RING: Rgb = (20, 20, 20)
 
 
 def log_comparison(rec: rr.RecordingStream, comparison: Comparison, canvas: Canvas) -> None:
-    """Simulated particles in red beside the observed ones, what separates them, and where the model is wrong."""
+    """Simulated particles in red with the observed ones, their differences, and the model's error."""
     length = errors(comparison)
     free = np.ones(len(length), dtype=np.bool_)
     free[comparison.held] = False
@@ -233,7 +233,7 @@ def _heights(canvas: Canvas) -> str:
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
     """The error curve as a chart and as numbers, the verdict as text, and every field of it.
 
-    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's stands at the pair's frame.
+    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's is at the pair's frame.
     """
     whole = bool(canvas.image)
     curve = estimate.curve

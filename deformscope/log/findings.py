@@ -24,7 +24,7 @@ from deformscope.stages.see.triangulation import spacing_of
 
 @dataclass(frozen=True, slots=True)
 class RigFindings:
-    """What was found with devices that are recorded beside it. streams: of the devices, whose views stand below"""
+    """Results of devices that are recorded in the same file. streams: of the devices, whose views are below"""
 
     found: Findings
     streams: tuple[Stream, ...]
@@ -56,7 +56,7 @@ def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
 
 
 def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:
-    """The same beside particles: the first picture and the tables stand where an estimate's would."""
+    """The same next to particles: the first picture and the tables replace an estimate's."""
     whole = bool(canvas.image)  # what is found of a sequence belongs to all of it
     _log_tables(rec, found, "calibration/summary", whole=whole)
     if not found.figures:
@@ -108,7 +108,7 @@ def _around(body: ColoredBody) -> Canvas:
 
 
 def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> rrb.Blueprint:
-    """Bodies and pictures beside the tables."""
+    """Bodies and pictures with the tables."""
     bodies = [
         deep_view(body.caption, [f"+ /found/body/{number}/**"], _around(body))
         for number, body in enumerate(found.bodies)

@@ -21,7 +21,7 @@ class RecordingLayout(ABC):
     """How a session with devices is recorded and shown. To make one does not import rerun.
 
     streams: of the devices
-    by_touch: whether what devices give stands on the timelines of an exploration (`deformscope.log.rig.Place`)
+    by_touch: whether device items are on the timelines of an exploration (`deformscope.log.rig.Place`)
     """
 
     streams: tuple[Stream, ...]
@@ -34,7 +34,7 @@ class RecordingLayout(ABC):
 
     @abstractmethod
     def log_start(self, rec: rr.RecordingStream) -> None:
-        """Log what holds throughout, beside what is known of the devices."""
+        """Log constants, and the devices' descriptions."""
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
         """The touch that what devices give next belongs to, after these results at a moment of this touch."""

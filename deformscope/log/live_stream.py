@@ -1,4 +1,4 @@
-"""The stream to a viewer that shows what goes on: it gets what can be seen, and says when it has got it."""
+"""The stream to a live viewer: it receives visible items, and reports their arrival."""
 
 from __future__ import annotations
 

@@ -10,11 +10,11 @@ from rerun.chunk import Chunk
 
 MOST_BYTES, MOST_PARTS = 2 << 20, 256
 MOST_NS, MOST_NS_OF_RESULTS = 20_000_000_000, 300_000_000_000
-"""A portion is complete when it has so many bytes, was so many, or spans so much of `session` [ns]: who reads items in
-the order of their time holds all that the longest one spans. Each portion costs rerun some 70 bytes of memory, until
-the file is closed, for every column that any entity of the file has: 20 kB in an exploration."""
+"""A portion is complete at a limit of bytes, of items, or of `session` time [ns]. A reader in the order of time has to
+hold the span of the longest one. Each portion costs rerun about 70 bytes of memory, until the file is closed, for every
+column of any entity of the file: 20 kB in an exploration."""
 RESULTS = ("/exploration/", "/display/")
-"""Entities of a few rows a touch, which nobody reads in the order of their time with what devices gave."""
+"""Entities of a few rows per touch, which no reader merges with device items in the order of time."""
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class Merged:
             growing.parts, growing.bytes = [], 0
 
     def rest(self) -> Iterator[Chunk]:
-        """The chunks that have not been given out yet; none is kept."""
+        """The chunks that were not returned yet; none is stored."""
         for growing in self._growing.values():
             if growing.parts:
                 yield _joined(growing.parts)

@@ -45,7 +45,7 @@ class ResultBatch:
         self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 
     def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:
-        """What `draw`, a function of a module, makes of what is given: a PNG."""
+        """The PNG that `draw`, a function of a module, makes from its arguments."""
         self.show(path, rr.EncodedImage(contents=render(draw, *given, **named), media_type="image/png"))
 
     def show_points(

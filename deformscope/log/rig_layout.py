@@ -21,7 +21,7 @@ class RigLayout(RecordingLayout):
     stages: tuple[tuple[str, str], ...] = ()
 
     def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
-        """A page shows the devices' health beside the viewer."""
+        """A page shows the devices' health outside the viewer."""
         if self.stages:
             from deformscope.log.stages.views import stage_blueprint
 

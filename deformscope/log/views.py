@@ -21,9 +21,10 @@ class ShownStage:
     name: as its costs are named; chapter: of the thesis, 0 = what is recorded of the run itself; gives: in words
     entity: where its rows are, with what is below it, "" = that of its type of result
     field: of the result, without which a row holds nothing of the stage, "" = each does
-    costs: names of what else is computed for it
-    when: the setting of a recording that asks for it, as `explore.hold_s`, or with one of its values, as
-    `stages.names=beta`; several, parted by spaces, all are needed; "" = it always comes, `SOMETIMES` = it need not
+    costs: names of other stages that are computed for it
+    when: the setting of a recording that requests it, as `explore.hold_s`, or with one of its values, as
+    `stages.names=beta`. Several, separated by spaces, are all needed; "" = it is always present, `SOMETIMES` = it may
+    be absent
     """
 
     name: str
@@ -48,8 +49,7 @@ def _holds(when: str, settings: Mapping[str, Any]) -> bool:
 
 
 Views: TypeAlias = Mapping[type, Sequence[ShownStage | View[SinkT]]]
-"""Of each type of result the stages that it is of, at least one, and its views; no view where it is recorded and not
-shown."""
+"""For each type of result its stages, at least one, and its views; no view if it is recorded and not shown."""
 
 
 def views_of(kind: type, views: Views[SinkT]) -> Sequence[View[SinkT]]:

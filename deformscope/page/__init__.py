@@ -1,1 +1,1 @@
-"""What pages show of runs, and what they ask of them: recording, exploring, squeezing, fits, playback."""
+"""Views of runs on pages, and commands from pages: recording, exploring, squeezing, fits, playback."""

@@ -30,7 +30,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
     """Serve what the devices of two recordings measured, to play; its address is printed. Also when the first contact
     of each was, since its start [s].
 
-    Raises InputError where a recording has no contact that a force sensor or a tactile array felt.
+    Raises InputError for a recording without a contact in a force sensor or a tactile array.
     """
     names = _names(first.path, second.path)
     series, contacts_s = aligned_series(first, second, names)
@@ -49,7 +49,7 @@ def aligned_series(
     first: Replay, second: Replay, names: tuple[str, str] = ("first", "second")
 ) -> tuple[list[AlignedSeries], tuple[float, float]]:
     """What the devices of two recordings measured since the first contact of each, and when that was, since its start
-    [s]. Raises InputError where a recording has no contact that a force sensor or a tactile array felt."""
+    [s]. Raises InputError for a recording without a contact in a force sensor or a tactile array."""
     from deformscope.experiments.first_contact import KINDS, first_contact_ns
 
     series: list[AlignedSeries] = []
@@ -58,8 +58,8 @@ def aligned_series(
         rows = list(read_rows(recording, (*KINDS, ArmFrame, HandFrame)))
         contact_ns = first_contact_ns(rows)
         if contact_ns is None:
-            came = "one without a contact that a force sensor or a tactile array felt"
-            raise InputError("a recording with a contact, to align it by", came, where=recording.path)
+            came = "one without a contact in a force sensor or a tactile array"
+            raise InputError("a recording with a contact, for the alignment", came, where=recording.path)
         contacts_s.append(contact_ns / 1e9)
         series += _series(rows, recording, contact_ns, which, names[which])
     return series, (contacts_s[0], contacts_s[1])
@@ -87,7 +87,7 @@ def _series(rows: list[Row], recording: Replay, contact_ns: int, which: int, nam
 def _measured(
     items: list[Any], free: slice, before: int, texels_m: list[tuple[float, float]]
 ) -> tuple[str, FloatArray]:
-    """A number of each frame, and what it is. free: frames in which nothing touched yet; before: the last before the
+    """A number of each frame, and its name. free: frames in which nothing touched yet; before: the last before the
     contact"""
     match items[0]:
         case WrenchFrame():
@@ -95,7 +95,7 @@ def _measured(
             known = np.isfinite(forces_n).all()
             felt = forces_n if known else np.array([item.counts[:3] for item in items], np.float64)
             change = np.linalg.norm(felt - np.median(felt[free], axis=0), axis=1)
-            return f"force, less that before the contact [{'N' if known else 'counts'}]", change
+            return f"force, relative to the force before the contact [{'N' if known else 'counts'}]", change
         case TactileFrame():
             areas = [width * height for width, height in texels_m]
             sums_pa = np.array([[float(pad.sum()) for pad in item.pressure_pa] for item in items])
@@ -104,7 +104,7 @@ def _measured(
             return "sum of the texels [counts]", np.array([float(item.counts.sum(dtype=np.int64)) for item in items])
         case ArmFrame():
             at_mm = 1e3 * np.array([item.position_m for item in items])
-            return "way of the arm since the contact [mm]", np.linalg.norm(at_mm - at_mm[before], axis=1)
+            return "travel of the arm since the contact [mm]", np.linalg.norm(at_mm - at_mm[before], axis=1)
         case _:
             angles_deg = np.array([item.position_deg for item in items])
             turned_deg = np.abs(angles_deg - angles_deg[before]).max(axis=1)

@@ -17,7 +17,7 @@ from deformscope_drivers.health import Health
 SHOW_EVERY_S = 0.3
 """From one word on what a robot does to the next."""
 UNTOUCHED = ("look", "plan", "travel", "tare", "done")
-"""Phases of an exploration in which nothing touches the force sensor: what it then feels is drift, no load."""
+"""Phases of an exploration in which nothing touches the force sensor: its force is then drift, no load."""
 
 
 class ShownDevices:
@@ -52,7 +52,7 @@ class ShownDevices:
                 self._session.remark(words, bad=bad)
 
     def tared(self, device: str) -> None:
-        """Its drift begins anew."""
+        """Its drift starts again."""
         self._drifts.pop(device, None)
 
     def _state(self, name: str, health: Health) -> DeviceState:
@@ -82,8 +82,8 @@ class ShownDevices:
 
 
 class WatchedDevices:
-    """A recorder, while a robot acts, that also says at the terminal when an alarm of a sensor begins and ends, and
-    shows what came on a page, where there is one. line: shows what the robot does, and nothing for an empty text"""
+    """A recorder, while a robot acts, that also reports at the terminal when an alarm of a sensor begins and ends, and
+    shows new data on a page, if there is one. line: shows what the robot does, and nothing for an empty text"""
 
     def __init__(self, recorder: SessionRecorder, shown: ShownDevices | None, line: Callable[[str], None]) -> None:
         self._recorder, self._shown, self._line = recorder, shown, line
@@ -109,8 +109,8 @@ class WatchedDevices:
 
 
 def remark_of(item: object) -> tuple[str, bool] | None:
-    """What people are to know of it at once, and whether it is bad: links that change, alarms of sensors,
-    stages that give nothing."""
+    """The immediate remark for people, and whether it is bad: links that change, alarms of sensors, stages without
+    results."""
     if isinstance(item, LinkChange):
         reason = f": {item.event.reason}" if item.event.reason else ""
         return f"{item.device}: {item.event.link}{reason}", item.event.link in ("lost", "failed")

@@ -1,7 +1,7 @@
 """A fit that is set on a page, in its own process: what is changed is simulated at once, and the newest change wins.
 
-What is shown while a camera is followed is nobody's file: a picture that is held, also by a whole fit, is written
-together with the one at rest, and the command line names both.
+Images of a followed camera are in no file. A picture that is held, also by a whole fit, is written together with the
+one at rest, and the command line names both.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ FIRST_S = 10.0
 VALUES, COARSELY = 25, 5
 """Of the error curve: one after the other while nothing changes, every fifth of them first."""
 QUIET_S = 0.3
-"""It is begun once nothing was changed for so long."""
+"""Time without a change after which it begins."""
 SWIFT_S = 0.15
 """The error curve of a picture that is followed is drawn while it does not take longer."""
 BUSY_EVERY_S = 0.2
 PICTURE_NAMES = 8
-"""So many pictures of a camera can still be asked for: a page draws one together with its particles."""
+"""Number of a camera's pictures that can still be requested: a page draws one together with its particles."""
 COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
 
 
 class _SetAnew(Exception):
-    """Something else was set while a whole fit went on."""
+    """A setting has changed during a whole fit."""
 
 
 class PageFit:
@@ -106,7 +106,7 @@ class PageFit:
         self._show(pictures=self._offer_images())
 
     def handle(self, command: PageCommand) -> None:
-        """Have `run` do what is asked for."""
+        """Have `run` carry out a request."""
         with self._news:
             match command:
                 case StopRun():
@@ -140,12 +140,12 @@ class PageFit:
 
     @property
     def result_config(self) -> BetaConfig | ThetaConfig:
-        """The options that were set last, of files. Raises InputError where pictures of a camera could not be kept."""
+        """The options that were set last, of files. Raises InputError if pictures of a camera could not be stored."""
         return self.config if self._camera is None else self._camera.named(self.config)
 
     @property
     def command(self) -> str:
-        """What gives the same numbers at a terminal; empty where nothing does yet."""
+        """The command of the same numbers at a terminal; empty without one."""
         if self.state.following:
             return ""
         return shlex.join(command_line(f"calibrate {self.state.parameter}", self.result_config))
@@ -171,7 +171,7 @@ class PageFit:
     # Of a camera -----------------------------------------------------------------------------------------------------
 
     def _follow(self, camera: FollowedCamera, *, holds: bool) -> None:
-        """Do what was asked for of it; else show its newest picture. holds: what is shown is to stay"""
+        """Carry out its requests; else show its newest picture. holds: what is shown is to stay"""
         with self._news:
             command, self._for_camera = self._for_camera, None
         match command:
@@ -198,7 +198,7 @@ class PageFit:
         try:
             camera.keep()
         except Exception as problem:
-            self._show(problem=f"the pictures cannot be kept: {format_error(problem)}")
+            self._show(problem=f"the pictures cannot be stored: {format_error(problem)}")
             return
         self._show(following=False)
         self._set(self._shown)
@@ -215,7 +215,7 @@ class PageFit:
     # What is shown ---------------------------------------------------------------------------------------------------
 
     def _set(self, asked: SetFit, pictures: tuple[str, ...] = ()) -> None:
-        """Simulate what is asked for, and show it. pictures: that are new"""
+        """Simulate the requested settings, and show the result. pictures: that are new"""
         self._curve, self._shown = [], asked
         try:
             self.config = config = self._config_of(asked.settings)
@@ -231,7 +231,7 @@ class PageFit:
             self._show(**shown, problem=format_error(problem), **new)
             return
         same = self._found == dataclasses.replace(config, at=None)
-        restless = "" if error.converged else "the simulation does not come to rest with these settings"
+        restless = "" if error.converged else "the simulation does not converge with these settings"
         changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
         self._show(
             **changes,
@@ -287,7 +287,8 @@ class PageFit:
         return {"values": tuple(values.tolist()), "errors": tuple(errors)}
 
     def _go_on_with_curve(self) -> None:
-        """One more value, between two looks at what is new; one that cannot be simulated has no error, and is said."""
+        """One more value, between two checks for new requests; one that cannot be simulated has no error, and is
+        reported."""
         value = self._curve.pop(0)
         error: float | None = None
         try:
@@ -324,7 +325,7 @@ class PageFit:
             self._show(busy=f"{what}: {done} of {total}" if total else what)
 
     def _prepared(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Msm, Model]:
-        """What was seen, in the model; both are kept while nothing changes that they depend on."""
+        """The observed positions, in the model; both are reused until their settings change."""
         key = config.images, config.search.noise_px
         if self._seen is None or self._seen[0] != key:
             seen, used = self._subject.observe(config)
@@ -440,7 +441,7 @@ def _first_picture(pipe: Connection, camera: str) -> ImageArray:
 
 
 def _dispatch(pipe: Connection, fit: PageFit, camera: FollowedCamera | None) -> None:
-    """Hand on what comes, until the fit is to end."""
+    """Pass on requests, until the fit is to end."""
     what: Any = None
     while not isinstance(what, StopRun):
         try:

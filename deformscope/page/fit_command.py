@@ -40,14 +40,14 @@ def set_on_page(
     if (reason := not_on_a_page(config)) is not None:
         if config.from_rig:
             raise InputError("one fit to a picture of a rig's camera", reason, "leave it out")
-        raise InputError("images, or one pair file, to be set on a page", reason, "leave out --adjust")
+        raise InputError("images, or one pair file, for the settings of a page", reason, "leave out --adjust")
     config = dataclasses.replace(config, adjust=False, output=dataclasses.replace(config.output, viewer="none"))
     page = PageServer(" ".join(config.sources), adjusting=True)
     page.open()
     note(page.where)
     try:
         chosen, last = _set(config, page, note)
-        page.session.enter("adjusting", commands=(), reason="the whole fit is made of what is set")
+        page.session.enter("adjusting", commands=(), reason="the whole fit uses these settings")
 
         def show(estimate: Estimate, shown: Result) -> None:
             page.offer("fit.png", results_png([shown]), "image/png")
@@ -94,7 +94,7 @@ def _set(
 
 def follow(entry: RigDevice, fit: FitProcess, session: PageSession) -> None:
     """Open a camera of a rig, nothing else of it, and hand its pictures to a fit until one of them has ended. session:
-    where it is said what happens to the camera. Raises InputError where it gives no picture."""
+    receives remarks on the camera. Raises InputError where it gives no picture."""
     came = ended = False
     with member_of(entry) as member, RigSource((member,), raw=False) as source:
         while fit.goes_on and not ended:
@@ -107,7 +107,7 @@ def follow(entry: RigDevice, fit: FitProcess, session: PageSession) -> None:
                     words, bad = remark
                     session.remark(words, bad=bad)
         if ended and fit.goes_on:
-            why = source.failures.get(entry.name, "it has come to its end")
+            why = source.failures.get(entry.name, "it has ended")
             if not came:
                 raise InputError("pictures of the camera", why, where=entry.name)
             session.remark(f"{entry.name}: {why}", bad=True)

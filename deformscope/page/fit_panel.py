@@ -20,7 +20,7 @@ from deformscope.page.server.page_server import PageServer
 
 
 class FitPanel:
-    """`PageRun` of a page, beside that of what goes on. Nothing begins before a page asks for it.
+    """`PageRun` of a page, besides that of the main session. Nothing begins before a page asks for it.
 
     rig: as a command line names it; folder: where held pictures go; name: theirs begin so
     images: options that a fit begins with; their camera is the one that it begins with, None = the first
@@ -56,14 +56,14 @@ class FitPanel:
         if isinstance(command, OpenFit):
             return self._open(command)
         if fit is None or not fit.goes_on:
-            return "refused", "no fit goes on"
+            return "refused", "no fit is running"
         if isinstance(command, CloseFit):
             self._show(fit, shown=False)
-            return "done", "what is set there stays"
+            return "done", "its settings are unchanged"
         return fit.handle(command)
 
     def close(self) -> None:
-        """End it, and say at the terminal what gives its numbers."""
+        """End it, and print the command of its numbers at the terminal."""
         if self._fit is not None:
             self._fit.close()
 

@@ -25,12 +25,12 @@ from deformscope.terminal import say
 NICE = 5
 """What reads devices and moves a robot goes first; what computes the flow comes after it."""
 MOST_CHANGES = 1000
-"""Of so many, the newest, it is kept how long they took to be seen."""
+"""Number of newest pictures whose delay until display is stored."""
 
 
 class FitProcess:
-    """`PageRun` of a fit. Its process asks for a camera's newest picture when it is ready for one; what reads devices
-    hands it over without waiting, and hands over none while nobody looks at the fit.
+    """`PageRun` of a fit. Its process requests a camera's newest picture when it is ready for one. The device loop
+    passes it on without waiting, and passes none while no page shows the fit.
 
     config: with which it begins; state: as it was shown last, at first as given; commands: that are possible then
     changed: is called with it after every change, in the thread that listens to the process
@@ -92,7 +92,8 @@ class FitProcess:
         return self.outcome
 
     def end(self) -> None:
-        """From any thread, at once; `thread` then comes to its end. What gives the numbers is said at the terminal."""
+        """From any thread, at once; `thread` then comes to its end. The command of the numbers is printed at the
+        terminal."""
         if not self.ending:
             # What has not begun yet handles no command: it ends once its pipe does.
             self._until_s = time.monotonic() + (END_S if self.commands else 0.0)
@@ -108,7 +109,7 @@ class FitProcess:
             self.thread.join(3 * END_S)
 
     def _pass_picture(self) -> None:
-        """To the process where that waits for one: the first in any case, then what somebody looks at."""
+        """To the process if it waits for one: the first in any case, later ones if a page shows them."""
         seen = not self._has_first or (self.is_shown and not self._page.session.absent())
         if self._wanted and seen and self._newest is not None:
             self._wanted, self._has_first = False, True

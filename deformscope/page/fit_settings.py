@@ -32,7 +32,7 @@ def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
 
 
 def asked_on_page(config: BetaConfig | ThetaConfig, *, at_terminal: bool) -> bool:
-    """Whether the fit is to be set on a page: where somebody sits at a terminal, or where it is asked for."""
+    """Whether the fit's settings are made on a page: if a person is at a terminal, or if it is requested."""
     if config.output.viewer != "page":
         return False
     return config.adjust or config.from_rig or (at_terminal and not_on_a_page(config) is None)

@@ -1,4 +1,4 @@
-"""What a fit on a page is made of: images whose particles are set there, a pair as it is, or what a camera sees."""
+"""Input of a fit on a page: images whose particles are set there, a fixed pair, or a camera's images."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
 
 
 class ImagesSubject:
-    """Images whose optical flow is kept. size_px: width, height; images: rest and deformed, as JPEG"""
+    """Images with stored optical flow. size_px: width, height; images: rest and deformed, as JPEG"""
 
     kind: Literal["images"] = "images"
 
@@ -105,7 +105,7 @@ class FollowedCamera:
     name: of the camera; first: its first picture, which shows the thing at rest; method: of the flow
     flow: computes it in a process, whose OpenCV nothing else uses meanwhile: the same pictures give the same to the
     last bit
-    next_folder: for pictures that are to be kept; want: asks for the next picture
+    next_folder: for pictures to store; want: asks for the next picture
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class FollowedCamera:
         self._kept: tuple[str, str] | None = None
 
     def on_picture(self, image: ImageArray) -> None:
-        """A picture (H, W[, 3]) replaces one that was not looked at."""
+        """A picture (H, W[, 3]) replaces one that was not used."""
         self._wants, self._newest = False, image
 
     def take_rest(self) -> None:
@@ -137,8 +137,8 @@ class FollowedCamera:
         self._rest, self._requested, self._pair = self._newest, None, None
 
     def request(self, call: Callable[[], None]) -> None:
-        """Have the motion computed from rest to the newest picture, if that is another than what is shown, and none is
-        being computed; meanwhile the next picture comes. call: once it is there, in any thread"""
+        """Have the motion computed from rest to the newest picture, unless it is shown already, or another is being
+        computed; meanwhile the next picture arrives. call: once it is there, in any thread"""
         if not self._wants:
             self._wants = True
             self._want()
@@ -181,9 +181,9 @@ class FollowedCamera:
         self._kept = str(rest), str(now)
 
     def named(self, config: BetaConfig | ThetaConfig) -> BetaConfig | ThetaConfig:
-        """The options, of the files that were kept. Raises InputError where none were."""
+        """The options, with the stored files. Raises InputError where none were."""
         if self._kept is None:
-            raise InputError("pictures of the camera that are kept", "none", "room and rights in [record] folder")
+            raise InputError("stored pictures of the camera", "none", "space and permissions in [record] folder")
         return dataclasses.replace(config, sources=self._kept, images=dataclasses.replace(config.images, camera=None))
 
 
@@ -192,7 +192,7 @@ def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads:
     the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
-        raise InputError("pictures of one size", came, "take the one at rest again")
+        raise InputError("pictures of one size", came, "take the image at rest again")
     cv2.setNumThreads(threads)
     pair = [ColorFrame(Stamp(index), index, image) for index, image in enumerate((rest, newest))]
     return CachedFlow(pair, method, lambda done: None)

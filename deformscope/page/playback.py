@@ -40,7 +40,7 @@ def show_comparison(
     size_m: tuple[float, float],
     name: str,
 ) -> None:
-    """Show what other settings make of a recorded exploration as a layer over it. recorded: its results; again: those
+    """Show other settings' results for a recorded exploration as a layer over it. recorded: its results; again: those
     that the settings give; size_m: of the surface; name: of the settings"""
     from deformscope.log.exploration.compare import comparison_rrd
 

@@ -39,7 +39,7 @@ from deformscope.terminal import say
 from deformscope_drivers.clock import monotonic_ns
 
 ROOM = 2.0
-"""While it goes on, a recording takes so many times its size on the disk."""
+"""Disk space of a running recording, as a multiple of its size."""
 
 
 @dataclass(slots=True)
@@ -56,7 +56,7 @@ class _FileTake:
     ) -> None:
         """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
 
-        streams: of the devices as they were opened; one that is being connected anew may not know its kind
+        streams: of the devices as they were opened; one that reconnects may not know its kind
         """
         if isinstance(items, Sequence):
             if not self.begun and items:
@@ -71,7 +71,7 @@ class _FileTake:
 
 
 class EpisodeNotes:
-    """Notes that wait to be recorded, and the episode that goes on; the label is empty where none does."""
+    """Notes that wait to be recorded, and the present episode; the label is empty without one."""
 
     def __init__(self) -> None:
         self._waiting: list[SessionNote] = []
@@ -99,7 +99,7 @@ class EpisodeNotes:
         return label
 
     def enter_file(self) -> None:
-        """Of what follows, nothing was begun in the file yet."""
+        """Nothing of the following has begun in the file yet."""
         self._last_episode = ""
 
     def lose_file(self) -> None:
@@ -110,7 +110,7 @@ class EpisodeNotes:
         """Mark the recording, or the last episode in it."""
         if command.what == "recording":
             self.note("discard-recording", command.reason)
-            return "done", "the recording is marked as discarded; it goes on"
+            return "done", "the recording is marked as discarded; it continues"
         if not self._last_episode:
             return "refused", "no episode was begun in this file"
         self.note("discard-episode", command.reason)
@@ -118,7 +118,7 @@ class EpisodeNotes:
 
 
 class BackgroundWork:
-    """What takes its time, each in a thread of its own. failed: is told what went wrong; ended: is called after each"""
+    """What takes its time, each in a thread of its own. failed: receives the error; ended: is called after each"""
 
     def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
         self.busy: set[str] = set()
@@ -273,11 +273,11 @@ class PageRecorder:
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
-        """It is ended with what it has, and what is watched goes on without one."""
+        """Its file ends with the data so far, and the live view continues without one."""
         self._take, self._failure = None, error
         self._notes.lose_file()
         self.session.remark(f"the recording has ended: {error}", bad=True)
-        say(f"deformscope: the recording has ended, the page goes on: {error}")
+        say(f"deformscope: the recording has ended, the page continues: {error}")
 
         def end() -> None:
             take.recorder.__exit__(type(error), error, None)
@@ -287,7 +287,7 @@ class PageRecorder:
         self._enter()
 
     def _show_file(self) -> None:
-        """How much is held and recorded, and how long that can go on."""
+        """The stored and recorded amounts, and the remaining time."""
         with self._lock:
             changes: dict[str, Any] = {"held_s": None if self._recent is None else self._recent.held_s}
             if self._take is not None:
@@ -330,10 +330,10 @@ class PageRecorder:
                 case TareDevice():
                     return self._tare(command.device)
                 case _:
-                    return "refused", "not while a rig is watched"
+                    return "refused", "not while a rig is shown"
 
     def _enter(self) -> None:
-        """Have the state say what goes on, and what can be asked for."""
+        """Update the state with the present activity, and the possible requests."""
         take = self._take
         commands = ["stop", *(["tare"] if self.session.state.tares else [])]
         if take is None:
@@ -404,7 +404,7 @@ class PageRecorder:
     def _keep_recent(self) -> tuple[Outcome, str]:
         assert self._recent is not None
         if self._source is None or self._recent.taken() is None:
-            return "refused", "nothing has come yet"
+            return "refused", "no data yet"
         self._recent.add([self._source.look()])
         taken, held_s, path = self._recent.taken(), self._recent.held_s, self._next_file()
 
@@ -413,7 +413,7 @@ class PageRecorder:
                 with self._make(path, "none", at_once=True) as recorder:
                     assert taken is not None
                     write_recent(recorder, taken, self._streams, self._lossless)
-                    recorder.stopped_because(f"kept from the page: the last {held_s:.1f} s")
+                    recorder.stopped_because(f"stored from the page: the last {held_s:.1f} s")
             except Exception as error:
                 self._failure = error
                 raise
@@ -421,7 +421,7 @@ class PageRecorder:
 
         self._work.start("the last seconds", keep)
         self._enter()
-        return "begun", f"the last {held_s:.1f} s go into {path}"
+        return "begun", f"the last {held_s:.1f} s are written to {path}"
 
     def _tare(self, name: str) -> tuple[Outcome, str]:
         if name not in self.session.state.tares or self._source is None:
@@ -439,7 +439,7 @@ class PageRecorder:
             self.session.remark(f"{name}: tared")
 
         self._work.start(name, tare)
-        return "begun", f"{name}: its load is taken for zero; let nothing touch it"
+        return "begun", f"{name}: its present load becomes zero; keep it free of contact"
 
     def _show_failure(self, what: str) -> None:
         self.session.remark(what, bad=True)

@@ -1,4 +1,5 @@
-"""What every page of a robot shares: it moves once somebody there has confirmed that, and no longer than they watch."""
+"""Common parts of every page of a robot: it moves once a person there has confirmed that, and only while the page is
+present."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ class RobotPage(ABC):
     robot = button = ""
 
     def __init__(self, session: PageSession, ended: Interruption, shown: ShownDevices | None, reason: str = "") -> None:
-        """reason: what goes on at the beginning, in words; shown: shows what the robot does, None = nothing"""
+        """reason: the first activity, as text; shown: shows what the robot does, None = nothing"""
         self.session = session
         self._ended, self._shown = ended, shown
         self._what = ""
@@ -38,11 +39,11 @@ class RobotPage(ABC):
         """It was agreed to, at the page or elsewhere, or need not be."""
 
     def is_agreed(self) -> bool:
-        """Whether somebody at the page has confirmed it."""
+        """Whether a person at the page has confirmed it."""
         return self._agreed
 
     def reason_to_stand(self) -> str:
-        """In each control period: why it may not go on, where nobody watches what they confirmed on the page."""
+        """In each control period: why it must stop, if the page that confirmed the motion is not present."""
         return self.session.absent() if self._by_hand else ""
 
     def show(self, doing: str) -> None:

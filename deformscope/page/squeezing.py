@@ -1,7 +1,7 @@
 """A squeeze that is begun, watched and stopped from a page.
 
-Nothing of it moves by itself: the experiment asks it before the hand moves, and its watch asks in each control period
-whether somebody is still there who confirmed the motion under way.
+It starts no motion: the experiment queries it before the hand moves. Its watch checks in each control period whether
+the page that confirmed the motion is still present.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class PageSqueezing(RobotPage):
 
     def _handle(self, command: PageCommand) -> tuple[Outcome, str]:
         if not isinstance(command, StartSqueezing):
-            return "refused", "not while something is squeezed"
+            return "refused", "not during a squeeze"
         self.session.ask(self._what, self._agree, self.session.remark)
-        return "begun", "waits for a confirm"
+        return "begun", "waits for a confirmation"
 
 
 def show_squeezed(session: PageSession, table: Iterable[Sequence[object]]) -> None:
-    """Say what came of it, on a page that may outlive the squeeze. table: rows of a name and words"""
+    """Report the outcome, on a page that may outlive the squeeze. table: rows of a name and words"""
     rows = [(str(name), str(words)) for name, words in table]
     for name, words in reversed(rows):
         session.remark(f"{name}: {words}", bad=name == "discarded")

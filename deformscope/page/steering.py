@@ -1,7 +1,7 @@
-"""An exploration that is steered from a page: paused and gone on with, and touched where somebody points.
+"""An exploration that a page steers: paused and continued, and with touches at places that a person picks.
 
-Nothing of it moves by itself: the loop of `deformscope.experiments.explore` asks it before each touch, and its robot
-asks in each control period whether somebody is still there who confirmed the touch under way.
+It starts no motion: the loop of `deformscope.experiments.explore` queries it before each touch. Its robot checks in
+each control period whether the page that confirmed the touch is still present.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from deformscope.stages.map.exploration import (
 )
 
 SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table")
-"""What stands on the surface in the view, below `SCENE`: picked, it says a place of it."""
+"""Entities on the surface in the view, below `SCENE`: a pick on them gives a place of it."""
 SCENE = "/display/scene/"
 CURVE_POINTS = 60
 
@@ -76,13 +76,13 @@ class PageSteering(RobotPage):
         self._plan: PlannedTouch | None = None
         self._choice: Future[NextMove] | None = None
         self._confirm: Future[bool] | None = None
-        super().__init__(session, ended, shown, "devices open, and are checked")
+        super().__init__(session, ended, shown, "devices open and are checked")
 
     # Before it moves -------------------------------------------------------------------------------------------------
 
     def wait_for(self, what: str) -> None:
         """As `RobotPage.wait_for`. what: how many touches, and of what force"""
-        self._what = f"{self._arm} goes on by itself: {what}"
+        self._what = f"{self._arm} continues: {what}"
         self.session.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 
     def go_on(self) -> None:
@@ -147,7 +147,7 @@ class PageSteering(RobotPage):
             elif isinstance(result, SteeringDecision) and result.kind == "held":
                 with self._lock:
                     self._paused = True
-                self.session.remark(f"the touch was broken off, the arm stands: {result.reason}", bad=True)
+                self.session.remark(f"the touch was stopped, the arm is at rest: {result.reason}", bad=True)
 
     # As `PageRun`, from the server -----------------------------------------------------------------------------------
 
@@ -160,28 +160,28 @@ class PageSteering(RobotPage):
             case StartExploring():
                 return self._start()
             case VetoTouch():
-                return self._take(NextMove("veto", self._planned_m()), "another place is sought")
+                return self._take(NextMove("veto", self._planned_m()), "the planner looks for another place")
             case TouchNext():
                 return self._take(NextMove("touch", self._planned_m()), "planning")
             case TouchAt():
                 return self._take(NextMove("touch", np.array([command.x_m, command.y_m])), "planning")
             case TouchPicked():
                 if not is_surface(command.entity):
-                    return "refused", f"a place of the surface is to be picked; that was {command.entity}"
+                    return "refused", f"pick a place of the surface; that was {command.entity}"
                 return self._take(NextMove("touch", np.array(command.position_m[:2])), "planning")
             case _:
-                return "refused", "not while it explores"
+                return "refused", "not during an exploration"
 
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _start(self) -> tuple[Outcome, str]:
         if not self._agreed:
             self.session.ask(self._what, self._agree, self.session.remark)
-            return "begun", "waits for a confirm"
+            return "begun", "waits for a confirmation"
         left = max(self._budget - self._touches, 0)
-        what = f"{self._arm} goes on touching by itself, {left} times more at most, with {self._set_force_n:g} N"
+        what = f"{self._arm} continues to touch on its own, {left} times more at most, with {self._set_force_n:g} N"
         self.session.ask(what, self._go_on, self.session.remark)
-        return "begun", "waits for a confirm"
+        return "begun", "waits for a confirmation"
 
     def _go_on(self) -> None:
         with self._lock:
@@ -196,9 +196,9 @@ class PageSteering(RobotPage):
         return self._plan.target_m
 
     def _take(self, choice: NextMove, words: str) -> tuple[Outcome, str]:
-        """Give the loop what it waits for."""
+        """Give the loop its requested answer."""
         if self._choice is None:
-            return "refused", "a touch is under way, or being planned"
+            return "refused", "a touch is planned or under way"
         taken, self._choice = self._choice, None
         taken.set_result(choice)
         self._enter()
@@ -220,7 +220,7 @@ class PageSteering(RobotPage):
         self.session.remark(reason)
 
     def _enter(self) -> None:
-        """Have the state say what goes on, and what can be asked for."""
+        """Update the state with the present activity, and the possible requests."""
         if not self._agreed or self.session.state.phase == "stopped":
             return
         commands = ["stop", "explore" if self._paused else "pause"]
@@ -231,20 +231,20 @@ class PageSteering(RobotPage):
         if not self._paused:
             self.session.enter("exploring", commands=tuple(commands))
         elif self._choice is None:
-            self.session.enter("paused", "what is under way ends first", commands=tuple(commands))
+            self.session.enter("paused", "the present motion ends first", commands=tuple(commands))
         else:
-            what = f"press Explore, and the arm touches{' on' * bool(self._touches)} by itself; or choose a place"
+            what = f"press Explore, and the arm touches{' on' * bool(self._touches)} on its own; or choose a place"
             self.session.enter("paused", what, commands=tuple(commands))
 
 
 def is_surface(entity: str) -> bool:
-    """Whether an entity of the view stands on the surface."""
+    """Whether an entity of the view is on the surface."""
     return entity.startswith(SCENE) and entity.removeprefix(SCENE).split("/")[0] in SURFACE_ENTITIES
 
 
 def curve_of(forecast: TouchForecast) -> ForceCurve:
     """As a page draws it."""
-    known = f"{forecast.touches} touches" if forecast.touches else "what surfaces are like: none was touched yet"
+    known = f"{forecast.touches} touches" if forecast.touches else "the prior of surfaces: no touch was made yet"
     x_m, y_m = _floats(forecast.xyz_m[:2])
     depth, low, high = (
         _floats(1e3 * depth_m) for depth_m in (forecast.depth_m, forecast.depth_low_m, forecast.depth_high_m)
@@ -253,9 +253,9 @@ def curve_of(forecast: TouchForecast) -> ForceCurve:
 
 
 def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
-    """The same with what was felt: the dent without what the arm itself yields, from contact to the largest force."""
+    """The same with the measured curve: the dent without the arm's deflection, from contact to the largest force."""
     if not touch.usable:
-        return msgspec.structs.replace(curve, words="felt: no stiffness came of it")
+        return msgspec.structs.replace(curve, words="measured: no stiffness resulted")
     end = int(np.argmax(touch.approach_n)) + 1
     force_n = touch.approach_n[:end]
     dent_m = touch.approach_m[:end] - touch.contact_m - compliance_m_per_n * force_n
@@ -265,7 +265,7 @@ def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: fl
     )
     at_n, set_n = touch.stiffness_n_per_mm, curve.force_n[-1]
     low, high = set_n / curve.depth_high_mm[-1], set_n / curve.depth_low_mm[-1]
-    within = "as expected" if low <= at_n <= high else "outside what was expected"
+    within = "as expected" if low <= at_n <= high else "outside the forecast's interval"
     expected = f"{set_n / curve.depth_mm[-1]:.2g} N/mm ({low:.2g} to {high:.2g})"
     words = f"felt {'more than ' * touch.rigid}{at_n:.2g} N/mm, {within}: {expected}"
     return msgspec.structs.replace(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 DPI = 110
 MARKERS = "osD^vP*Xhp"
 NUMBERED = 12
-"""Confusion matrices of so many classes have a number in each cell."""
+"""Largest number of classes whose confusion matrices have a number in each cell."""
 NAMED = 30
 """So many classes are named in a legend."""
 SHOWN_IMAGES = 15
@@ -36,7 +36,7 @@ PADS, PAD_SIDE = 36, 6
 
 
 def class_colors(count: int) -> list[Any]:
-    """(count,) colours, as distinct as so many can be."""
+    """(count,) colours, as distinct as possible."""
     if count <= len(COLOURS):
         return list(COLOURS[:count])
     from matplotlib import colormaps
@@ -48,7 +48,7 @@ def class_colors(count: int) -> list[Any]:
 
 
 def image_of(features: FloatArray) -> FloatArray:
-    """(p,) features as what they are a picture of: two tactile arrays side by side, a square patch, else one row."""
+    """(p,) features as their picture: two tactile arrays side by side, a square patch, else one row."""
     if features.size == 2 * PADS:
         gap = np.full((PAD_SIDE, 1), np.nan)
         first, second = features.reshape(2, PAD_SIDE, PAD_SIDE)
@@ -246,7 +246,7 @@ def _numbers(axis: Axes, score: ClassificationScore) -> None:
 
 
 def accuracies_png(scores: Sequence[ClassificationScore]) -> bytes:
-    """Accuracy of every method and modality with its interval, beside the no-information rate."""
+    """Accuracy of every method and modality with its interval, and the no-information rate."""
     modalities = list(dict.fromkeys(one.modality for one in scores))
     methods = list(dict.fromkeys(one.method for one in scores))
     figure = canvas(8.6, 1.2 + 0.16 * len(scores) + 0.28 * len(methods), layout="constrained")
@@ -294,7 +294,7 @@ def fusion_png(found: Evaluation) -> bytes:
 
 
 def transfer_png(found: Evaluation) -> bytes:
-    """Accuracy on another kind of container than the one that trained, beside that within one kind."""
+    """Accuracy on another kind of container than that of the training, compared with that within one kind."""
     transfers = [one for one in found.scores if one.pair is not None and one.method in ("pooled", "late-fusion", "knn")]
     pairs = list(dict.fromkeys(one.pair for one in transfers if one.pair is not None))
     keys = list(dict.fromkeys((one.modality, one.method) for one in transfers))
@@ -352,7 +352,7 @@ def reliability_png(scores: Sequence[ClassificationScore]) -> bytes:
 
 
 def steps_png(found: Evaluation) -> bytes:
-    """What is known while a squeeze goes on; beside it, what comes of stopping as soon as it is sure enough."""
+    """Posterior during a squeeze, and the result of stopping once it is confident enough."""
     figure = canvas(9.4, 4.0, layout="constrained")
     now, early = figure.subplots(1, 2, sharex=True, sharey=True)
     for index, (name, points) in enumerate(found.steps.items()):
@@ -364,9 +364,9 @@ def steps_png(found: Evaluation) -> bytes:
         early.plot(time, [one.stopped for one in points], color=color)
         early.plot(time, [one.right for one in points], ":", color=color)
     now.axhline(found.scores[0].chance, color="tab:gray", linestyle="--", label="no-information rate")
-    early.plot([], [], color="0.3", label="sure enough to stop by then")
-    early.plot([], [], ":", color="0.3", label="named rightly, of those")
-    for axis, title in ((now, "named rightly at that moment"), (early, "stopped as soon as it is sure")):
+    early.plot([], [], color="0.3", label="confident enough to stop by then")
+    early.plot([], [], ":", color="0.3", label="right answers, of those")
+    for axis, title in ((now, "right answers at that moment"), (early, "stopped once it is confident")):
         axis.set(xlabel="time since the first contact [s]")
         axis.set_title(title, fontsize=10)
         axis.grid(alpha=0.25)

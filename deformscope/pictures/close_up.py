@@ -15,7 +15,7 @@ STIRRED = 0.05
 """Particles that moved this share of the largest motion belong into the picture."""
 
 ROOM, LEAST = 1.5, 8.0
-"""Side of the picture: times what moved, and at least so many spacings."""
+"""Side of the picture: a multiple of the moved part, and at least this number of spacings."""
 
 RELIEF = 0.25
 """Share of the picture's side that heights should fill."""
@@ -42,7 +42,7 @@ class CloseUp:
         return np.asarray(0.5 * (self.low + self.high))
 
     def holds(self, position: FloatArray) -> IntArray:
-        """Which of (K, 3) positions lie beside or inside it, seen from above."""
+        """Which of (K, 3) positions lie next to or inside it, seen from above."""
         grace = 1e-6 * (self.high - self.low)[:2]
         inside = (position[:, :2] >= self.low[:2] - grace) & (position[:, :2] <= self.high[:2] + grace)
         return np.flatnonzero(inside.all(axis=1))

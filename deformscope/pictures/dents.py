@@ -20,7 +20,7 @@ REACH_M = 0.08
 
 
 def dents_png(predictions: Sequence[Prediction], compared: Sequence[PokeComparison]) -> bytes:
-    """One panel a poke: height change along a line through the tip [mm], and what each method says of the force."""
+    """One panel per poke: height change along a line through the tip [mm], and each method's force."""
     import matplotlib as mpl
 
     measured = {id(one.prediction): one for one in compared}

@@ -10,7 +10,7 @@ from deformscope.images import encode_png
 from deformscope.pictures.palette import BACKGROUND
 
 RANGE_M = 0.003
-"""The colours end at a dent and at a bulge of so much: the same for all pictures, so that they compare."""
+"""The colours end at this dent and bulge: the same for all pictures, so that they compare."""
 ENLARGED = 6
 MISSING: tuple[int, int, int] = (90, 94, 100)
 INK: tuple[int, int, int] = (235, 235, 235)

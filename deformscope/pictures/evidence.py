@@ -35,7 +35,8 @@ VERDICT_COLORS = {"identified": "#177a2b", "weak": "#a86400"}
 OTHER_VERDICT = "#b01818"
 
 APART = 0.02
-"""Share of the range by which a posterior's peak may be off the estimate without being marked by itself."""
+"""Largest distance of a posterior's peak from the estimate, as a share of the range, for which it has no mark of its
+own."""
 NARROW = 0.05
 """An interval below this share of the range is drawn once more, enlarged."""
 
@@ -89,8 +90,8 @@ def where_wrong(comparison: Comparison) -> str:
     known = np.sort(error[np.isfinite(error)] ** 2)[::-1]
     share = (int(np.searchsorted(np.cumsum(known), 0.5 * known.sum())) + 1) / len(known)
     return (
-        f"The largest error is {error[worst] * factor:.3g} {unit}, at the particle that rests at ({place}) {length}; "
-        f"{share:.0%} of the particles hold half of the squared error."
+        f"The largest error is {error[worst] * factor:.3g} {unit}, at the particle with rest position ({place}) "
+        f"{length}; {share:.0%} of the particles have half of the squared error."
     )
 
 
@@ -115,7 +116,7 @@ def errors_png(result: Result, index: int) -> bytes:
 
 
 def results_png(results: Sequence[Result]) -> bytes:
-    """Everything in one picture: a row for each comparison, the evidence beside, the verdict in words above."""
+    """Everything in one picture: a row for each comparison, the evidence next to it, the verdict as text above."""
     rows = _rows(results)
     height = sum(_height(results[place].comparisons[index]) for place, index in rows)
     figure = canvas(17.0, max(height, 4.4) + 1.0, layout="constrained")
@@ -225,7 +226,7 @@ def _draw_posterior(axes: Axes, estimate: Estimate, size: int) -> None:
     posterior = estimate.posterior
     likeliest = float(posterior.parameter[np.argmax(posterior.density)])
     if abs(likeliest - estimate.value) > APART * (highest - lowest):
-        peak, lowest_error = f"likeliest, all else weighed: {likeliest:.3g}", f"lowest error: {estimate.value:.3g}"
+        peak, lowest_error = f"most likely, marginally: {likeliest:.3g}", f"lowest error: {estimate.value:.3g}"
         axes.plot([likeliest], [posterior.density.max()], "v", color=POSTERIOR, ms=7, label=peak)
         axes.plot([estimate.value], [0.0], "D", color=MINIMUM, ms=7, label=lowest_error, clip_on=False)
         axes.legend(fontsize=size - 2)
@@ -379,7 +380,7 @@ def _draw_errors(figure: Figure, place: SubplotSpec, result: Result, index: int)
         axes = figure.add_subplot(place, projection="3d")
         _draw_deep_errors(axes, comparison, error * factor, end)
     ring = " (ring)" if flat or (shown is not None and shown.surface) else ""
-    title = _titled("Where the model is wrong", result, index)
+    title = _titled("Error of the model", result, index)
     axes.set_title(f"{title}\nlargest error {largest * factor:.3g} {unit}{ring}", fontsize=11)
     scale = ScalarMappable(Normalize(0.0, end), "plasma")
     if flat or (shown is not None and shown.surface):

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
-"""Of what was recorded, and of what other settings make of it; distinct to colour-blind readers too."""
+"""Colours of the recorded result and of other settings' results; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
 """From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT, LOSS = "viridis", "plasma", "magma", "cividis", "viridis", "YlGnBu"
@@ -102,8 +102,8 @@ def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
 
 
 def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | None = None) -> bytes:
-    """The whole result in one picture: both fields with their deviations, the regions, and the truth where known; where
-    inclusions are sought, they and what may be missed in the place of beta."""
+    """The whole result in one picture: both fields with their deviations, the regions, and the truth if known. In a
+    search for inclusions, these and the detection limit replace beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     second: tuple[Callable[[Axes, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
     if found is not None:
@@ -131,7 +131,7 @@ def draw_stiffness(axes: Axes, maps: MapEstimate, *, path: bool = False) -> None
 
     if maps.loss is not None:
         _draw_map(axes, 100.0 * maps.loss, maps.cell_m, LOSS, "[%]", low=0.0, high=100.0 * loss_range(maps.loss))
-        _title(axes, "Energy loss", "share of a touch's energy, over way in, hold and way out")
+        _title(axes, "Energy loss", "share of a touch's energy, over approach, hold and retract")
     else:
         low, high = stiffness_range(maps.stiffness_n_per_mm)
         _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
@@ -178,7 +178,7 @@ def draw_regions(axes: Axes, maps: MapEstimate) -> None:
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _draw_keys(axes, maps)
     title = f"{format_verdict(maps)} found ({format_claim(maps.claimed)})"
-    _title(axes, title, "the paler, the less sure")
+    _title(axes, title, "the paler, the less certain")
 
 
 def draw_truth(axes: Axes, maps: MapEstimate) -> None:
@@ -218,7 +218,7 @@ def draw_miss_probability(axes: Axes, found: InclusionsResult) -> None:
     axes.set_box_aspect(0.62)  # leaves room for the names below
     axes.set(ylim=(0.0, 110.0 * found.prior), xlabel="radius of the inclusion [cm]", ylabel="missed with [%]")
     words = f"{found.missed_smallest:.1%} of {100.0 * found.smallest_m:.3g} cm radius or more; dashed: before any touch"
-    _title(axes, "An inclusion that is missed", words)
+    _title(axes, "A missed inclusion", words)
 
 
 def draw_gain(axes: Axes, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None = None) -> None:
@@ -250,7 +250,7 @@ def draw_height(axes: Axes, surface: SurfaceEstimate) -> None:
 
 
 def _height_range(height_mm: FloatArray) -> tuple[float, float]:
-    """Where a scale of heights begins and ends: not so near that a level surface looks like hills."""
+    """Ends of a scale of heights: not so near that a level surface looks like hills."""
     low, high = float(height_mm.min()), float(height_mm.max())
     more = max(0.5 * (LEAST_RANGE_MM - (high - low)), 0.0)
     return low - more, high + more
@@ -297,7 +297,7 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
         axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
     _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + touch.beta_text)
     if not axes.lines:
-        _say(axes, "nothing was seen of it")
+        _say(axes, "no points were measured")
         return
     deep_mm = max(touch.depth_m * 1e3, 1.0) if touch.usable else 1.0
     axes.set(xlim=(-0.1, SECTION_CM), ylim=(-1.35 * deep_mm - 1.0, 0.4 * deep_mm + 2.5))
@@ -409,8 +409,8 @@ MAP_DRAWINGS: dict[str, Callable[[Axes, MapEstimate], None]] = {
     "regions": draw_regions,
     "truth": draw_truth,
 }
-"""Of the maps: fields [N/mm], [-], one standard deviation of each [%], [-]; the regions that were found, the paler the
-less sure; the true ones, where these are known, and over them the outline of those that were found."""
+"""Panels of the maps: fields [N/mm], [-], one standard deviation of each [%], [-]; the regions, the paler the less
+certain; the true ones, if known, and over them the outline of the estimated ones."""
 
 
 # What the drawings share ---------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What a command found, to look at: the same tables and pictures for a terminal, a notebook, a recording and a page."""
+"""A command's results as views: the same tables and pictures for a terminal, a notebook, a recording and a page."""
 
 from __future__ import annotations
 

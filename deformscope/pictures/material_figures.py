@@ -1,4 +1,5 @@
-"""Pictures of what pairs and motions say of a material: beta with theta, beta along axes, fields, yielding; as PNG."""
+"""Pictures of a material's results from pairs and motions: beta with theta, beta along axes, fields, yielding; as
+PNG."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def joint_png(found: JointEstimate) -> bytes:
 
 
 def axes_png(found: AxisEstimate) -> bytes:
-    """beta along each axis with its interval, beside the one beta for all."""
+    """beta along each axis with its interval, and the one beta for all."""
     figure = canvas(5.2, 4.2, layout="constrained")
     axis = figure.subplots()
     place, value = np.arange(len(found.value)), found.value
@@ -62,7 +63,7 @@ FIELD_LAYERS = 4
 
 
 def field_png(found: FieldEstimate) -> bytes:
-    """Maps of stiffness and of beta, each beside the width of its interval; of a body in space, some of its layers."""
+    """Maps of stiffness and of beta, each with the width of its interval; of a body in space, some of its layers."""
     from matplotlib.collections import PatchCollection
     from matplotlib.colors import LogNorm, Normalize
     from matplotlib.patches import Rectangle
@@ -151,7 +152,7 @@ def recovery_png(found: RecoveryEstimate) -> bytes:
     axis.plot(found.time, found.observed, ".", color="tab:blue", label="observed")
     axis.plot(found.time, found.simulated, "-", color="tab:red", label="law of recovery")
     if found.released < len(found.time):
-        axis.axvline(found.time[found.released], color="tab:gray", linestyle="--", label="nothing touches it from here")
+        axis.axvline(found.time[found.released], color="tab:gray", linestyle="--", label="no contact from here on")
     low, high = found.set.interval
     axis.axhspan(low, max(high, low + 1e-3), color="tab:orange", alpha=0.3, label=f"kept for good, {found.level:.0%}")
     axis.set(xlabel="time [s]", ylabel="share of the largest displacement [-]")

@@ -32,11 +32,11 @@ def format_claim(probability: float | None) -> str:
 
 
 ENDED = {
-    "budget": "all touches that were allowed are made",
+    "budget": "the allowed number of touches is reached",
     "nothing above the threshold": "the map's variance is below the threshold everywhere",
     "little left to learn": "one more touch would hardly change the map",
     "nowhere to go": "no place is left that may be touched",
-    "no lump missed": "it is unlikely that an inclusion of the size sought was missed",
+    "no lump missed": "it is unlikely that an inclusion of the requested size was missed",
 }
 """Why a plan makes no further touch, by its stop reason (`stages.map.plan.StopReason`)."""
 
@@ -77,7 +77,7 @@ def estimate_tables(estimate: Estimate, title: str) -> list[Table]:
     tables = [Table(estimate_rows(estimate), caption=title)]
     if estimate.selection:
         ways = list(map(_choice_row, estimate.selection))
-        tables.append(Table(ways, caption="Error on particles left out, of each way of fitting"))
+        tables.append(Table(ways, caption="Error on particles left out, for each model that was fitted"))
     return tables
 
 
@@ -101,10 +101,10 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
     if estimate.explained is not None:
         rows.append(("explained", explained_text(estimate.explained)))
     if not found.get("pose_held", True):
-        rows.append(("pose", "the held particles leave the body free to turn: hold more for a value to rely on"))
+        rows.append(("pose", "the held particles leave the body free to turn: hold more for a reliable value"))
     if lost := found.get("lost"):
         every = int(str(found["particles"]))
-        many = "; so many that the tracking may have failed: look at the picture" if int(str(lost)) * 3 > every else ""
+        many = "; so many that the tracking may have failed: check the picture" if int(str(lost)) * 3 > every else ""
         rows.append(("lost particles", f"{lost} of {every}: left out of the fit{many}"))
     if moved := found.get("held_moved"):
         parts = ", ".join(moved) if isinstance(moved, list) else str(moved)
@@ -128,7 +128,7 @@ def value_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def reason_rows(reasons: Sequence[Doubt], besides: str = "") -> list[tuple[str, str]]:
-    """The reasons to doubt a value, a row each, those left out that stand in other words already. besides: these"""
+    """The reasons to doubt a value, one per row, without those that other text reports. besides: these"""
     return [(f"reason: {one.code}", one.text) for one in reasons if one.text not in besides]
 
 

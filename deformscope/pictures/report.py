@@ -64,7 +64,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with what it shows, which is also read to those who do not see it."""
+    """A picture with its description, which is also the text for screen readers."""
 
     png: bytes
     caption: str
@@ -78,7 +78,7 @@ class Code:
 
 
 Part = str | ReportVerdict | Table | Figure | Code | tuple[Figure, ...]
-"""A part of a section; figures in a tuple stand side by side where there is room."""
+"""A part of a section; figures in a tuple are side by side if there is room."""
 
 
 @dataclass(frozen=True, slots=True)

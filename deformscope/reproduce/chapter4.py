@@ -1,6 +1,6 @@
 """Thesis chapter 4 in the laboratory: beta of foams by how a touch is held, and explorations by its own rules.
 
-Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several ways to hold the model and sizes of its
+Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several held sets of the model and sizes of its
 clusters. Figures 4.4, 4.6, 4.7 and table 4.1: what the sweep is given, the dents, and the fields of beta of the six
 scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires.
 """
@@ -55,7 +55,8 @@ Hold = Literal[
     "layers, whole patch, raw points",
 ]
 HOLDS: tuple[Hold, ...] = get_args(Hold)
-"""What the model is made of and held by, and what it is compared with; else the thesis's Gaussian process surface."""
+"""Particles and held set of the model, and the surface that it is compared with; else the thesis's Gaussian process
+surface."""
 
 CLUSTER_SIZES: tuple[int | None, ...] = (2, 3, 4, 5, None)
 """Particles a side; None: no clusters, one that deforms quadratically (Thesis figure 4.5 (b), note 5)."""
@@ -78,7 +79,7 @@ AROUND_M = 2.0 * THESIS_SIDE_M
 OWN = ExploreOptions(
     planner="thesis", beta_model="layers", beta_grid_m=THESIS_GRID_M, beta_step=THESIS_STEP, sigma_w_m=FINE_SIGMA_W_M
 )
-"""The thesis's own rules, but for layers below its single one, which stands beside them."""
+"""The thesis's own rules, except for layers below its single one, which is shown for comparison."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class HeldBeta:
 @dataclass(frozen=True, slots=True)
 class FoamDent:
     """One touch of a foam. dent: as the thesis's process sees it; betas: of every hold and cluster size
-    seen_m: (n, 3) points of the camera around it meanwhile; ball: that presses, None = not kept"""
+    seen_m: (n, 3) points of the camera around it meanwhile; ball: the tip, None = not stored"""
 
     hardness_n: float
     depth_m: float
@@ -119,7 +120,7 @@ def press_foam(
         found = explorer.touch(touched).estimate
         dent = explorer.betas[0].dent
         if dent is None:
-            raise InputError("a foam that 3 N dent", f"{hardness_n} N", "a softer one")
+            raise InputError("a foam that 3 N dents", f"{hardness_n} N", "a softer one")
         radius, thickness = options.tip_radius_m, scene.thickness_m
         level = thickness - found.depth_m
         ball = BallContact(np.append(at, level), radius, found.depth_m, found.peak_force_n)
@@ -177,8 +178,8 @@ class BetaField:
 
 
 def explore_scenario(job: tuple[str, int], own: ExploreOptions = OWN) -> Scenario:
-    """Explore a scene from a seed until its variance is below Th; the field by layers, and that of a single layer from
-    the same dents: where is touched does not depend on beta."""
+    """Explore a scene from a seed until its variance is below Th. The field is computed by layers, and by a single
+    layer from the same dents: the places of touches do not depend on beta."""
     name, seed = job
     with threadpool_limits(1):
         scene = built_in(name, seed)
@@ -213,7 +214,7 @@ def explore_scenario(job: tuple[str, int], own: ExploreOptions = OWN) -> Scenari
 
 
 class _Nowhere:
-    """A session's recorder that keeps nothing."""
+    """A session's recorder that stores nothing."""
 
     def write(self, items: object) -> None: ...
 
@@ -237,7 +238,7 @@ class _Heights:
 
 
 def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float, cell_m: float) -> SeenDent:
-    """The dent of a ball whose middle is held at a height, as it is: every point of the surface where it went."""
+    """The exact dent of a ball whose middle is held at a height: the displacement of every point of the surface."""
     aside = MapGrid((AROUND_M, AROUND_M), 0.25 * COARSE_GRID_M).centres_m - 0.5 * AROUND_M
     rest = np.column_stack([at + aside, np.full(len(aside), world.scene.thickness_m)])
     contact = world.press(RigidTip(radius=radius_m), np.append(at, middle_m))
@@ -261,7 +262,7 @@ def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float
 def _trends(foams: Sequence[FoamDent]) -> list[str]:
     """How beta changes with hardness, by how the model is held."""
     if len(foams) < 2:
-        return [f"Figure 4.5 has {len(foams)} foam: how beta changes with hardness takes two."]
+        return [f"Figure 4.5 has {len(foams)} foam: a trend of beta with hardness needs two."]
     betas: dict[Hold, list[FloatArray]] = {}
     for same in zip(*(one.betas for one in sorted(foams, key=lambda one: one.hardness_n)), strict=True):
         betas.setdefault(same[0].hold, []).append(np.array([one.beta for one in same]))
@@ -278,7 +279,7 @@ def _format_field(name: str, explored: Sequence[Scenario], swept: FloatArray) ->
     fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
     right = sum(found.regions == count for found, count in fields)
     betas = [beta for found, _ in fields for beta in found.touches]
-    words = f"With {name}, {right} of {len(fields)} explorations have as many regions as there are"
+    words = f"With {name}, {right} of {len(fields)} explorations find the true number of regions"
     words += f"; beta is {min(betas):.2f} to {max(betas):.2f}"
     if max(betas) <= swept[0] or min(betas) >= swept[-1]:
         words += ", the end of the sweep for all touches: no isopleth divides them"

@@ -1,4 +1,4 @@
-"""The figures of Thesis chapter 4: beta over hardness, dents side by side, and fields of beta beside the truth."""
+"""The figures of Thesis chapter 4: beta over hardness, dents side by side, and fields of beta with the truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deformscope.stages.see.cloud import tactile_points
 LINE_WIDTH, DPI = 1.6, 130
 TICKS_CM = (-5, 0, 5)
 LABEL_CM = 4.0
-"""Names of materials stand so far above their middle, where the first touch may be."""
+"""Offset of materials' names above their middle, where the first touch may be."""
 
 
 def draw_betas(foams: Sequence[FoamDent], path: Path) -> None:
@@ -97,8 +97,8 @@ def draw_dents(foams: Sequence[FoamDent], path: Path) -> None:
 
 
 def draw_clouds(foam: FoamDent, path: Path) -> None:
-    """Figure 4.4: the surface before the touch and under it on the sweep's grid, as the Gaussian process has it; the
-    camera's own points, the virtual ones on the ball, and the particle that is held."""
+    """Figure 4.4: the surface before the touch and under it on the sweep's grid, by the Gaussian process. It has the
+    camera's points, the virtual ones on the ball, and the held particle."""
     dent, ball, to_cm = foam.dent, foam.ball, np.array([1e2, 1e2, 1e3])
     low, high = 1e3 * dent.after[:, 2].min(), 1e3 * dent.before[:, 2].max()
     middle = np.append(dent.before[:, :2].mean(axis=0), 0.0)
@@ -123,8 +123,8 @@ def draw_clouds(foam: FoamDent, path: Path) -> None:
 
 
 def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
-    """Figure 4.7: a row for each scenario: the truth; the field of beta by layers and by a single layer, with its
-    isopleths; the variance with the contacts, the first a circle, triangles after it."""
+    """Figure 4.7, a row for each scenario: the truth; the field of beta by layers and by a single layer, with its
+    isopleths. The variance has the contacts, the first a circle, triangles after it."""
     drawn = canvas(16.0, 2.55 * len(scenarios), layout="constrained")
     axes = drawn.subplots(len(scenarios), 4, squeeze=False)
     for row, one in zip(axes, scenarios, strict=True):

@@ -1,8 +1,8 @@
 """Table 4.1 without finite elements, camera and arm: hundreds of explorations in minutes.
 
-A touch is the scene's stiffness (Hertz: the power 2/3 of its modulus), its mean over the contact, plus what a fit
-leaves unknown and what the laboratory keeps from the estimator (`LabErrors`: scatter, gain and arm); where that is
-above what the arm resolves, a lower bound. Posterior, planner and stop rule are those of `explore`.
+A touch is the scene's stiffness (Hertz: the power 2/3 of its modulus), its mean over the contact, plus a fit's error
+and the laboratory's hidden errors (`LabErrors`: scatter, gain and arm). Above the arm's resolution it is a lower bound.
+Posterior, planner and stop rule are those of `explore`.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ LOG_N_PER_MM_60 = float(np.log(0.55))
 RIGID_LOG = float(
     np.log(1e-3 * FORCE_N / (RIGID_SDS * ArmCompliance(0.0, ARM_DOUBT / ARM_STIFFNESS_N_M).depth_sd_m(FORCE_N)))
 )
-"""Log stiffness [N/mm] from which on a touch is a lower bound."""
+"""Log stiffness [N/mm] from which a touch is a lower bound."""
 
 MOST_LOG = RIGID_LOG + 0.1
-"""What lies there counts for no more beside something softer, where the ball leans on its edge with a part of itself:
-so finite elements have it from 4 mm before the edge on."""
+"""Its effect is small next to softer material, where a part of the ball leans on its edge: so finite elements show it
+from 4 mm before the edge on."""
 
 
 def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:
@@ -103,7 +103,7 @@ def _truth(scene: Scene) -> TrueMap:
 
 
 def _felt(scene: Scene, xy_m: FloatArray, prior: RegionPrior) -> float:
-    """Log stiffness that a contact at (2,) feels: the mean stiffness over a Gaussian (Gauss-Hermite quadrature)."""
+    """Log stiffness of a contact at (2,): the mean stiffness over a Gaussian (Gauss-Hermite quadrature)."""
     node, weight = np.polynomial.hermite_e.hermegauss(15)
     around = xy_m + prior.blur_m * np.stack(np.meshgrid(node, node), axis=-1)
     stiffness = np.exp(np.minimum(true_log_stiffness(scene.modulus_pa(around)), MOST_LOG))

@@ -1,4 +1,4 @@
-"""What the thesis reports of squeezed containers (5.3 and 5.4), beside what the laboratory's squeezes show.
+"""The thesis's results of squeezed containers (5.3 and 5.4), compared with those of the laboratory's squeezes.
 
 Nothing of the laboratory was chosen with these in mind: where it shows something else, that is what the words say.
 """
@@ -23,7 +23,7 @@ TEST_OVER_TRAIN = 0.3 / 0.7
 
 @dataclass(frozen=True, slots=True)
 class FindingComparison:
-    """thesis: what it reports; ours: what the laboratory shows, with intervals"""
+    """thesis: its reported result; ours: what the laboratory shows, with intervals"""
 
     thesis: str
     ours: str
@@ -38,9 +38,10 @@ def compare_findings(five: Evaluation, three: Evaluation) -> list[FindingCompari
             "Of three classes, touch is better for empty and granular contents.",
             _better(three, three.score(TOUCH, "knn"), three.score(VISION, "knn"), ("empty", "granular")),
         ),
-        FindingComparison("Yogurt is felt as flour or as water.", _named(five, touch, "yogurt")),
+        FindingComparison("Touch confuses yogurt with flour or water.", _named(five, touch, "yogurt")),
         FindingComparison(
-            "Rice and flour are seen as yogurt.", f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}"
+            "Vision confuses rice and flour with yogurt.",
+            f"{_named(five, vision, 'rice')} {_named(five, vision, 'flour')}",
         ),
         FindingComparison(
             f"Contents next to one another ({', '.join(HARDNESS)}) are confused with one another.",
@@ -93,11 +94,11 @@ def _better(found: Evaluation, touch: ClassificationScore, vision: Classificatio
 
 
 def _named(found: Evaluation, score: ClassificationScore, label: str) -> str:
-    """What a content is taken for."""
+    """The classification of a content."""
     at = found.table.classes.index(label)
     named = [(float(score.shares[at, one]), answer) for one, answer in enumerate(found.table.classes) if one != at]
     wrong = ", ".join(f"{answer} {share:.0%}" for share, answer in sorted(named, reverse=True) if share >= 0.005)
-    rightly = f"{label[0].upper()}{label[1:]} is named rightly in {_recall(found, score, label)}"
+    rightly = f"{label[0].upper()}{label[1:]} is classified rightly in {_recall(found, score, label)}"
     return f"{rightly}, else as {wrong or 'nothing'}."
 
 

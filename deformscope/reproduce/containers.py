@@ -32,7 +32,7 @@ FAST_CAMERA_HZ = 10.0
 
 @dataclass(frozen=True, slots=True)
 class SqueezeJob:
-    """One trial. folder: of the data set; whole: its recording is kept, at the camera's full rate"""
+    """One trial. folder: of the data set; whole: its recording is stored, at the camera's full rate"""
 
     content: str
     container: str

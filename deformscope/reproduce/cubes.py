@@ -1,8 +1,8 @@
 """Cubes of known Poisson's ratio, pressed between plates: theta estimated for each (Thesis 5.1, experiment 3.A).
 
-The thesis's cubes are made here with finite elements, or any others come from pair files. Each gets the project's own
-calibration of theta for one quadratic cluster (as the thesis has it), the lowest error of a dense grid to hold it
-against, and the lowest errors of one cluster and of overlapping ones when beta is fitted too.
+The thesis's cubes are made here with finite elements, or any others come from pair files. Each has the project's own
+calibration of theta for one quadratic cluster (as in the thesis), and the lowest error of a dense grid for comparison.
+It also has the lowest errors of one cluster and of overlapping ones when beta is fitted too.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ STEPS = 200
 """Time steps that are timed together."""
 
 HELD_SHARE = 1.0 / 3.0
-"""Share of the body's mass that `equal_share` gives to the held particles: what they have in a lattice of 6^3."""
+"""Share of the body's mass that `equal_share` gives to the held particles: their share in a lattice of 6^3."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Cube:
 
     @property
     def resolution(self) -> str:
-        """`11^3` or `6x8x8`, or the number of particles where they stand on no lattice."""
+        """`11^3` or `6x8x8`, or the number of particles without a lattice."""
         shape = self.seen.shape
         if shape is None:
             return f"{len(self.seen.rest)} particles"
@@ -189,7 +189,7 @@ _RATIO_IN_NAME = re.compile(r"nu_?(0?\.\d+|0(?![\d.]))", re.IGNORECASE)
 
 
 def cube_from_pair(raw: bytes, name: str) -> Cube:
-    """A pair file's bytes as a cube; Poisson's ratio is its `nu`, or stands in its name (`..._nu0.25...`).
+    """A pair file's bytes as a cube; Poisson's ratio is its `nu`, or in its name (`..._nu0.25...`).
 
     Raises InputError for what is no pair file, or where the ratio is nowhere.
     """
@@ -274,8 +274,8 @@ def dense_curve(seen: Observation, body: Msm, beta: float, count: int = DENSE_GR
 def equal_share(seen: Observation, beta: float) -> float:
     """theta of the lowest error where the held particles have `HELD_SHARE` of the body's mass.
 
-    With equal masses their share falls as a lattice grows finer (6^3: a third, 11^3: 18 %), and with it the pull with
-    which they keep the cluster's fit from widening: so less theta does the same, and theta drifts with resolution.
+    With equal masses their share falls as a lattice grows finer (6^3: a third, 11^3: 18 %), and so does their pull
+    against a wider fit of the cluster. A smaller theta then has the same effect, and theta drifts with resolution.
     """
     count, held = len(seen.rest), len(seen.held)
     mass = np.ones(count)
@@ -310,7 +310,7 @@ def standard_error(values: Iterable[float]) -> float:
 class Spread:
     """theta over cubes of one Poisson's ratio.
 
-    of: what they share besides, "" where nothing; count: of cubes; sem: standard error of the mean;
+    of: other properties that they share, "" without any; count: of cubes; sem: standard error of the mean;
     equal_share_sem: that of `Found.equal_share_theta`
     """
 

@@ -18,7 +18,7 @@ THESIS_SEM = {
     "3 cm": dict.fromkeys((0.1, 0.25, 0.4, 0.49), "< 0.026"),
     "11^3": dict.fromkeys((0.1, 0.25, 0.4, 0.49), "< 0.015"),
 }
-"""What the thesis says of its SEM: over all nine settings, over resolutions at 3 cm, over depths of the finest cube."""
+"""The thesis's SEM: over all nine settings, over resolutions at 3 cm, over depths of the finest cube."""
 
 THESIS_MS = {"6^3": (6.1, 3000.0, 0.5, 3.0), "8^3": (12.6, 58000.0, 0.8, 11.0), "11^3": (28.6, 180000.0, 1.4, 96.0)}
 """Table 3.2 as printed [ms]: MSM a frame, COMSOL, SOFA-CG, SOFA-DS (a 2.86 GHz Core i7)."""
@@ -75,8 +75,8 @@ def draw_theta(path: Path, found: Sequence[CubeResult]) -> None:
 
 
 def draw_errors(path: Path, found: Sequence[CubeResult]) -> None:
-    """Figure 3.11: error against theta, a panel for each Poisson's ratio above 0; dots are the estimates, crosses are
-    where Algorithm 2 stops as it is printed."""
+    """Figure 3.11: error against theta, a panel for each Poisson's ratio above 0. Dots are the estimates, crosses the
+    ends of the printed Algorithm 2."""
     cubes = [one.cube for one in found]
     ratios = sorted({cube.poisson for cube in cubes if cube.poisson > 0.0}) or sorted({c.poisson for c in cubes})
     depths, resolutions = depths_of(cubes), list(dict.fromkeys(cube.resolution for cube in cubes))
@@ -132,7 +132,7 @@ def draw_clusters(path: Path, found: Sequence[CubeResult], cluster_size: int) ->
     """Errors of one cluster and of overlapping ones, and the side of the cube that separates them the most."""
     some = [one for one in found if one.overlapping is not None and one.one_cluster is not None]
     resolutions = list(dict.fromkeys(one.cube.resolution for one in some))
-    many = f"clusters of {cluster_size} a side, theta and beta"
+    many = f"clusters of {cluster_size} per side, theta and beta"
     with figure(path, 2) as axes:
         left, right = axes[0]
         for number, name in enumerate(resolutions):
@@ -220,7 +220,7 @@ def cube_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
 
 
 def sem_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
-    """Mean and SEM of theta in each grouping of figure 3.10, beside what the thesis says of its own."""
+    """Mean and SEM of theta in each grouping of figure 3.10, with the thesis's own."""
     rows: list[dict[str, object]] = []
     for group, some in grouped_spreads(found).items():
         for spread in some:
@@ -251,12 +251,12 @@ def search_rows(found: Sequence[CubeResult]) -> list[dict[str, Any]]:
 
 
 def search_summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
-    """Of each search over all cubes: what it needs, and how far off its theta is."""
+    """Cost of each search over all cubes, and the error of its theta."""
     said = []
     for name in dict.fromkeys(row["search"] for row in rows):
         some = [row for row in rows if row["search"] == name]
         count, off = (np.array([row[of] for row in some]) for of in ("evaluations", "theta_off"))
-        words = f"{np.median(count):.0f} static states ({count.max()} at most), theta off by {np.median(off):.4f}"
+        words = f"{np.median(count):.0f} static states ({count.max()} at most), theta error {np.median(off):.4f}"
         said.append((name, f"{words} ({off.max():.3f} at most, .05 or more in {(off >= 0.05).sum()} of {len(off)})"))
     return said
 

@@ -1,9 +1,9 @@
-"""Experiment 3.B: beta of five foams from images of a push, beside their true motion and their force.
+"""Experiment 3.B: beta of five foams from images of a push, with their true motion and their force.
 
 A flat clamp pushes five virtual foams (`deformscope.lab.foam`) by the same distance. A camera sees speckles move; dense
 flow carries 7 x 15 particles; the last pose is fitted at cluster sizes 2, 4 and 5. Each fit is made four times: from
-the flow and from the true positions, so that it shows what the flow costs; with the one particle below the clamp's
-middle held, as in the thesis, and with all those below the clamp held. The force of the push gives the model's k.
+the flow and from the true positions, which shows the flow's error. Held are the one particle below the clamp's middle,
+as in the thesis, or all those below the clamp. The force of the push gives the model's k.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class FoamResult:
     """One foam pushed, seen and fitted.
 
     depth_m, force_n: of every pose; lost: particles; error_px: (K,) distance of each from where it truly is in the
-    last image, NaN where lost; noise_px: (K,) what the flow says of it, one standard deviation per coordinate
+    last image, NaN where lost; noise_px: (K,) the flow's noise, one standard deviation per coordinate
     image: the last one; mask: (H, W) the foam in the first one
     """
 
@@ -128,7 +128,7 @@ class FoamResult:
 @dataclass(frozen=True, slots=True)
 class FoamCase:
     """One foam. images: folder that its images are left in, which then holds nothing of an earlier run; empty = none
-    changed: what it differs by from `BASE`, of a `Control`"""
+    changed: its difference from `BASE`, of a `Control`"""
 
     foam: Foam
     setup: FoamSetup
@@ -193,7 +193,7 @@ def _push(foam: Foam, setup: FoamSetup, steps: int) -> list[PressedBlock]:
 def _observation(
     grid: ParticleGrid, last: Tracked, true: FloatArray, source: Source, particles: ParticleOptions, force_n: float
 ) -> Observation:
-    """The last pose as the flow saw it, or as it was, with the force on the particles held below the clamp."""
+    """The last pose by the flow, or the true one, with the force on the particles held below the clamp."""
     contact = select_held(grid, ("contact",), particles.contact_rect)
     if source == "flow":
         held, _ = hold_what_is_seen(grid, last, particles.held, particles.contact_rect)
@@ -235,7 +235,7 @@ class Trend:
 
 
 def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_size: int) -> Trend:
-    """Whether beta falls with firmness, and whether the intervals let anybody say so."""
+    """Whether beta falls with firmness, and whether the intervals support it."""
     ordered = sorted(results, key=lambda result: result.foam.hardness)
     found = [result.fit(source, held, cluster_size).estimate for result in ordered]
     value = np.array([one.value for one in found])

@@ -64,7 +64,7 @@ def figure_3_14(results: Sequence[FoamResult], trends: Sequence[Trend], held: He
 
 
 def stiffness(results: Sequence[FoamResult], path: Path) -> None:
-    """The model's k against hardness, beside the force itself."""
+    """The model's k and the force against hardness."""
     sizes = sorted({fit.cluster_size for fit in results[0].fits})
     figure, axes = _figure(1, 2, 11.0, 4.6)
     hardness = np.array([result.foam.hardness for result in results])
@@ -92,7 +92,7 @@ def stiffness(results: Sequence[FoamResult], path: Path) -> None:
     axes[0, 1].set(xlabel="depth of the clamp [mm]", ylabel="force [N] on 10 cm thickness")
     axes[0, 1].set_title("Force during the push", fontsize=10)
     axes[0, 1].legend(title="density/hardness", fontsize=8)
-    figure.suptitle("Stiffness needs the force: the model's k beside the force itself")
+    figure.suptitle("Stiffness needs the force: the model's k and the measured force")
     figure.savefig(path)
 
 
@@ -148,7 +148,7 @@ def one_change(found: Sequence[Control], path: Path) -> None:
     shown, names = axes.flat[0].get_legend_handles_labels()
     figure.legend(shown, names, ncols=len(shown), fontsize=9, loc="outside lower center")
     figure.suptitle(
-        "One property changed at a time, true positions (below: rms motion that the change makes, and the force)"
+        "One property changed at a time, true positions (below: rms motion due to the change, and the force)"
     )
     figure.savefig(path)
 

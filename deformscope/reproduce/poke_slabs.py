@@ -1,7 +1,7 @@
 """Random slabs, 24 pokes of each: halves, a stiff or a soft disc, a gradual change, or one material.
 
-What a poke meets beside the border of two materials was measured with finite elements (`FELT`); so thousands of slabs
-can be drawn where a true solution of each poke would take seconds.
+The stiffness of a poke near the border of two materials was measured with finite elements (`FELT`). So thousands of
+slabs can be drawn, whose true solutions would take seconds per poke.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ SOFT, STIFF = 20e3, (70e3, 120e3)
 HALVES = (20e3, 80e3)
 RADIUS = (0.07, 0.095)
 LEAST_SEEN = 3
-"""Fitted pokes that an inclusion holds, and unseen ones: what nothing has met cannot be predicted."""
+"""Fitted pokes within an inclusion, and unseen ones: untouched material cannot be predicted."""
 
 BORDER = 0.02
-"""Pokes nearer to a border than this are near it: they feel both materials [m]."""
+"""Pokes nearer to a border than this are near it: their contact covers both materials [m]."""
 
 FELT_M = 0.01 * np.arange(-4.0, 5.0)
 FELT = np.array([0.002, 0.008, 0.022, 0.120, 0.463, 0.768, 0.912, 0.963, 0.989])
-"""By how much of the difference a poke with a tip of 2 x 2 cm meets the stiffer material, at distances from the border
-on its side [m]: finite elements, 20 and 80 kPa, 5 cm thick. Discs of 4 to 8 cm, 20 and 120 kPa, are within 0.06."""
+"""Share of the stiffer material in a poke with a tip of 2 x 2 cm, at distances from the border on its side [m]: finite
+elements, 20 and 80 kPa, 5 cm thick. Discs of 4 to 8 cm, 20 and 120 kPa, are within 0.06."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class PokedSlab:
         return Slab(SIZE, self.young, poisson)
 
     def apparent(self, place: FloatArray) -> FloatArray:
-        """Young's modulus (n,) [Pa] of the slab of one material that a poke at places (n, 2) would meet as this one."""
+        """Young's modulus (n,) [Pa] of the slab of one material with the same stiffness for a poke at places (n, 2)."""
         if self.kind == "gradual":
             return self.young(place)
         low, high = sorted(self.modulus)

@@ -1,4 +1,4 @@
-"""The thesis's two searches and ours on the same data: which value each gives, and what it costs to find it."""
+"""The thesis's two searches and ours on the same data: the value of each, and its cost."""
 
 from __future__ import annotations
 

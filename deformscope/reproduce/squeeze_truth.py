@@ -1,4 +1,5 @@
-"""Squeezes of the laboratory beside what was simulated: their events, the tracked container, the change of depth."""
+"""Squeezes of the laboratory compared with the simulated truth: their events, the tracked container, the change of
+depth."""
 
 from __future__ import annotations
 
@@ -32,9 +33,9 @@ LOST_SHARE = 0.1
 """Of the frames and readings of each device, at random, and besides one run of `LOST_RUN` of them."""
 LOST_RUN = 5
 PERIODS, SHIFT_M, TURN_DEG = 2.0, 0.002, 1.0
-"""An event, and a pose in the directions that are observed, may be off by so much."""
+"""Tolerances of an event, and of a pose in the observed directions."""
 OFF = 5.0
-"""A change of depth may be off by so many deviations of its stated noise."""
+"""Tolerance of a change of depth, in standard deviations of its stated noise."""
 LARGER = 1.15
 NEAR_MM = 500
 NAN = float("nan")
@@ -86,8 +87,8 @@ def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
     shift_mm, turn_deg: largest of those not refused. depth_rms_mm, depth_mean_mm: measured change of depth less the
     true one over the patch; noise_mm, depth_stated_mm: of one pixel of the camera, simulated and stated
     depth_off: of depth_known values, measured or filled in, those off by more than OFF times the stated noise;
-    depth_worst, depth_filled_worst: largest, in that noise. wrong_..., hidden_...: as tracked, refused, used_off,
-    where the model is 15 % larger than the container, and where something hides its lower half
+    wrong_..., hidden_...: tracked, refused, used_off, for a model 15 % larger than the container, and for a hidden
+    lower half
     """
     simulated = SimulatedSqueeze()
     trial = squeeze_trial(job, simulated.note)
@@ -184,13 +185,13 @@ def pose_error(found: PoseEstimate, true: FloatArray) -> PoseError:
 
 
 def wrong_model(frames: SqueezeFrames, geometry: SqueezeGeometry) -> tuple[SqueezeFrames, SqueezeGeometry]:
-    """The rig file names a container that is larger than the one that stands there."""
+    """The rig file names a container that is larger than the real one."""
     x, y, z = (LARGER * side for side in geometry.container.size_m)
     return frames, dataclasses.replace(geometry, container=dataclasses.replace(geometry.container, size_m=(x, y, z)))
 
 
 def hidden(frames: SqueezeFrames, geometry: SqueezeGeometry) -> tuple[SqueezeFrames, SqueezeGeometry]:
-    """Something stands before the lower half of the container."""
+    """An object hides the lower half of the container."""
     depth = []
     for one in frames.depth:
         image = one.depth.copy()
@@ -233,8 +234,8 @@ def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: Simulat
 def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
     """Of the measured values, and of all with those that were filled in, which have no noise of their own.
 
-    change_m: (61, 61) of the simulated wall, also behind the finger; NaN beside the container: a measured value there
-    is off
+    change_m: (61, 61) of the simulated wall, also behind the finger; NaN outside the container: a measured value there
+    is an error
     """
     assert features.vision is not None
     assert features.noise_m is not None
@@ -260,7 +261,7 @@ def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
 def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
     """What many squeezes come to."""
     squeezed = [one for one in every if "stopped" not in one]
-    rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped before their time")]
+    rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped early")]
     for ending, frames in (
         ("", "all frames"),
         ("_lost", f"{LOST_SHARE:.0%} of the frames and a run of {LOST_RUN} lost"),

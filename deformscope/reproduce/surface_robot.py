@@ -38,14 +38,14 @@ from deformscope.stages.see.robot import PosedRobot
 STICK_M = 0.25
 TOUCH_S = TOUCHES_S / 10.0
 SOFT_PA = 1e-3 * RIGID_PA
-"""Modulus of the slab that is pressed to know the truth: soft enough for every depth, stiff enough for every force."""
+"""Modulus of the slab for the truth: soft enough for every depth, stiff enough for every force."""
 
 
 def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
     """A scene's apparent stiffness, region by region and cell by cell.
 
-    It is that of a slab all of the modulus which lies there, as thick as the scene's, pressed in the same finite
-    elements without noise: what touches far from every border and bump come to.
+    It is that of a slab with the modulus of this place throughout, as thick as the scene's, pressed in the same finite
+    elements without noise. Touches far from every border and bump tend to it.
     """
     modulus = scene.modulus_pa(scene.cells_m())
     pieces = np.array([piece.modulus_pa for piece in scene.pieces])
@@ -70,8 +70,8 @@ def _slab_log_stiffness(
 
 
 def _deeper(at_n: FloatArray | float, force_n: FloatArray, depth_m: FloatArray) -> FloatArray:
-    """(...,) how many times as deep as the last of these depths (n,) a force would sink: 1 up to the last of these
-    forces (n,), beyond by the power law in which they end."""
+    """(...,) depth of a force relative to the last of these depths (n,): 1 up to the last of these forces (n,), beyond
+    by the power law at their end."""
     before_n = 0.8 * force_n[-1]
     power = np.log(depth_m[-1] / np.interp(before_n, force_n, depth_m)) / np.log(force_n[-1] / before_n)
     return np.asarray(np.maximum(np.asarray(at_n) / force_n[-1], 1.0) ** power)
@@ -150,7 +150,7 @@ class LabRobot:
         return self._see(None, ())
 
     def touch(self, command: Touch) -> TouchMeasurement:
-        """Come down along the normal that was seen, and look at the dent."""
+        """Move down along the measured normal, and measure the dent."""
         xy_m, normal = command.xy_m, command.normal
         options = self._options
         gain = self._sensing.gain * self.errors.gain_at(len(self.felt) * TOUCH_S)

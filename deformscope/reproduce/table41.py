@@ -72,7 +72,7 @@ def _setup(scene: Scene, options: ExploreOptions) -> SetupGeometry:
 class _Scores:
     """Scores each map once the plan after it is there; the session's recorder.
 
-    stop_after: touches after which the plan said enough, though it went on
+    stop_after: touches at the end of the plan, though it continued
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Explorations of table 4.1: what is asked, what came of it, and their file."""
+"""Explorations of table 4.1: their options, their outcome, and their file."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from deformscope.stages.map.plan import Planner
 
 @dataclass(frozen=True, slots=True)
 class TableJob:
-    """One exploration. go_on: to the last touch, also after the plan has said enough, so that planners compare
-    closed_form: touches are what a contact feels in closed form, instead of finite elements; clean: the laboratory
-    keeps nothing from the estimator; relief, pace: as in `ExploreOptions`
+    """One exploration. go_on: to the last touch, even after the end of the plan, so that planners compare
+    closed_form: touches are contacts in closed form, instead of finite elements; clean: no hidden errors in the
+    laboratory; relief, pace: as in `ExploreOptions`
     """
 
     scene: str
@@ -42,8 +42,8 @@ class MapAfter:
 
     travel_m: of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in closed
     form: as the planner reckons); compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: what it would have
-    measured without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: its measurement
+    without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed
     """
 
@@ -64,9 +64,9 @@ class MapAfter:
 
 @dataclass(frozen=True, slots=True)
 class TableRun:
-    """What one exploration gave. region_count: the true one, 0 where there are no regions; stop_after: touches after
-    which the plan said enough, None where it never did; max_force_n: largest true contact force; seconds: that all of
-    it took to compute and simulate"""
+    """What one exploration gave. region_count: the true one, 0 where there are no regions; stop_after: touches at the
+    end of the plan, None if it did not end; max_force_n: largest true contact force; seconds: that all of it took to
+    compute and simulate"""
 
     job: TableJob
     region_count: int
@@ -76,7 +76,7 @@ class TableRun:
     seconds: float
 
     def at(self, touches: int) -> MapAfter:
-        """The map that the robot has with so many touches at most: it stops where the plan says enough."""
+        """The map of the robot after at most this many touches: it stops at the end of its plan."""
         last = len(self.after) if self.stop_after is None else self.stop_after
         return self.after[min(touches, last) - 1]
 

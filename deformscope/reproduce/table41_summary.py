@@ -1,5 +1,5 @@
-"""The rows of table 4.1: medians and shares over layouts after so many touches, one planner beside another, and how the
-maps grow better with every touch."""
+"""The rows of table 4.1: medians and shares over layouts after some numbers of touches, for each planner, and the maps'
+quality over touches."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from deformscope.stages.regions.touches import MapGrid
 
 GOOD_IOU = 0.85
 PASSED_IOU = (0.8, 0.85, 0.9)
-"""How good a map is to be where planners are compared by what it took them."""
+"""Quality of a map at which planners are compared by their cost."""
 
 FOUND_IOU = 0.5
-"""A small region is found where the number of regions is right and its match overlaps it so much."""
+"""A small region is found if the number of regions is right and its match overlaps it by this share."""
 
 LOOKED_AT = (3, 4, 6, 8, 12)
 """Touches that a table reports; the thesis touched 3 or 4 times."""
@@ -33,17 +33,16 @@ PASSED: tuple[What, ...] = ("touches", "travel_m", "robot_s")
 
 
 def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
-    """Runs of one scene with one planner, as the robot has them after so many touches: it stops where its plan says so.
+    """Runs of one scene with one planner, after this many touches: the robot stops at the end of its plan.
 
     Medians: iou, boundary_m, field_rms, made (touches), travel_m, robot_s. good: share with iou 0.85 or better; right:
     with the right verdict and number; found: that, and the smallest region with an IoU of 0.5; ordered, rigid_found,
     gradual: shares. levels_covered: share of the levels in their intervals, over `levels_runs` layouts whose number is
     right; field_covered: mean share of cells; touches_covered: share of the touches so far that are not rigid
-    stopped: share in which the plan said enough by itself; wrong, wrong_claimed: mean share of the surface with a wrong
-    label, found and expected; unseen: probability that inclusions are there unseen, median, and unseen_missed, over
-    layouts whose smallest region was not found
-    unmet_m: radius of the largest disc of another material that no touch would have met, median
-    None where there is nothing to report
+    stopped: share of runs whose plan ended before the budget; wrong, wrong_claimed: mean share of the surface with a
+    wrong label, found and expected; unseen: probability that inclusions are there unseen, median, and unseen_missed,
+    over layouts whose smallest region was not found
+    unmet_m: radius of the largest disc of another material without a touch, median None if there is nothing to report
     """
     last = [run.at(touches) for run in runs]
     scores = [after.score for after in last]
@@ -90,7 +89,7 @@ def _unmet_m(run: TableRun, touches: int) -> float:
 
 
 def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
-    """What it took until the map was first this good, whether or not the plan said enough before; and whether it ever
+    """Cost until the map first had this quality, even if the plan had ended before; and whether it ever had it.
     was: if not, it is what all touches took."""
     for after in run.after:
         if after.score.iou is not None and after.score.iou >= iou:
@@ -99,7 +98,8 @@ def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
 
 
 def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -> dict[str, Any]:
-    """The effort of one planner and pace for maps this good, beside another's on the same scenes and seeds.
+    """The effort of one planner and pace for maps of this quality, compared with another's on the same scenes and
+    seeds.
 
     reached: share of layouts in which it got there at all; touches, travel_m, robot_s: mean first passages, with their
     ratio, and 5 and 95 % of its bootstrap over layouts
@@ -154,8 +154,8 @@ FIELD_RMS = 0.12
 
 
 def curves(runs: Sequence[TableRun], path: Path) -> None:
-    """One panel a scene: IoU of regions (of a gradient: error of the field) against touches, as the robot has them;
-    median, and the middle half of the layouts."""
+    """One panel per scene: IoU of regions (of a gradient: error of the field) against touches, up to the end of the
+    plan; median, and the middle half of the layouts."""
     scenes = list(dict.fromkeys(run.job.scene for run in runs))
     planners = list(dict.fromkeys(run.job.way for run in runs))
     columns = min(ACROSS, len(scenes))

@@ -47,7 +47,7 @@ class TouchClock:
         self._offset_m = center_offset_m
 
     def add(self, plan: TouchPlan, felt: Approach) -> None:
-        """Travel to a touch, take the tare, touch what was felt there, and go back."""
+        """Travel to a touch, take the tare, repeat the touch's motion, and go back."""
         crossing_m, above_m, _ = plan.places_m(self._offset_m)
         high_m = float(crossing_m[2])
         if self.center_m[2] < high_m:

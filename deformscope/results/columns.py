@@ -8,7 +8,7 @@ from typing import Any
 from deformscope.results.render import to_json
 
 LOW, HIGH = "_low", "_high"
-"""What follows the name of a quantity, for the ends of its interval."""
+"""Suffixes of a quantity's name, for the ends of its interval."""
 WORDS = 200
 """Letters of a text that a column takes."""
 
@@ -26,8 +26,8 @@ def cell_text(value: object) -> str:
 def to_cells(found: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Numbers, words and truths by the names of the JSON, with a dot before those inside others.
 
-    What was fitted has the name of its `parameter`; an interval's ends are NAME_low and NAME_high; a list of results
-    is its length, one of reasons their codes. Longer lists and texts are left out.
+    A fitted value has the name of its `parameter`; an interval's ends are NAME_low and NAME_high; a list of results is
+    its length, one of reasons their codes. Longer lists and texts are left out.
     """
     return dict(_cells(found, prefix))
 
@@ -56,7 +56,7 @@ def _cells(found: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _quantity(key: str, found: Mapping[str, Any]) -> str:
-    """The key of what an interval is of: the unit may stand in either, in both or in neither."""
+    """The key of an interval's quantity: the unit may be in either, in both or in neither."""
     name = key.replace("_interval", "", 1)
     longer = [one for one in found if one.startswith(f"{name}_") and "interval" not in one]
     return longer[0] if name not in found and len(longer) == 1 else name

@@ -36,8 +36,8 @@ class Quantity:
     GROUP.KEY = in an object GROUP
     unit: in which JSON has it, listed among the units there; empty = its key says it, or it has none
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
-    interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number
-    alone, and the interval by this key; in columns it stands apart too
+    interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number alone,
+    and the interval by this key; columns have it separately too
     words: from the whole result to what is shown in place of a number
     json: from the value to what JSON has; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known

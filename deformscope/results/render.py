@@ -13,7 +13,7 @@ Rows = list[tuple[str, str]]
 
 
 class ReportedResult:
-    """A dataclass whose JSON is what it declares. A class variable `parameter` names what was fitted."""
+    """A dataclass whose JSON follows from its declarations. A class variable `parameter` names what was fitted."""
 
     __slots__ = ()
 
@@ -108,8 +108,8 @@ def to_rows(result: Any, *names: str) -> Rows:
 
 
 def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Results of one kind below each other: the names of all quantities that have one and are known of any of them, and
-    of each result what is shown of these."""
+    """Results of one kind below each other: the names of all quantities with a value in any of them, and each result's
+    values."""
     shown: list[tuple[str, list[str]]] = []
     for one in quantities(type(results[0])) if results else ():
         if one.label and one.interval_key:

@@ -1,1 +1,1 @@
-"""Real devices: the rig file, the drivers that it names, and what they measure as frames."""
+"""Real devices: the rig file, the drivers that it names, and their measurements as frames."""

@@ -1,11 +1,11 @@
 """Sensors that are stuck, or at the end of their range, as their readings show.
 
 stuck: an axis of a force sensor, or texels that are pressed, give exactly the same count for longer than the rig allows
-(`stuck_after_s`), and for longer than their own noise does: the share of readings so far that were equal to the one
+(`stuck_after_s`), and for longer than their own noise does. The share of readings so far that were equal to the one
 before makes such a stretch less likely than CHANCE. Whole readings, and pictures, that stay the same are found by the
 drivers (`Health.stuck`), and passed on.
-saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of a picture at its
-brightest or at black, a depth camera that sees nothing. The range of an arm is its supervisor's business.
+saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of an image at its
+brightest or at black, a depth camera without any depth. The range of an arm is its supervisor's business.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from deformscope.frames import (
 CHANCE = 1e-9
 """How unlikely a stretch of equal readings is to be by the sensor's noise before it counts as stuck."""
 CLEAR_S = 1.0
-"""An alarm ends once readings have come for so long without its cause: one that comes and goes is one, and it does not
+"""An alarm ends after this time of readings without its cause. One that comes and goes is one alarm, and it does not
 end as its sensor falls silent."""
 WRENCH_END, TEXEL_END = 32767, 4095
 """The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
@@ -42,7 +42,7 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 PICTURE_ENDS = (("its brightest", 0.5), ("black", 0.98))
 """So much of a picture at one end, and it is saturated: a dark room is not, a lens with its cap is."""
 PICTURE_STEP = 8
-"""Of a picture each so-many-th pixel is looked at, along both sides."""
+"""Step between the checked pixels of a picture, along both sides."""
 
 Values = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
@@ -89,8 +89,9 @@ class _Stretches:
 
 @dataclass(slots=True)
 class _Watched:
-    """A device. words: of its alarms that go on, by what they are of; newest_ns: of what was looked at, by its kind, as
-    an alarm is cleared by what shows it alone; seen_ns: when each cause was last seen, silence since then left out"""
+    """A device. words: of its active alarms, by their subject; newest_ns: of the last checked item, by its kind,
+    because only items of its kind clear an alarm; seen_ns: when each cause was last seen, silence since then left
+    out"""
 
     stuck_after_s: float | None
     stretches: _Stretches | None = None
@@ -110,7 +111,7 @@ class SensorAlarms:
         self._watched = {name: _Watched(stuck_after_s.get(name)) for name in self._streams}
 
     def of(self, device: str) -> tuple[str, ...]:
-        """The alarms of a device that go on, in words that begin with `stuck` or `saturated`."""
+        """The active alarms of a device, as text that begins with `stuck` or `saturated`."""
         return tuple(self._watched[device].words.values()) if device in self._watched else ()
 
     def look(self, items: Sequence[Item]) -> list[SessionNote]:
@@ -120,7 +121,7 @@ class SensorAlarms:
         for item in items:
             if isinstance(item, HealthReport):
                 for name, health in item.devices:
-                    causes = {"reading": "stuck: the same reading again and again"} if health.stuck else {}
+                    causes = {"reading": "stuck: the sensor repeats the same reading"} if health.stuck else {}
                     notes += _changes(name, self._watched[name], HealthReport, causes, item.host_ns)
             elif not isinstance(item, RawBytes | LinkChange | SessionNote):
                 groups.setdefault((type(item), item.device), []).append(item)
@@ -134,14 +135,14 @@ class SensorAlarms:
 
 
 def _leave_out_silence(watched: _Watched, kind: type, first_ns: int) -> None:
-    """Nothing is cleared by time in which nothing came. first_ns: of what comes now"""
+    """Nothing is cleared by time in which nothing came. first_ns: of new items"""
     silent_ns = first_ns - watched.newest_ns.get(kind, first_ns)
     if silent_ns > CLEAR_S * 1e9:
         watched.seen_ns = {what: at_ns + silent_ns * (what[0] is kind) for what, at_ns in watched.seen_ns.items()}
 
 
 def _changes(name: str, watched: _Watched, kind: type, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
-    """kind: of what shows them; causes: in words, by what they are of"""
+    """kind: of what shows them; causes: as text, by their subject"""
     notes = []
     watched.newest_ns[kind] = now_ns
     for what, words in causes.items():
@@ -200,7 +201,7 @@ def _color(frames: Sequence[ColorFrame], stream: Stream, watched: _Watched) -> d
 
 def _depth(frames: Sequence[DepthFrame], stream: Stream, watched: _Watched) -> dict[str, str]:
     if (frames[-1].depth[::PICTURE_STEP, ::PICTURE_STEP] == 0).all():
-        return {"nothing": "saturated: nothing is seen within its range"}
+        return {"nothing": "saturated: no pixel within its range"}
     return {}
 
 

@@ -1,4 +1,4 @@
-"""When each part of a rig was measured, and how well: what `deformscope calibrate` writes beside the values."""
+"""Date and accuracy of each part of a rig's calibration: `deformscope calibrate` writes them with the values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time":
 """After which each is measured again: a table is moved sooner than a stick is bent. Chosen."""
 
 LATEST_S = 0.5
-"""Of one clock beside another [s]: `calibrate time` looks no farther."""
+"""Largest offset between two clocks [s] in `calibrate time`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +21,9 @@ class CalibrationEntry:
     """One measurement.
 
     date: of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a turn
-    about them [deg], in the frame that the transform leads to; half_size_m: those of a surface's sides [m]
+    about them [deg], in the transform's target frame; half_size_m: those of a surface's sides [m]
     half_gain: of the force sensor's gain
-    offset_s, half_s: how late `device` is beside the force sensor `beside`, below 0 how much earlier
+    offset_s, half_s: delay of `device` relative to the force sensor `beside`, below 0 a lead
     oldest_days: after which it is measured again, None = as is usual for its kind
     """
 

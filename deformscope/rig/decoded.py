@@ -49,8 +49,9 @@ class DeviceComparison:
 class Redecoder(ABC):
     """Makes frames of one device's bytes, as its driver did.
 
-    left_out: what of a frame its bytes do not decide; compares: the fields that they decide, beside the stamp
-    listening: what comes now is for the decoder; late_answers: what comes too late for its driver is no frame
+    left_out: what of a frame its bytes do not decide; compares: the fields that they determine, besides the stamp
+    listening: whether new items are for the decoder; late_answers: an answer that is too late for its driver is no
+    frame
     """
 
     left_out = ""
@@ -83,7 +84,7 @@ class Redecoder(ABC):
 class OptoforceAgain(Redecoder):
     """A force sensor."""
 
-    left_out = "`usable`, which also rests on what came before"
+    left_out = "`usable`, which also depends on earlier readings"
     compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
 
     def begin(self) -> FrameDecoder[Any]:
@@ -93,7 +94,7 @@ class OptoforceAgain(Redecoder):
     def resume(self) -> None:
         if self.config.zero_at_start:  # the zero point that the DAQ has lost is subtracted by the driver
             self.compares = ("counts", "overload")
-            self.left_out += ", and forces after the DAQ had lost its zero point"
+            self.left_out += ", and forces after the DAQ lost its zero point"
 
     def measure(self, event: object, host_ns: int) -> Any:
         if not isinstance(event, optoforce.Reading):
@@ -227,9 +228,9 @@ class _Check:
             # what a lost link cuts off is counted or not, and late answers are counted by another way
             other = self._skipped > counted if self._again.late_answers else self._skipped != counted
             if self._steady and other and not self._difference:
-                self._difference = f"{self._skipped} bytes of {stream.device} that fit no frame; {counted} were counted"
+                self._difference = f"{self._skipped} bytes of {stream.device} outside any frame; {counted} were counted"
             if dropped and self._difference:
-                left_out = f"what follows {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
+                left_out = f"data after {self._difference}: {dropped:g} readings or pieces of bytes were dropped"
                 self._difference = ""
         return DeviceComparison(stream.device, stream.driver, self._frames, self._compared, left_out, self._difference)
 
@@ -242,7 +243,7 @@ class _Check:
                 yield to_frame(self._stream.kind, reading, 0, self._stream.device, again.device())
 
     def _settle(self) -> None:
-        """Compare what came at one moment. Frames of a device whose stamps were put back stand before their bytes."""
+        """Compare the items of one moment. Frames of a device with corrected stamps come before their bytes."""
         recorded, decoded, self._decoded = [], self._decoded, []
         while self._recorded and self._recorded[0].stamp.arrived_ns <= self._now_ns:
             recorded.append(self._recorded.popleft())
@@ -260,7 +261,7 @@ class _Check:
                     self._difference = f"another {name} of frame {frame.index} of {at}"
                     return
         if len(recorded) > len(decoded):
-            self._difference = f"frame {recorded[len(decoded)].index} of {at}, which its bytes do not give"
+            self._difference = f"frame {recorded[len(decoded)].index} of {at}, which its bytes do not contain"
         elif len(decoded) > len(recorded) and not self._again.late_answers:
             self._difference = f"a frame in the bytes of {at}, which was not recorded"
 

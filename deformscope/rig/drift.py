@@ -16,9 +16,9 @@ MEAN_NS = 10**9
 POINTS = 120
 """Of the line at most: where it would have more, every second one goes."""
 LOAD_SDS, LEAST_LOAD, FASTEST = 4.0, {"N": 0.05, "counts": 2.0}, 0.2
-"""A second is loaded if its mean is further from the last one without a load than so many deviations of a reading, at
-least so much, and this share of it more for each second between the two; or if its readings scatter twice as much as
-without a load. A sensor that warms up drifts by some 0.002 N a second."""
+"""A second is loaded if its mean differs from the last unloaded one by this number of standard deviations of a reading,
+at least by this force, and by this share of it for each second between the two. It is also loaded if its readings
+scatter twice as much as without a load. A sensor that warms up drifts by some 0.002 N a second."""
 
 Axes = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
@@ -30,7 +30,7 @@ class TareDrift:
         self.tare()
 
     def tare(self) -> None:
-        """It was tared: what comes from now on is compared with the second that follows."""
+        """It was tared: later readings are compared with the second that follows."""
         self.unit = ""
         self.now: Axes = np.zeros(0)
         self.loaded = False

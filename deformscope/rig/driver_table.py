@@ -1,4 +1,4 @@
-"""Which drivers a rig can name, and where each lives. Nothing here imports a driver before it is asked for."""
+"""Which drivers a rig can name, and where each lives. Nothing here imports a driver before it is used."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deformscope.frames import Kind
 class Driver:
     """One kind of device.
 
-    package, device, config: where its class (or what makes one of a configuration) and its configuration are
+    package, device, config: place of its class (or of its factory) and its configuration
     kind: of its frames; doubled: whether there is a simulated one
     probed: whether it can be opened by its port or bus alone, without anything moving
     """

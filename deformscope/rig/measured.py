@@ -1,4 +1,4 @@
-"""From what each driver measures to frames: the one place that knows both."""
+"""From each driver's measurements to frames: the one place that uses both."""
 
 from __future__ import annotations
 

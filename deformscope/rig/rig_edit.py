@@ -1,7 +1,7 @@
 """Values written into a rig file, whose comments and order stay.
 
-The text is changed line by line, then read again: what it says afterwards must be what it said before with the new
-values in it, else nothing is written, and the lines are to be put in by hand.
+The text is changed line by line, then read again: its values must be those of before with the new ones in them.
+Otherwise nothing is written, and the user has to insert the lines.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ def edited(text: str, values: Values) -> str:
         same = False
     if not same:
         by_hand = lines_of(values).replace("\n", "; ")
-        raise InputError("a rig file with plain [SECTION] lines", "another way of writing", by_hand)
+        raise InputError("a rig file with plain [SECTION] lines", "another notation", by_hand)
     return made
 
 
 def _set(lines: list[str], section: str, key: str, value: str) -> None:
-    """Put `key = value` in the place of what there is, else at the end of its section, else into a new section."""
+    """Put `key = value` in the place of an existing value, else at the end of its section, else into a new section."""
     header = re.compile(rf"\s*\[\s*{re.escape(section)}\s*\]\s*(#.*)?$")
     start = next((index for index, line in enumerate(lines) if header.match(line)), None)
     if start is None:

@@ -1,7 +1,7 @@
 """The rig file: which devices there are, where they are plugged in, and what the robot may do.
 
-TOML, read strictly: a key that nobody knows is an error, since a limit with a typing mistake would be no limit.
-`lab:NAME` names a simulated rig that came with the installation.
+TOML, read strictly: an unknown key is an error, because a limit with a typing mistake would be no limit. `lab:NAME`
+names a simulated rig that came with the installation.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class RigDevice:
     name: as its frames and recordings call it; config: its driver's own configuration
     double: run a simulated device in its place
     trusted: whether a vendor's library that the configuration names is loaded from wherever it is
-    late_ns: how late it is, by `calibrate time` [ns]: its stamps are put back by so much
+    late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps
     """
 
     name: str
@@ -58,8 +58,8 @@ class RigDevice:
     late_ns: int = 0
 
     def make(self) -> Device[Any]:
-        """The real device, closed. Raises InputError where its section does not say enough, as without port and bus, or
-        names a library outside of the system's folders while the rig is not trusted."""
+        """The real device, closed. Raises InputError if its section is incomplete, as without port and bus, or names a
+        library outside of the system's folders while the rig is not trusted."""
         config = self.config
         try:
             if getattr(config, "library", None) and not self.trusted:
@@ -71,12 +71,11 @@ class RigDevice:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """How the depth camera sees, and where it stands.
+    """Projection and pose of the depth camera.
 
     device: which one of the devices; focal_px: (fx, fy); center_px: (cx, cy) [px]
     distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
-    doubt_m: how far off T_arm_camera may be where the surface is: what is seen so near the stick may be the stick, and
-    is left out
+    doubt_m: uncertainty of T_arm_camera at the surface: points so near the stick may be the stick, and are left out
     """
 
     device: str = ""
@@ -138,15 +137,15 @@ class Tool:
 
 
 USUAL_THICKNESS_M = 0.05
-"""What a surface is looked for at, where its thickness is not stated."""
+"""Height at which a surface without a stated thickness is sought."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSection:
     """What is explored: something that lies on a table, whose corner is the origin of the surface frame.
 
-    size_m: along x and y; thickness_m: above the table, whose top is at z = 0; None = as the camera sees it over the
-    table beside it, and where it sees none, not known: no modulus is then reported
+    size_m: along x and y; thickness_m: above the table, whose top is at z = 0; None = measured over the table around
+    it, or unknown if no table is visible: no modulus is then reported
     T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
     scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
     hidden: where these doubles truly are is drawn from this number, and to be found by `deformscope calibrate`;
@@ -168,7 +167,7 @@ class SurfaceSection:
 
     @property
     def top_m(self) -> float:
-        """Where the surface is looked for, above the table [m]."""
+        """Height at which the surface is sought, above the table [m]."""
         return USUAL_THICKNESS_M if self.thickness_m is None else self.thickness_m
 
 
@@ -177,16 +176,16 @@ class Workspace:
     """Where the tip may go, and how hard and fast it may touch. The defaults are far below harm.
 
     low_m, high_m: corners of a box in the arm's base frame [m]
-    arm_low_m, arm_high_m: corners of another one, that elbow, wrist and stick stay in beside the tip [m]; None = none
+    arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none
     target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
     contact_speed_m_s: in the last 3 cm before contact and in it; travel_speed_m_s: elsewhere [m/s]
-    force_silent_s, arm_silent_s, camera_silent_s: stopped when there is nothing new from them for so long (the camera
-    while it is needed; None = 1.6 of its periods); longer only where the devices are slower, or a busy machine loses
+    force_silent_s, arm_silent_s, camera_silent_s: limits on silence that stop the arm (the camera's while it is needed;
+    None = 1.6 of its periods). Longer ones are for slower devices, or a busy machine
     time: 0.5 s at most, in which an arm goes up to 25 mm
-    arm_frozen_s: stopped when the arm is sent on and its joints have not changed at all for so long: longer than it
-    takes to begin to move (None = 0.09, or 1.2 of arm_silent_s where that is longer)
-    collision_nm: stopped when a joint's torque differs so much from its mean of the last 2 s, beside what the force on
-    the tip explains, of an arm that reports torques [Nm]; 0 = not looked at
+    arm_frozen_s: stop if the arm receives commands and its joints have not changed at all for this time. It is longer
+    than an arm takes to begin to move (None = 0.09, or 1.2 of arm_silent_s if that is longer)
+    collision_nm: stop if a joint's torque differs by this from its mean of the last 2 s, besides the effect of the
+    force on the tip, of an arm that reports torques [Nm]; 0 = no check
     """
 
     low_m: tuple[float, float, float] | None = None
@@ -242,7 +241,7 @@ class TouchSection:
 class Record:
     """How the rig is recorded.
 
-    folder: where recordings go that are not named; raw: keep the bytes of every wire beside what they mean
+    folder: where recordings go that are not named; raw: record the bytes of every wire in addition to their values
     lossless: cameras whose colour images something is computed from (PNG, ten times the bytes of JPEG)
     """
 
@@ -264,7 +263,7 @@ SECTIONS: dict[str, Any] = {
     "record": Record,
     "calibrated": CalibratedSection,
 }
-"""What a rig file may have beside its devices."""
+"""Sections of a rig file besides its devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,14 +302,15 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
         content = _read_regular(resolve(text)).decode("utf-8")
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user that there is not
         came = getattr(error, "strerror", None) or (
-            "a file that is no text" if isinstance(error, UnicodeDecodeError) else _line(error)
+            "a file without text" if isinstance(error, UnicodeDecodeError) else _line(error)
         )
         raise InputError("a rig file (TOML), or lab:NAME", came.lower(), EXAMPLE, text) from error
     return parse_rig(content, text, trusted=trusted)
 
 
 def _read_regular(path: Path) -> bytes:
-    """A file's bytes; raises InputError for what has no end, such as a device or a pipe, and for what is too large."""
+    """A file's bytes; raises InputError for sources without an end, such as a device or a pipe, and for too large
+    files."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -357,7 +357,9 @@ def _check_values(content: dict[str, Any]) -> None:
                 (f"{place}.{key}"[-PLACE_CHARACTERS:].lstrip("."), one, depth + 1) for key, one in inner.items()
             )
         elif isinstance(value, int | float):
-            check(abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number beyond all use")
+            check(
+                abs(value) <= sys.float_info.max, f"{place} that is finite", "inf, nan, or a number that is too large"
+            )
         elif isinstance(value, str):
             check(value.isprintable(), f"{place} without control characters", repr(value[:PLACE_CHARACTERS]))
 
@@ -411,7 +413,7 @@ def _read(kind: type[Any], given: object, section: str) -> Any:
     try:
         return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:
-        raise InputError(f"{section} as its keys want it", _format_error(error)) from error
+        raise InputError(f"{section} with valid keys", _format_error(error)) from error
     except InputError as error:
         expected, _, came = str(error).removeprefix("expected ").partition("; got ")
         raise InputError(f"{section} with {expected}", came, "lengths in m, forces in N, speeds in m/s") from error

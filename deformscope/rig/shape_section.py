@@ -14,8 +14,8 @@ LONGEST_M = 3.0
 class CableSection:
     """A cable as lines from point to point, as far around them as it may hang or sway.
 
-    points_m: in the frame of the arm's end, or where `joints` says in those of the links behind these joints, counted
-    from 1; 0 = the arm's base, -1 = its end; radius_m
+    points_m: in the frame of the arm's end, or with `joints` in those of the links behind these joints, counted from 1;
+    0 = the arm's base, -1 = its end; radius_m
     """
 
     points_m: tuple[tuple[float, float, float], ...]
@@ -32,16 +32,16 @@ class CableSection:
 
 @dataclass(frozen=True, slots=True)
 class ShapeSection:
-    """What the camera sees of arm, gripper and cables beside the stick of [tool].
+    """Shapes of arm, gripper and cables in the camera's image, besides the stick of [tool].
 
-    removal: "mesh": what is nearer than margin_m to anything that a URDF draws; "hull": to the convex hull of one of
-    its links (Thesis 4.4); "capsules": to 4.5 cm around the lines between joints. Default: "mesh" where there is a urdf
-    or a gripper, which are this file's own and show the robot as it is, else "capsules"
-    urdf: of the arm, with all that is mounted on it and has its joints' angles; gripper: of what is mounted at its end,
-    where the arm's has none; paths beside the rig file
+    removal: "mesh": points within margin_m of any mesh of a URDF; "hull": of the convex hull of one of its links
+    (Thesis 4.4); "capsules": within 4.5 cm of the lines between joints. Default: "mesh" with a urdf or a gripper, which
+    are this file's own and show the robot's true shape, else "capsules"
+    urdf: of the arm, with all that is mounted on it and has its joints' angles; gripper: of the tool at its end, if the
+    arm's urdf has none; paths relative to the rig file
     T_ee_gripper: 4x4, the gripper's root to the arm's end [m]
     closed: joints that nothing reports, as those of fingers: share of the way from their lower limit to their upper one
-    margin_m: of meshes and hulls, beside [camera] doubt_m
+    margin_m: of meshes and hulls, in addition to [camera] doubt_m
     cables: of any removal
     """
 

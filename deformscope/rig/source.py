@@ -25,8 +25,8 @@ HEALTH_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RigMember:
-    """A device to be opened. device: closed yet; simulated: a double stands in for it; late_ns: its stamps are put back
-    by so much, as calibrated"""
+    """A device to be opened. device: closed yet; simulated: a double replaces it; late_ns: calibrated delay, subtracted
+    from its stamps"""
 
     name: str
     driver: Driver
@@ -54,7 +54,7 @@ class RigSource:
     raw: also the bytes of every wire; clock: that the devices stamp by
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
-    latest_ns: by how much the stamps of the latest device are put back; start_ns: of the session, so much before they
+    latest_ns: by how much the stamps of the latest device are put back; start_ns: of the session, this long before them
     open: no frame is older
     """
 
@@ -128,7 +128,7 @@ class RigSource:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more can come of any device: files at their end, links given up."""
+        """Whether no device can give any more items: files at their end, links given up."""
         return bool(self._opened) and all(opened.readings.ended for opened in self._opened)
 
     @property
@@ -137,8 +137,8 @@ class RigSource:
         return {opened.member.name: opened.failure for opened in self._opened if opened.failure}
 
     def take(self, wait_s: float) -> list[Item]:
-        """Wait, then all that came since the last call, in order of time; now and then with everyone's health, and with
-        notes of what readings show to be stuck or saturated, which their health then says as well."""
+        """Wait, then all items since the last call, in order of time. Sometimes they include everyone's health, and
+        notes of readings that are stuck or saturated, which their health then reports as well."""
         if wait_s > 0.0 and self._wait_until is not None:
             self._wait_until(self._clock() + round(wait_s * 1e9))
         elif wait_s > 0.0:
@@ -162,7 +162,7 @@ class RigSource:
         return HealthReport(self._clock(), looks)
 
     def close(self) -> None:
-        """Close all devices, however many of them fail at it; what they gave last can still be taken."""
+        """Close all devices, even if some of them fail; their last items can still be taken."""
         for opened in self._opened:
             try:
                 opened.member.device.close()
@@ -170,7 +170,7 @@ class RigSource:
                 opened.failure = " ".join(str(error).split()) or type(error).__name__
 
     def rest(self) -> list[Item]:
-        """What the queues hold, in order of time, without waiting and without a look at anyone's health."""
+        """Remaining items of the queues, in order of time, without waiting and without health."""
         items: list[Item] = []
         for opened in self._opened:
             items += self._take_from(opened)
@@ -194,7 +194,7 @@ def _stuck_after_s(device: Device[Any]) -> float | None:
 
 
 def _all(queue: Subscription[Any], opened: _Opened) -> list[Any]:
-    """All that waits; why the device ended is kept once nothing does."""
+    """All waiting items; the reason for the device's end follows once there are none."""
     try:
         return queue.take()
     except Exception as error:

@@ -14,8 +14,8 @@ Rows = tuple[tuple[float, ...], ...]
 class HandSection:
     """Where the hand is, and how its fingertips are read.
 
-    T_camera_hand: 4x4, hand to depth camera [m], where the hand stands still; or T_arm_hand: 4x4, hand to the end of
-    the arm that carries it (with `[camera] T_arm_camera`). The hand's frame is that of `deformscope_drivers.sdh`
+    T_camera_hand: 4x4, hand to depth camera [m], for a fixed hand; or T_arm_hand: 4x4, hand to the end of the arm that
+    carries it (with `[camera] T_arm_camera`). The hand's frame is that of `deformscope_drivers.sdh`
     fingers: the two that squeeze; tactile_end: which 36 cells of their fingertip arrays are the feature: the first
     ones as the controller sends them (the thesis), or the last
     tactile: name of the tactile device, where the rig has several
@@ -41,8 +41,8 @@ class ContainerSection:
 
     shape: box (size_m along x, y, z), cylinder (size_m: diameter, diameter, height) or mesh (file, in metres); the
     fingers close along x. wall_m: thickness of its wall; kind: in words (cardboard box, plastic cylinder)
-    T_hand_container: 4x4, container to hand for the middle grasp [m]; None = gripped from the side: the container's
-    middle between the fingertips, its z along the hand's y
+    T_hand_container: 4x4, container to hand for the middle grasp [m]; None = from the side: the container's middle
+    between the fingertips, its z along the hand's y
     """
 
     shape: Literal["box", "cylinder", "mesh"] = "box"
@@ -64,21 +64,21 @@ class ContainerSection:
 
 @dataclass(frozen=True, slots=True)
 class SqueezeSection:
-    """How it is squeezed: the proximal axes of both fingers close at a low speed under a low current limit, until they
-    stand still.
+    """The squeeze: the proximal axes of both fingers close at a low speed under a low current limit, until they are at
+    rest.
 
     current_a: limit of the motor currents while it closes [A]; speed_deg_s: of the proximal axes
     open_deg: of the proximal axes in the pre-shape; None = 20 deg before the contact that the container's width gives
     distal_deg: of the distal axes throughout; None = so that the fingertips are upright at that contact
     thumb_deg: proximal and distal angle at which the thumb is parked
-    onset_counts: the sum of a fingertip's texels is so much above what it was in the air: contact
-    onset_frames: so many frames one after the other
+    onset_counts: rise of the sum of a fingertip's texels above its value in the air that means contact
+    onset_frames: in this number of successive frames
     still_deg, still_s: the closing axes stay within still_deg for still_s under the constant current: steady state
-    hold_s: the current is kept for so long after that, for the relaxation
-    over_squeeze_m: the fingertips may come closer by so much after the first contact
+    hold_s: duration of the current after that, for the relaxation
+    over_squeeze_m: limit on the fingertips' closing after the first contact
     contact_timeout_s, still_timeout_s: to the first contact, and from there to the steady state
-    hand_silent_s, tactile_silent_s: stopped when there is nothing new from them for so long: five periods of the hand's
-    25 Hz, nearly four of pads that give 11 frames a second at worst; longer only where a busy machine loses time
+    hand_silent_s, tactile_silent_s: limits on silence that stop the hand. They are five periods of the hand's 25 Hz,
+    and nearly four of pads that give 11 frames a second at worst; longer ones are for a busy machine
     saturation_counts: a texel that reaches it ends the squeeze
     spread_m, tilt_deg: standard deviation of a random grasp along the container's longest edge, about its middle, and
     of its tilt

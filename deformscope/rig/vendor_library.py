@@ -13,14 +13,15 @@ SYSTEM_FOLDERS = tuple(
 )
 ADMINISTRATOR = 0
 """User and group id."""
-TRY = "install it there, or --trust-rig, which loads what the rig file names and runs it as you"
+TRY = (
+    "install it there, or use --trust-rig, which loads the library that the rig file names and runs it with your rights"
+)
 
 
 def system_library(path: Path) -> Path:
     """Where a library really is, without links.
 
-    Raises InputError unless that is in one of the system's folders, and nobody but the administrator could have put it
-    there.
+    Raises InputError unless that is in one of the system's folders, and only the administrator could have put it there.
     """
     try:
         real = path.resolve()
@@ -30,11 +31,11 @@ def system_library(path: Path) -> Path:
             raise InputError(f"a vendor's library in one of {listed}", "one elsewhere", TRY, path)
         for part in (real, *real.parents):
             if part.exists() and not _is_the_administrators(part):
-                raise InputError("a library that the administrator alone can change", f"{part} is others'", TRY, path)
+                raise InputError("a library that only the administrator can change", f"{part} is others'", TRY, path)
             if part == folder:
                 break
     except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: links in a circle
-        raise InputError("a vendor's library that can be looked at", str(error), TRY, path) from error
+        raise InputError("a readable vendor's library", str(error), TRY, path) from error
     return real
 
 

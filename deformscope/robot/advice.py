@@ -1,4 +1,4 @@
-"""What a person should see to after the robot has stopped, before it is started again."""
+"""Advice for a person after a stop of the robot, before it is started again."""
 
 from __future__ import annotations
 
@@ -10,57 +10,63 @@ from deformscope.robot.touch import TouchEnding
 SETTLE_S = 0.1
 """After a halt, until the force that stays is read."""
 
-_SENSOR = "the force sensor's cable and supply: deformscope doctor RIG listens to it"
+_SENSOR = "the force sensor's cable and supply: deformscope doctor RIG reads it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
-_BUSY = "and how busy this computer is: what reads it may come too late"
-_HOME = "whether the arm was homed since it was switched on: deformscope arm home RIG"
-_CAMERA = "the camera's cable, and that no other program uses it"
-_STANDS = "where arm and surface stand to one another, and the pose that the arm begins in"
-_PLACE = "workspace, rig file and what lies on the table"
+_BUSY = "and the load of this computer: its reader may be late"
+_HOME = "whether the arm was homed after power-on: deformscope arm home RIG"
+_CAMERA = "the camera's cable, and whether another program uses it"
+_STANDS = "the poses of arm and surface relative to each other, and the arm's first pose"
+_PLACE = "workspace, rig file and objects on the table"
 
 ADVICE: dict[Fault | TouchEnding, str] = {
-    Fault.FORCE_SOFT: "what pushed the tip; it has backed away from it",
+    Fault.FORCE_SOFT: "what pushed the tip; the tip has backed away",
     Fault.FORCE_HARD: "what pushed the tip, and the tip itself, before the arm moves again",
     Fault.FORCE_SILENT: f"{_SENSOR}; {_BUSY}",
     Fault.FORCE_FROZEN: _SENSOR,
     Fault.FORCE_INVALID: _SENSOR,
     Fault.FORCE_UNUSABLE: _SENSOR,
-    Fault.CHECKSUMS: "the force sensor's cable, its plug, and what disturbs them",
+    Fault.CHECKSUMS: "the force sensor's cable, its plug, and sources of interference",
     Fault.ARM_SILENT: f"{_ARM}; {_BUSY}",
     Fault.ARM_FROZEN: f"{_HOME}; then {_ARM}",
     Fault.ARM_INVALID: _ARM,
-    Fault.ARM_FIFO: "what else commands the arm, and how busy this computer is",
-    Fault.ARM_SPEED: "what moved the arm: a push, or another program",
-    Fault.ARM_TURN: "what turned the arm: a push, or another program",
-    Fault.TILT: "what turned the tool: a push, a loose mount, another program, or an arm of another model",
+    Fault.ARM_FIFO: "other programs that command the arm, and the load of this computer",
+    Fault.ARM_SPEED: "the reason for the arm's motion: a push, or another program",
+    Fault.ARM_TURN: "the reason for the arm's rotation: a push, or another program",
+    Fault.TILT: (
+        "the reason for the tool's rotation: a push, a loose mount, another program, or an arm of another model"
+    ),
     Fault.JOINT_LIMIT: f"{_STANDS}: a joint is near the end of its range; move it away by the joystick",
     Fault.SINGULAR: f"{_STANDS}: stretched out or folded it cannot follow a straight way; bend it by the joystick",
     Fault.TABLE: f"{_STANDS}: elbow or wrist come down to the table; bring the arm up by the joystick",
     Fault.ITSELF: f"{_STANDS}: it is folded onto itself; unfold it by the joystick",
     Fault.ARM_BOX: f"{_STANDS}: elbow, wrist or stick leave the box of arm_low_m and arm_high_m",
-    Fault.COLLISION: "what the arm has met, and its cables; where nothing was there, collision_nm in the rig file",
-    Fault.TORQUES: "the arm's torque sensors; with collision_nm = 0 in the rig file it moves without seeing collisions",
+    Fault.COLLISION: "the obstacle that the arm hit, and its cables; without an obstacle, collision_nm in the rig file",
+    Fault.TORQUES: (
+        "the arm's torque sensors; with collision_nm = 0 in the rig file it moves without detecting collisions"
+    ),
     Fault.WORKSPACE: _PLACE,
     Fault.CAMERA_SILENT: f"{_CAMERA}; {_BUSY}",
     Fault.CAMERA_FROZEN: _CAMERA,
-    Fault.LINK: "the cable and supply of the device that was lost",
-    Fault.REFUSED: "the reason, and how busy this computer is: a late command stops the arm",
+    Fault.LINK: "the cable and supply of the lost device",
+    Fault.REFUSED: "the reason, and the load of this computer: a late command stops the arm",
     Fault.ASKED: "",
-    TouchEnding.NO_CONTACT: "where the surface is: the camera's pose in the rig file, and the sample's place",
+    TouchEnding.NO_CONTACT: "the surface's height: the camera's pose in the rig file, and the sample's place",
     TouchEnding.NOT_REACHED: _PLACE,
 }
-"""What to look at, by the supervisor's fault or the touch's ending."""
+"""Advice, by the supervisor's fault or the touch's ending."""
 
-_PADS = "the tactile controller's supply and cable: deformscope doctor RIG listens to it"
+_PADS = "the tactile controller's supply and cable: deformscope doctor RIG reads it"
 OF_HAND: dict[Fault | TouchEnding, str] = {
-    Fault.FORCE_SOFT: "what pushed the fingers; the hand has backed away from it",
+    Fault.FORCE_SOFT: "what pushed the fingers; the hand has backed away",
     Fault.FORCE_HARD: "what pushed the fingers, and the hand itself, before the arm moves again",
     Fault.FORCE_SILENT: f"{_PADS}; {_BUSY}",
     Fault.FORCE_FROZEN: _PADS,
     Fault.FORCE_INVALID: _PADS,
     Fault.FORCE_UNUSABLE: _PADS,
-    Fault.CHECKSUMS: f"{_PADS}, and what disturbs it",
-    Fault.TILT: "what turned the hand: a push, a loose mount, another program, or an arm of another model",
+    Fault.CHECKSUMS: f"{_PADS}, and sources of interference",
+    Fault.TILT: (
+        "the reason for the hand's rotation: a push, a loose mount, another program, or an arm of another model"
+    ),
     Fault.ARM_BOX: f"{_STANDS}: elbow, wrist or hand leave the box of arm_low_m and arm_high_m",
 }
 """The same where the arm carries a hand, as far as it is another."""
@@ -68,7 +74,7 @@ OF_HAND: dict[Fault | TouchEnding, str] = {
 
 PRESSES_N = 0.6
 """From this force on the tip counts as pressing [N]: less may be a sensor's drift, as `touch.TARE_DRIFT_N`."""
-_LIFT = "lift it off the way it came, by the arm's joystick or smartPAD, or by hand where you hold the stick"
+_LIFT = "lift it along its approach, by the arm's joystick or smartPAD, or by hand if you hold the stick"
 
 
 def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
@@ -78,7 +84,7 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
     pressed_n, hand = robot.pressed_n, isinstance(robot.force, FingertipForce)
     words, tip = advice(cause, hand=hand), "the hand" if hand else "the tip"
     if pressed_n is None:
-        press = f"{tip}, which may be pressing (its force is not known): {_LIFT}"
+        press = f"{tip}, which may press with an unknown force: {_LIFT}"
     elif pressed_n > PRESSES_N:
         press = f"{tip}, which still presses with {pressed_n:.1f} N: {_LIFT}"
     else:
@@ -87,6 +93,6 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
 
 
 def advice(cause: Fault | TouchEnding, *, hand: bool = False) -> str:
-    """What a person should look at, by the supervisor's fault or the touch's ending; empty where there is nothing to
-    see to. hand: the arm carries one"""
+    """Advice for a person, by the supervisor's fault or the touch's ending; empty without a need. hand: the arm carries
+    one"""
     return (ADVICE | OF_HAND if hand else ADVICE).get(cause, "the robot and what lies around it")

@@ -1,4 +1,5 @@
-"""A touch by an arm that a person places: asked for place after place, and the force felt while it stands at each.
+"""A touch by an arm that a person places: one place after another is requested, and the force is measured at rest at
+each.
 
 Nobody controls a force by hand, so the tip goes down in steps and the law of the contact is fitted to where it stood.
 The supervisor looks in every control period, whatever the person does.
@@ -30,20 +31,19 @@ from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.manual_arm import ManualArm
 
 FREE_STEP_M, BEGIN_M = 1e-3, 4e-3
-"""Steps before contact; so far above the surface, as it was seen, they begin: the camera sees a surface within 2 mm,
-and 1 mm on something rigid is 5 N of a tip that yields by 0.2 mm/N, below the soft stop. Larger steps may reach it at
-once; smaller ones ask a person more often."""
+"""Step before contact, and height above the observed surface at which the steps begin. The camera's error is below 2
+mm; 1 mm on a rigid surface gives 5 N on a tip of 0.2 mm/N, below the soft stop. Larger steps may reach it at once;
+smaller ones ask a person more often."""
 STEPS = 7
-"""From contact to the set force in about so many steps: the law that is fitted has three unknowns, and four more points
-show its noise. More ask a person for more places."""
+"""Number of steps from contact to the set force: the fitted law has three unknowns, and four more points show its
+noise. More ask a person for more places."""
 SETTLE_PERIODS, HOLD_PERIODS = 20, 30
-"""Control periods after a person has said that the stick stands, before and while it is looked at: 0.2 s in which a
-hand lets go, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
-longer."""
+"""Control periods after a person reports that the stick is placed, before and during the measurement: 0.2 s to let go,
+and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes longer."""
 MOST_CORRECTION_M = 0.03
-"""A height further from what was asked for is a slip, as of cm for mm, and is asked again: corrections are of a few
-millimetres. Larger believes slips; smaller refuses true heights where a stick was put down roughly."""
-AGAIN = "a height in mm, as the scale shows it, or nothing where it is as asked for: "
+"""A height further from the request is a mistake, such as cm for mm, and is requested again: corrections are a few
+millimetres. A larger limit accepts mistakes; a smaller one refuses true heights of a roughly placed stick."""
+AGAIN = "a height in mm on the scale, or nothing for the requested height:"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +151,7 @@ class PlacedRun(TouchRun):
     def _step_m(self, set_n: float, along_n: float, stiffness_n_m: float) -> float:
         """How much further down the next step goes [m]: a STEPS-th of the set force by the stiffness of the last step.
 
-        set_n, along_n: force wanted and measured along the normal [N]; stiffness_n_m: of the last step [N/m]
+        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: of the last step [N/m]
         """
         arm = self._robot.arm
         assert isinstance(arm, ManualArm)
@@ -176,7 +176,7 @@ class PlacedRun(TouchRun):
         self._tell(phase)
 
     def _held(self, periods: int, still_seen: Callable[[], bool] = lambda: True) -> float:
-        """Mean force along the normal over some control periods [N], whose readings are kept for the record."""
+        """Mean force along the normal over some control periods [N]; the record keeps their readings."""
         along_n = []
         for _ in range(periods):
             along_n.append(float(self._see(self._cycle()) @ self._plan.normal))
@@ -191,7 +191,7 @@ class PlacedRun(TouchRun):
         return seen
 
     def _place(self, center_m: FloatArray, what: str) -> None:
-        """Have the tip's centre put to (3,) [m, surface frame], and wait until it stands there."""
+        """Have the tip's centre put to (3,) [m, surface frame], and wait until it is at rest there."""
         robot, plan, arm = self._robot, self._plan, self._robot.arm
         assert isinstance(arm, ManualArm)
         lowest_m = float(center_m[2]) - robot.placement.center_offset_m

@@ -1,4 +1,4 @@
-"""A table of checks, each with what was expected and what came, and what to do about those that have not passed."""
+"""A table of checks, each with its requirement and its finding, and the remedy of failed ones."""
 
 from __future__ import annotations
 
@@ -6,35 +6,39 @@ from dataclasses import dataclass
 
 HINTS = {
     "arm: fresh": "the arm's cable and supply; state_hz in the rig file",
-    "arm: rate": "the arm's cable, and how busy this computer is; or a lower state_hz in the rig file",
-    "arm: homed": "after switching it on, deformscope arm home RIG; or hold its joystick's home button until it stands",
+    "arm: rate": "the arm's cable, and the load of this computer; or a lower state_hz in the rig file",
+    "arm: homed": "after power-on, deformscope arm home RIG; or hold its joystick's home button until it rests",
     "arm: link": "the arm's cable into a port of the computer itself: no hub, no virtual machine; less load on it",
-    "arm: still": "wait until the arm stands, and let go of its joystick",
+    "arm: still": "wait until the arm rests, and let go of its joystick",
     "arm: FIFO": "end the other program that commands the arm",
     "arm: accepts": "the reason, then start again",
-    "arm: control period": "end what keeps this computer busy",
+    "arm: control period": "end other programs that load this computer",
     "arm: first way": "bring the tip over the surface by the joystick, the stick down",
     "arm: over the table": "bring elbow and wrist up by the joystick; or T_arm_surface in the rig file is wrong",
     "hand": "a longer stick, cables tied higher up; or [shape] and [tool] in the rig file are wrong",
     "arm: box": "bring elbow and wrist in by the joystick; or arm_low_m and arm_high_m of [workspace]",
     "arm: clear of itself": "unfold the arm by the joystick",
-    "arm: joint torques": "let nobody touch the arm; or a higher collision_nm in [workspace]",
+    "arm: joint torques": "do not touch the arm; or a higher collision_nm in [workspace]",
     "arm: joints": "turn the joint away from the end of its range by the joystick",
     "arm: reach": "move arm or surface, turn the tool, or bring the arm over the surface by its joystick",
-    "force sensor: finger": "press again as asked; then `sensitivity` and R_tip_force in the rig file (deformscope "
-    "calibrate force RIG), the force sensor's plug and cable",
-    "tip: force at contact": "rate_hz = 1000 and filter_hz = 150 of the force sensor, a faster cycle of the arm, or a "
-    "stick that yields more, and its compliance_m_per_n by deformscope calibrate arm RIG",
+    "force sensor: finger": (
+        "press again as requested; then `sensitivity` and R_tip_force in the rig file (deformscope calibrate "
+        "force RIG), the force sensor's plug and cable"
+    ),
+    "tip: force at contact": (
+        "rate_hz = 1000 and filter_hz = 150 of the force sensor, a faster cycle of the arm, or a more compliant "
+        "stick, with its compliance_m_per_n by deformscope calibrate arm RIG"
+    ),
     "calibration: [tool] R_tip_force": "deformscope calibrate force RIG",
-    "force sensor: tare": "let nothing touch the tip, and start again",
-    "force sensor: noise": "stop what shakes table or tip; filter_hz in the rig file; no noise at all is no sensor",
+    "force sensor: tare": "keep the tip free of contact, and start again",
+    "force sensor: noise": "stop vibrations of table or tip; filter_hz in the rig file; no noise means no sensor",
     "force sensor: alive": "rate_hz = 1000 and filter_hz = 150 in the rig file; else the sensor's plug",
     "force sensor": "the force sensor's plug and cable; rate_hz in the rig file; deformscope doctor RIG",
-    "fingers: tare": "let nothing touch the fingers, and start again",
+    "fingers: tare": "keep the fingers free of contact, and start again",
     "fingers": "the tactile controller's supply and cable; deformscope doctor RIG",
-    "place: start": "start again: the way was planned from where the arm stood before",
+    "place: start": "start again: the path was planned from an earlier pose of the arm",
     "arm: collisions": "an arm that reports joint torques or motor currents; collision_nm above 0 in [workspace]",
-    "camera: alive": "plug the camera out and in, and close other programs that use it",
+    "camera: alive": "reconnect the camera, and close other programs that use it",
     "camera": "the camera's cable and port (USB 3), other programs that use it; fps in the rig file",
     "calibration": "measure it and write it into the rig file; deformscope doctor --example shows how",
     "age": "deformscope calibrate, with the name of the row, measures it again",
@@ -48,7 +52,7 @@ HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A condition for moving. name: what was looked at; wanted, came: what was expected and what was found, in words"""
+    """A condition for moving. name: the checked item; wanted, came: expectation and finding as text"""
 
     name: str
     passed: bool

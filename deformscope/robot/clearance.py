@@ -1,7 +1,7 @@
 """How far an arm is from the table and from itself: links and stick as capsules around the lines between joints.
 
-What the vendor's Cartesian mode saw to is seen to here, roughly: shapes of arms differ by a centimetre or two from
-capsules of one radius, which is why a margin is kept.
+This module replaces a function of the vendor's Cartesian mode, with lower accuracy: shapes of arms differ by a
+centimetre or two from capsules of one radius, which the margin covers.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from deformscope_drivers.arm.kinematics import FloatArray
 ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Low and high corner [m]."""
 APART_M = 0.15
-"""Parts of an arm that are joined by less of it than this cannot meet: their joint is between them. Longer than a
-wrist's links, shorter than a forearm: smaller, neighbours would always count as touching; larger, a wrist folded onto
-its forearm would not be seen."""
+"""Parts of an arm that are joined by a shorter piece of it than this cannot collide: their joint is between them.
+Longer than a wrist's links, shorter than a forearm. With a smaller value, neighbours would always count as touching;
+with a larger one, a wrist folded onto its forearm would be missed."""
 FROM_ELBOW = 2
-"""Links from the base that the table may be near to: pedestal and shoulder stand on it."""
+"""Links from the base that may be near the table: pedestal and shoulder are mounted on it."""
 
 
 class ArmClearance:
@@ -65,7 +65,7 @@ class ArmClearance:
         return float((inside - radius_m).min())
 
     def to_itself_m(self, T_base_links: FloatArray) -> float:
-        """Distance between the nearest two parts that could meet [m]; below 0 they overlap; inf where none could.
+        """Distance between the nearest two parts that may collide [m]; below 0 they overlap; inf if none may.
         T_base_links: (n + 1, 4, 4)"""
         if not len(self._pairs):
             return float("inf")

@@ -1,8 +1,8 @@
-"""Whether something pushes an arm beside its tip: joint torques without those of gravity, against what explains them.
+"""Detects a push on an arm away from its tip: joint torques without gravity, compared with their known causes.
 
-Real torque sensors drift and an arm does not know what it carries, so what counts is the difference from a mean that
-follows slowly. What the force at the tip could make of each joint's torque, in whatever direction, counts for nothing:
-then neither the sign that a vendor gives its torques matters, nor the axes of the force sensor.
+Real torque sensors drift and the arm's load is unknown, so the difference from a slowly following mean counts. The
+joint torques that the force at the tip could cause, in any direction, are ignored. Then neither the sign of a vendor's
+torques matters, nor the axes of the force sensor.
 """
 
 from __future__ import annotations
@@ -15,26 +15,27 @@ import numpy as np
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 
 FOLLOWS_S = 2.0
-"""The mean follows the torques within about so long: slower than any collision, faster than drift, and than gravity's
-remainder changes at the speed of travel."""
+"""Time constant of the mean: slower than any collision, faster than drift, and than the change of gravity's error at
+the speed of travel."""
 PRESSED_N = 0.5
-"""While more than this is on the tip the mean stays as it is: what the tip explains is no drift."""
+"""A larger force on the tip freezes the mean, because the tip explains the difference, not drift."""
 IN_A_ROW = 2
 """Readings that differ, all beyond the limit, are a collision: one alone may be an outlier."""
 
 LEARNS_S, LOOKS_S = 0.8, 0.1
-"""What currents were for so long says what they are to be in the time after it. Learning for longer leaves the arm
-unwatched for longer after a motion changes (0.9 s in all), shorter makes the line, and with it the limit, less certain;
-looking for longer finds a collision later, shorter by fewer readings."""
+"""Window of currents that predicts the following ones. A longer fit leaves the arm unwatched for longer after a change
+of motion (0.9 s in all); a shorter one makes the line, and so the limit, less certain. A longer detection window finds
+a collision later, a shorter one uses fewer readings."""
 LEAST_READINGS = 20
-"""Of that time, fewer say nothing: of 20 readings the deviation of the noise is known within 16 %, one over the root of
-twice as many."""
+"""Fewer readings of that time are not enough: 20 readings give the noise's standard deviation within 16 %, one over the
+root of twice their number."""
 STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
-"""Joints go on as they went within so much, and so much of a second's way: else friction and inertia change too."""
+"""Joints have the same motion within this speed, and this share of a second's travel: else friction and inertia change
+too."""
 CURRENT_NOISE = 7.0
-"""Deviations of their noise by which currents are off in a collision. With 7, a sensor that feels nothing any more lets
-doubles of 5, 20 and 100 N/mm press 8.2, 13.0 and 7.6 N (`docs/arms.md`); smaller stops for ripple, larger presses
-harder."""
+"""Deviations of their noise by which currents are off in a collision. With 7, a dead sensor lets doubles of 5, 20 and
+100 N/mm press with 8.2, 13.0 and 7.6 N (`docs/results/safety.md`). A smaller value stops for ripple, a larger one
+presses harder."""
 
 
 class CollisionWatch:
@@ -57,7 +58,7 @@ class CollisionWatch:
     ) -> str:
         """Why this is a collision, with which joint; empty where it is none.
 
-        torques_nm: (n,) numbers, without gravity's, the same again until they are read anew; joints_deg: (n,)
+        torques_nm: (n,) numbers, without gravity's, repeated until the next reading; joints_deg: (n,)
         now_ns: when
         tip_n: greatest magnitude lately of the force on the tip [N]; limit_nm: of noise and the model's error [Nm]
         """
@@ -79,7 +80,7 @@ class CollisionWatch:
         self._beyond += 1
         if self._beyond < IN_A_ROW:
             return ""
-        return f"joint {worst + 1} feels {beside_nm[worst]:.1f} Nm more than before, limit {limits_nm[worst]:.1f} Nm"
+        return f"joint {worst + 1} has {beside_nm[worst]:.1f} Nm more than before, limit {limits_nm[worst]:.1f} Nm"
 
     def _levers_m(self, joints_deg: tuple[float, ...]) -> FloatArray:
         """(n,) torque on each joint [Nm] of 1 N on the tip in the direction in which that is the most."""
@@ -90,10 +91,10 @@ class CollisionWatch:
 
 
 class CurrentWatch:
-    """Whether something stops an arm that its force sensor does not feel, by its motors' currents, in whatever unit.
+    """Detects an obstacle that the force sensor does not measure, from the motors' currents, in any unit.
 
-    They hold gravity, friction, and what the gears make of a turn, all of which go on as they went for as long as the
-    joints do: so each joint's current is compared with the line through its last second, while nothing is felt.
+    Currents have gravity, friction and gear ripple, which continue as long as the joints move. So each joint's current
+    is compared with the line through its last second while there is no contact.
     """
 
     def __init__(self) -> None:

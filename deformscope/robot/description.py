@@ -30,12 +30,12 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray
 
 Removal = Literal["capsules", "hull", "mesh"]
 SAME_M, SAME_RAD = 1e-3, 5e-3
-"""How far a URDF's links may move off those of the arm's chain from one pose to another [m, rad]: what rounded lengths
-and angles come to. Another model, or joints in another order, are off by centimetres; a larger limit would let a
-similar model pass, and its parts stand so far beside the arm."""
+"""Largest change of the pose of a URDF's links relative to the arm's chain from one pose to another [m, rad]: the
+effect of rounded lengths and angles. Another model, or joints in another order, differ by centimetres; a larger limit
+would accept a similar model, whose parts are far from the arm's."""
 TRIED_DEG = (0.0, 17.0, -23.0)
-"""The joints are turned so far from home to compare a URDF with the arm's chain, each joint by a tenth more of it than
-the one before, so that joints that are exchanged, or turn the other way, put some link elsewhere."""
+"""Joint angles from home for comparing a URDF with the arm's chain. Each joint turns a tenth more than the one before,
+so that exchanged or reversed joints displace some link."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +229,7 @@ def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list
             off_m = float(np.linalg.norm(apart[:3, 3]))
             off_rad = float(np.linalg.norm(apart[:3, :3] - np.eye(3)) / np.sqrt(2.0))
             if off_m > SAME_M or off_rad > SAME_RAD:
-                came = f"link {link} is {1e3 * off_m:.0f} mm and {np.degrees(off_rad):.1f} deg off as joints turn"
+                came = f"link {link} differs by {1e3 * off_m:.0f} mm and {np.degrees(off_rad):.1f} deg as joints turn"
                 raise InputError(f"a URDF whose joints are those of {chain.name}, in their order", came, where=path)
     parts: list[DescribedPart] = []
     for link, T in first.items():

@@ -13,23 +13,23 @@ from deformscope.robot.supervisor import Fault
 from deformscope_drivers.arm.kinematics import FloatArray
 
 PRESS_N, LEAST_N = 5.0, 2.5
-"""What a person is asked to press with, and the least that counts, up to the soft stop [N]: half of it to 1.6 times,
-since a person who goes by a kitchen scale is within a third. A sensor whose scale is wrong by two or more is told from
-a right one by it; a wider band lets it pass, a narrower one refuses people who press right."""
+"""Requested force of a person's press, and the least accepted force, up to the soft stop [N]. The band is half of it to
+1.6 times, because a person with a kitchen scale is within a third. It distinguishes a sensor whose scale is wrong by
+two or more; a wider band accepts it, a narrower one refuses correct presses."""
 ASTRAY_DEG = 30.0
-"""Greatest angle of that push to straight up. Axes that are exchanged or reversed show it at 90 or 180 deg, and no
-person presses exactly upright: a larger limit tells the former less surely, a smaller one refuses the latter."""
+"""Greatest angle of that push to straight up. Exchanged or reversed axes appear at 90 or 180 deg, and no person presses
+exactly upright. A larger limit detects such axes less reliably, a smaller one refuses correct presses."""
 BEGUN_N = 0.3
 """Above this [N] a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
 HELD_PERIODS = 40
 """Control periods for which a push is held, 0.4 s: the median of the second half counts, once the finger has come to
-its force. Of a shorter one a knock would do; for a longer one people let go too early."""
+its force. A knock would satisfy a shorter one; people release before a longer one ends."""
 PATIENCE_S, PUSHES = 60.0, 3
-"""For a person to press [s], and how many pushes are looked at, before the check fails and the arm stays where it is.
-More only wait for longer."""
+"""Time for a person's press [s], and number of evaluated pushes, before the check fails and the arm does not move. More
+only wait for longer."""
 FINGER = (
-    f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (what shows 500 g on a kitchen "
-    "scale), and hold it for a second: nothing but its force sensor guards this arm, which has no joint torques."
+    f"Press the tip straight up from below with a finger, with about {PRESS_N:g} N (500 g on a kitchen "
+    "scale), and hold it for a second. This arm has no joint torques: its force sensor is its only guard."
 )
 WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N"
 
@@ -37,10 +37,10 @@ WAITS = f"waits for a finger that presses the tip from below, with {PRESS_N:g} N
 def press_by_finger(
     robot: Robot, press: Callable[[FloatArray], None] | None = None, say: Callable[[str], None] = lambda words: None
 ) -> Check:
-    """Whether the force sensor measures a push from below as it was asked for, in size and direction; nothing moves.
+    """Whether the force sensor measures the requested push from below, in size and direction; nothing moves.
 
-    press: in a laboratory, has a finger press with (3,) [N, surface frame]; None = a person, who is asked by `say`
-    A force above the soft stop is acknowledged at the end. Raises RobotStopped above the hard stop.
+    press: in a laboratory, a finger that presses with (3,) [N, surface frame]; None = a person, whom `say` instructs A
+    force above the soft stop is acknowledged at the end. Raises RobotStopped above the hard stop.
     """
     patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS
     say, press = (say, lambda force_n: None) if press is None else (lambda words: None, press)
@@ -76,7 +76,7 @@ def _felt_n(robot: Robot) -> FloatArray:
 
 
 def _judged(force_n: FloatArray, soft_n: float) -> tuple[bool, str]:
-    """Whether a push (3,) [N, surface frame] has the size and direction asked for, and both in words."""
+    """Whether a push (3,) [N, surface frame] has the requested size and direction, and both as text."""
     size_n = float(np.linalg.norm(force_n))
     astray_deg = math.degrees(math.acos(np.clip(force_n[2] / size_n, -1.0, 1.0)))
     right = LEAST_N <= size_n <= soft_n and astray_deg <= ASTRAY_DEG

@@ -16,15 +16,16 @@ from deformscope_drivers.sdh.kinematics import FINGERS
 from deformscope_drivers.subscription import Subscription
 
 TEXEL_M2 = (TEXEL_PITCH_MM * 1e-3) ** 2
-"""Of one texel, by the pitch that is assumed. Larger, forces are told too high, and the arm stops earlier."""
+"""Of one texel, by the pitch that is assumed. With a larger one, forces are overestimated, and the arm stops
+earlier."""
 PADS_HZ = 11.0
 """Frames a second of all arrays at worst, on the controller's serial line; in the air, where they compress, 30."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingertipReading:
-    """force_n: (1, 3) what each finger's arrays feel together [N], a finger an axis; counts: the controller's time,
-    which goes on although arrays in the air may all say 0"""
+    """force_n: (1, 3) sum of each finger's arrays [N], one finger per axis; counts: the controller's time, which
+    advances although arrays in the air may all read 0"""
 
     stamp: Stamp
     force_n: FloatArray
@@ -40,8 +41,8 @@ class PadRate:
 
 
 class FingertipForce:
-    """pads: the arrays, open, two a finger in the controller's order; squeezing: what the fingers press is theirs to
-    judge, and nothing that pushes the arm: their forces say 0, while silence and equal frames are reported as ever"""
+    """pads: the arrays, open, two a finger in the controller's order; squeezing: the squeeze supervisor judges the
+    fingers' forces, which are no push on the arm: they read 0, while silence and equal frames are still reported"""
 
     def __init__(self, pads: Dsa, *, squeezing: bool = False) -> None:
         self._pads, self._squeezing = pads, squeezing

@@ -1,8 +1,8 @@
-"""An arm that nothing guards but the force at its tip: how fast it may meet something, and how far it may miss it.
+"""An arm whose only guard is the force at its tip: its speed before contact, and how far it may miss the surface.
 
-An arm with joint torques notices a contact that its force sensor does not show; this one presses on. It comes down no
-faster than it can be stopped: while the force is filtered, read and judged, and until the arm stands, the force grows
-by stiffness times speed times that time.
+An arm with joint torques notices a contact that its force sensor does not show; this one presses on. The approach is
+slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness times speed
+times that time.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ STIFFEST_N_M = 1e5
 touch slower; softer lets the force of a stiffer arm grow beyond what its speed is chosen for."""
 ARM_CYCLES = 3.0
 """Cycles of the arm from a command to its rest: one until it is taken, two to follow. A double whose axes lag by
-another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/arms.md`); more makes every touch slower."""
+another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
+every touch slower."""
 SLOWEST_M_S = 1e-3
-"""The tip comes down no more slowly than this: 3 cm take half a minute. Where it would have to, the preflight refuses
-(`tip: force at contact`); slower makes a touch that nobody waits for."""
+"""The tip comes down no more slowly than this: 3 cm take half a minute. If it would have to, the preflight refuses
+(`tip: force at contact`); a slower touch would take too long."""
 CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
 """Share of the hard stop that a contact may reach where it is expected, and higher up. Larger leaves less for a delay
 that is longer than reckoned; smaller makes every touch slower. Measured with them: 14.1 N of 15 N where a surface was
-45 mm too high and axes lagged by another 60 ms (`docs/arms.md`)."""
+45 mm too high and axes lagged by another 60 ms (`docs/results/safety.md`)."""
 MISS_M = 0.005
-"""So far below the seen surface, beyond the camera's doubt, the tip is sent where it has met nothing [m]. An arm whose
-sensor dies on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/arms.md`); smaller misses a
-surface that was seen too high."""
+"""Distance below the observed surface, beyond the camera's uncertainty, to which the tip is sent without a contact [m].
+An arm whose sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm,
+`docs/results/safety.md`); a smaller value misses a surface whose height was overestimated."""
 
 
 @dataclass(frozen=True, slots=True)
 class ForceAlone:
     """What bounds the force of an arm that has no joint torques to show a contact.
 
-    stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm stands
+    stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm rests
     hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched
     """
 
@@ -57,7 +58,7 @@ class ForceAlone:
         return cls(stiffness_n_m, late_s, limits.hard_force_n, robot.doubt_m, currents)
 
     def speed_m_s(self, share: float) -> float:
-        """The speed [m/s] at which a contact comes to this share of the hard stop until the arm stands; SLOWEST_M_S at
+        """The speed [m/s] at which a contact reaches this share of the hard stop until the arm rests; SLOWEST_M_S at
         least."""
         return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))
 
@@ -76,6 +77,6 @@ class ForceAlone:
         """Both forces, with the stiffness and delay that they follow from."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
-            f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} ms until the "
-            f"arm stands; {self.unfelt_n:.0f} N where the sensor fails on the way down{else_n}"
+            f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} "
+            f"ms until the arm rests; {self.unfelt_n:.0f} N if the sensor fails on the way down{else_n}"
         )

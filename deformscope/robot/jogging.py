@@ -1,6 +1,6 @@
 """Moving an arm by keys, a little at a time: what each key does, and that nothing moves once no key is held.
 
-A press moves one step and no more. A key that is held repeats in every terminal: the motion then goes on, and ends
+A press moves one step and no more. A key that is held repeats in every terminal: the motion then continues, and ends
 GRACE_S after the last repeat. So a hand that lets go, a terminal that hangs and a line that breaks all stop the arm.
 """
 
@@ -13,15 +13,15 @@ import numpy as np
 from deformscope.robot.robot import TipVelocity
 
 SPEED_M_S = 0.02
-"""Of the tip's centre: the most that is allowed near contact, since by keys the tip may meet something anywhere.
-Faster, it goes further after the last key (GRACE_S); slower, a step of 10 mm takes more than half a second."""
+"""Speed of the tip's centre: the limit near contact, because by keys the tip may touch something anywhere. Faster, it
+goes further after the last key (GRACE_S); slower, a step of 10 mm takes more than half a second."""
 STEPS_M = {"1": 0.001, "2": 0.005, "3": 0.01}
 """Of a press, by the key that chooses it."""
 TURN_PER_M = 6.0
-"""A press turns by so much for each metre that it would move [rad/m]: 5 mm and 1.7 degrees."""
+"""Rotation of a press for each metre of its translation [rad/m]: 5 mm and 1.7 degrees."""
 GRACE_S = 0.15
-"""After the last repeat of a key the motion goes on for so long: four repeats of a terminal, and 3 mm of motion.
-Shorter, it stutters over a slow line; longer, the arm goes on further once the key is let go."""
+"""Duration of the motion after the last repeat of a key: four repeats of a terminal, and 3 mm of motion. A shorter one
+stutters over a slow line; a longer one moves the arm further after the key's release."""
 REPEATS_S = 0.8
 """The same key again so soon after the last is a key that is held: terminals wait up to 0.6 s before they repeat."""
 LEAVE = "q"
@@ -42,8 +42,8 @@ MOVES: dict[str, tuple[int, float]] = {
 }
 """Key to axis (x, y, z, then turns about them, surface frame) and way."""
 HELP = (
-    "a d  along x    w s  along y    f r  down, up    u o, k i, j l  turn about x, y, z\n"
-    "1 2 3  steps of 1, 5, 10 mm    hold a key to go on, let go to stop    space  stop    q  leave"
+    "a d  along x    w s  along y    f r  down, up    u o, k i, j l  turn about x, y, z\n1 2 3  steps of 1, "
+    "5, 10 mm    hold a key to continue, release to stop    space  stop    q  leave"
 )
 
 
@@ -70,7 +70,7 @@ class Jog:
             self._until_ns = now_ns + round(self.step_m / SPEED_M_S * 1e9)
 
     def command(self, now_ns: int) -> TipVelocity | None:
-        """The velocity for the control period that begins at now_ns; None = stand still."""
+        """The velocity for the control period that begins at now_ns; None = rest."""
         if now_ns >= self._until_ns or self._key not in MOVES:
             return None
         axis, way = MOVES[self._key]

@@ -1,6 +1,6 @@
 """What the supervisors of arm and hand share: alarms become one verdict, which holds until a person acknowledges it.
 
-The supervisors are pure state machines fed with readings and times, asked once in a control period. They are no safety
+The supervisors are pure state machines: each control period calls them with readings and times. They are no safety
 function (no Python program is): the emergency stop of the arm, and a switch for the hand, stay within a person's reach.
 """
 
@@ -31,7 +31,7 @@ Alarm = tuple[Action, FaultT, str]
 
 @dataclass(frozen=True)
 class Decision(Generic[FaultT]):
-    """What to do, and why. fault: the enumeration's NONE while it goes on; time_ns: of the judgement that found it"""
+    """What to do, and why. fault: the enumeration's NONE without a fault; time_ns: of the judgement that found it"""
 
     action: Action
     fault: FaultT
@@ -44,10 +44,10 @@ class LatchingSupervisor(Generic[FaultT]):
     period."""
 
     def __init__(self, none: FaultT, late_ns: int) -> None:
-        """none: the fault of a robot that goes on
+        """none: the fault of a robot without one
 
-        late_ns: a judgement so long after the last one came late: the host was busy, and those who read the devices
-        perhaps too. No silence is held against a device then, once and not twice in a row.
+        late_ns: a judgement this long after the last one was late: the host was busy, and perhaps the device threads
+        too. No silence is held against a device then, once and not twice in a row.
         """
         self._go_on: Decision[FaultT] = Decision(Action.GO_ON, none)
         self._verdict, self._late_ns = self._go_on, late_ns
@@ -62,7 +62,7 @@ class LatchingSupervisor(Generic[FaultT]):
         self._judged_ns, self._excused = now_ns, False
 
     def acknowledge(self, now_ns: int) -> None:
-        """A person has seen to the reason: judge anew from now on."""
+        """A person has removed the reason: judge again from now on."""
         self._verdict = self._go_on
         self.start(now_ns)
 

@@ -72,8 +72,8 @@ def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
     try:
         vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
     except (EOFError, OSError, ValueError) as error:
-        came = f"one at which the reader ended ({ending})"
-        raise InputError("a mesh file that is whole", came, "export it again", path) from error
+        came = f"one that ended its reader ({ending})"
+        raise InputError("a complete mesh file", came, "export it again", path) from error
     if refused := _refusal(vertices, triangles):
         raise InputError(refused, "none, or others", "export it again", path)
     return vertices, triangles

@@ -1,7 +1,7 @@
 """From a velocity of the arm's end to joint rates: damped inverse of the Jacobian, guards at limits and singularities.
 
-The arm is sent joint rates, not its own Cartesian velocities: those take rotation in the end effector's frame, and what
-the arm does near a singularity or a joint's limit in that mode is not published. So these guards are here.
+The arm receives joint rates, not its own Cartesian velocities: those use rotation in the end effector's frame, and that
+mode's behaviour near singularities and joint limits is not published. So these guards are here.
 """
 
 from __future__ import annotations
@@ -33,24 +33,22 @@ Tournassoud 1987)."""
 LEAST_SHARE = 0.05
 """A joint's margin that leaves less of a velocity than this is in its way."""
 SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
-"""Where the fastest joint would come to a singularity within so much, as the smallest singular value falls, all slow
-down in proportion, to this share at least: what leads through it is not stuck, and a way ends in time
-(`travel.SLACK`)."""
+"""If the fastest joint would reach a singularity within this angle, as the smallest singular value falls, all joints
+slow down in proportion, to this share at least. So a path through it continues, and ends in time (`travel.SLACK`)."""
 AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
-"""So far on the smallest singular value is looked at, up to SINGULAR_DEG: it may fall faster later than it does now.
+"""Angle over which the smallest singular value is extrapolated, up to SINGULAR_DEG: it may fall faster later than now.
 Between fewer of them a fall is noticed late; each more is a forward kinematics in every control period."""
 OFF_COURSE_M_S = 1e-3
-"""Or this much of a velocity may be lost or turned away, whatever share (`OFF_COURSE`) it is: corrections at rest are
-slow, and a motion so slow leads the tip less than 0.01 mm astray in a control period."""
+"""Absolute part of a velocity that may be lost or turned away, besides the share `OFF_COURSE`. Corrections at rest are
+slow; such a motion leads the tip less than 0.01 mm astray in a control period."""
 AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
-"""What a seventh joint leaves free turns joints away from limits that are nearer than this, wanted the faster the
-nearer (the null space gives a part of it); not towards the middle of their ranges, where elbow and wrist are stretched
-out and singular."""
+"""The null space of a seventh joint turns joints away from limits that are nearer than this, the faster the nearer. It
+does not turn towards the middle of the ranges, where a stretched elbow and wrist are singular."""
 HOLD_PER_S = 2.0
 """An orientation that is to be held is brought back at this share of its error in a second."""
 FOLLOW_PER_S = 1.0
-"""While whoever commands turns the arm by what they see, the commanded rotation follows the measured one at this share
-of the difference in a second: points that the arm has left out do not add up."""
+"""If a controller turns the arm by measured orientation, the commanded rotation follows the measured one at this share
+of the difference per second. So points that the arm skipped do not add up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +70,8 @@ def rates_for_twist(
 ) -> JointMotion:
     """Joint rates for a twist (6,) of the arm's end [m/s, rad/s], both parts in the base frame.
 
-    joints_deg: (n,) where the arm stands; limits_deg_s: (n,) greatest rates; margin_deg: no joint comes nearer to the
-    end of its range. Where a joint would be too fast, all are slowed alike: the direction stays.
+    joints_deg: (n,) present angles of the arm; limits_deg_s: (n,) greatest rates; margin_deg: no joint comes nearer to
+    the end of its range. Where a joint would be too fast, all are slowed alike: the direction stays.
     """
     joints = np.asarray(joints_deg, dtype=float)
     jacobian = jacobian_of(chain.forward(joints))
@@ -89,8 +87,8 @@ def rates_for_twist(
 
 
 def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArray, rates: FloatArray) -> float:
-    """How far the fastest of joint rates (n,) may turn until the smallest singular value is 0 [deg]: were it to fall on
-    as it does over the next degree, or, where that is sooner, as it does at one of AHEAD_DEG shortly before.
+    """Angle of the fastest of joint rates (n,) until the smallest singular value is 0 [deg]. The value is extrapolated
+    from the next degree or from one of AHEAD_DEG, whichever is sooner.
 
     joints_deg: (n,); jacobian: (6, n) there. inf where it does not fall
     """

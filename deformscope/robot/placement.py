@@ -32,18 +32,18 @@ from deformscope_drivers.arm.kinematics import (
 )
 
 TURNED_RAD = 0.7
-"""An arm whose end is turned further than this from where it should be goes there joint by joint, in another of its
-configurations if that is better."""
+"""An arm whose end deviates further than this from its planned rotation moves there joint by joint, in another
+configuration if that is better."""
 PLAN_MARGIN_DEG = 8.0
-"""Planned poses have every joint so far inside its range: there it may still turn at a third of its greatest rate
+"""Distance of every joint of a planned pose from its limits: there it may still turn at a third of its greatest rate
 towards the limit (`motion.SLOW_DEG`)."""
 TOLERANCES: dict[str, Any] = {
     "position_tolerance_m": 1e-4,
     "rotation_tolerance_rad": 1e-3,
     "margin_deg": PLAN_MARGIN_DEG,
 }
-"""Of planned poses: a third of what counts as reached (`travel.REACHED_M`, `travel.REACHED_RAD`). Larger, the joint
-angles planned with are not those that the arm comes to; smaller costs iterations."""
+"""Accuracy of planned poses: a third of the accuracy of reached ones (`travel.REACHED_M`, `travel.REACHED_RAD`).
+Larger, the joint angles planned with are not those that the arm comes to; smaller costs iterations."""
 WAY_M = 0.01
 """Distance between the places of a route that are checked [m]: at half a metre from a joint it is a turn of 1 deg.
 Larger may step over a limit or a singularity between two; smaller takes longer in proportion."""
@@ -115,7 +115,7 @@ class Placement:
         """(..., 4, 4) the arm's end in the base frame when the tip's centre (..., 3) [m] is here and the stick along
         -normal (..., 3).
 
-        center_m, normal: in the surface frame. The turn about the normal is the one nearest to the surface's x axis, so
+        center_m, normal: in the surface frame. The turn about the normal is the nearest to the surface's x axis, so
         that it is the same for all touches on a flat surface.
         """
         out = np.asarray(normal, dtype=float)
@@ -188,8 +188,7 @@ def follow(
     bool: many routes at once cost little more than one.
 
     start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
-    configuration that the arm is in. The ways are looked at every WAY_M: joints keep PLAN_MARGIN_DEG, and where
-    a singularity is near, its damping keeps the arm on its way (`commands.OFF_COURSE`).
+    configuration that the arm is in.
     meanwhile: called every few milliseconds
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))
@@ -261,8 +260,8 @@ def _reach(least: Sequence[float | None]) -> Reach:
 def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
-    A six-joint arm has up to eight for one pose; of those found, the ones are given whose way stays furthest from
-    singularities, every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
+    A six-joint arm has up to eight for one pose. Returned are those whose path stays furthest from singularities, with
+    every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
     """
     random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
 

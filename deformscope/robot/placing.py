@@ -1,7 +1,7 @@
 """How an arm brings a hand to a container: grasps drawn at random, of these one that the arm reaches on a free way.
 
-Frames: the table's (z = 0 on it, upwards) is the surface frame of `Placement`, whose tip is the middle between the pads
-in the hand's orientation (`hand_tool`).
+Frames: the table's frame (z = 0 on it, upwards) is the surface frame of `Placement`. Its tip is the middle between the
+pads in the hand's orientation (`hand_tool`).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ SOFT_N, HARD_N = 1.5, 5.0
 """Felt by a finger's arrays while the arm moves, it is backed away from, and stopped at [N]: nothing is to be touched
 on the way. Noise of arrays in the air comes to a tenth of the lower one; a higher one topples light containers."""
 TABLE_M, AROUND_M, BESIDE_M = 0.008, 0.015, 0.003
-"""Left between hand and table, between robot and container on the way, and between open fingers and container where
-they go around it [m], each beside four deviations of where the container is. More refuses grasps that would do; less
-meets what is a few millimetres beside where it was seen."""
+"""Clearance between hand and table, between robot and container on the path, and between open fingers and container
+around the grasp [m]. To each, four standard deviations of the container's place are added. A larger one refuses usable
+grasps; a smaller one hits a container that is some millimetres from its measured place."""
 FREE_M = 0.03
 """Between the fingertips and the container where the approach begins [m]: slow from there on."""
 OVER_M = 0.15
@@ -43,12 +43,12 @@ OVER_M = 0.15
 TRIES = 40
 """Grasps that are drawn at most: with one of ten within reach a drawing fails once in 70 times."""
 STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
-"""So far the hand may be from where the arm has placed it, so far it may be turned (half a centimetre at the
-fingertips), and so far each joint may be from where a way was planned from. More, and the ways that were looked at are
-not those it takes; less, and an arm that settles counts as moved."""
+"""Largest distance of the hand from its placement, largest turn (half a centimetre at the fingertips), and largest
+distance of each joint from the start of a planned path. A larger one permits other paths than the checked ones; with a
+smaller one a settling arm counts as moved."""
 BEGINS_AT_IT = "as the arm begins too near the container"
 STEP_DEG = 2.0
-"""Between the joint angles that are looked at on a way: 2 cm of an arm half a metre long."""
+"""Spacing of the checked joint angles on a path: 2 cm of an arm half a metre long."""
 
 
 def _counted(refused: Sequence[str]) -> list[str]:
@@ -81,7 +81,7 @@ class PlacingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacle:
-    """A container that stands. T_table_container: (4, 4); size_m: (3,); doubt_m: of its place; round: a cylinder"""
+    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: of its place; round: a cylinder"""
 
     T_table_container: FloatArray
     size_m: FloatArray
@@ -172,26 +172,27 @@ def withdraw(robot: Robot, plan: GraspPlan, phase: Callable[[str], None]) -> Non
 
 
 APPROACH_M_S = 0.02
-"""Within `FREE_M` of the container, as a tip's in the last 3 cm: arrays that report 11 times a second at worst then see
-2 mm between two frames. Slower, an approach of 12 cm takes longer than 6 s; faster, a container that is met topples."""
+"""Speed limit within `FREE_M` of the container, as for a tip in the last 3 cm: arrays that report 11 times a second
+then advance 2 mm between two frames. With a lower one, an approach of 12 cm takes longer than 6 s; with a higher one, a
+container that is hit topples."""
 
 
 def strayed(robot: Robot, plan: GraspPlan) -> str:
-    """How far the hand is from where the arm has placed it; empty where it stands there."""
+    """Distance of the hand from its placement; empty within the limits."""
     error = pose_error(
         np.asarray(robot.placement.T_surface_center(robot.pose.T_base_ee)), np.asarray(plan.there_m, np.float64)
     )
     off_m, turned_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
     if off_m <= STAYED_M and turned_rad <= STAYED_RAD:
         return ""
-    return f"{1e3 * off_m:.0f} mm and {np.degrees(turned_rad):.0f} deg from where it placed the hand"
+    return f"{1e3 * off_m:.0f} mm and {np.degrees(turned_rad):.0f} deg from the hand's first pose"
 
 
 def plan_checks(plan: GraspPlan, robot: Robot) -> tuple[Check, Check]:
-    """Rows of the preflight: the way was looked at, and begins where the arm stands."""
+    """Rows of the preflight: the path was checked, and begins at the arm's pose."""
     turned = towards(robot.pose.joints_deg, plan.start_deg, ~np.isfinite(robot.arm.chain.upper_deg))
     off_deg = float(np.abs(turned).max())
-    wanted = f"joints within {STAYED_DEG:g} deg of where the way begins"
+    wanted = f"joints within {STAYED_DEG:g} deg of the path's start"
     begins = Check("place: start", off_deg <= STAYED_DEG, wanted, f"{off_deg:.1f} deg")
     turns = f"a way of {len(plan.joints_deg)} turn{'s' * (len(plan.joints_deg) != 1)}, then straight"
     way = "; ".join([turns, *_counted(plan.refused)])
@@ -200,7 +201,7 @@ def plan_checks(plan: GraspPlan, robot: Robot) -> tuple[Check, Check]:
 
 @dataclass(frozen=True, eq=False)
 class _Ways:
-    """From where an arm stands to grasps. start_deg: (n,) joint angles"""
+    """Paths from an arm's pose to grasps. start_deg: (n,) joint angles"""
 
     setup: PlacingSetup
     limits: Limits
@@ -283,7 +284,8 @@ class _Ways:
         return np.concatenate(found)
 
     def _forbidden(self, joints_deg: FloatArray, around_m: float) -> str:
-        """Why the arm must not be at some of joint angles (k, n); empty = it may. around_m: kept from the container"""
+        """Why the arm must not be at some of joint angles (k, n); empty = it may. around_m: clearance around the
+        container"""
         chain, placement, limits = self.setup.chain, self.setup.placement, self.limits
         clearance, frames = ArmClearance(placement, chain.forward(chain.home_deg)), chain.forward(joints_deg)
         tips = placement.T_surface_center(frames[:, -1])

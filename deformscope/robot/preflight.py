@@ -1,4 +1,4 @@
-"""What must be right before the robot moves: a table of checks, each with what was expected and what came."""
+"""Requirements before the robot moves: a table of checks, each with its requirement and its finding."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ ZERO_N = 0.6
 """Greatest load in free air [N]: what a sensor may have drifted since it was zeroed (no figure of it is published).
 Larger, a tip that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
 NOISE_N = 0.05
-"""Greatest deviation of a reading in free air [N]: half of what counts as contact (`TouchPlan.contact_force_n`).
-Larger, noise would be taken for contact; smaller refuses sensors that would do."""
+"""Greatest deviation of a reading in free air [N]: half of the contact's threshold (`TouchPlan.contact_force_n`). With
+a larger one, noise would count as contact; a smaller one refuses usable sensors."""
 STILL_DEG = 0.05
-"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. Smaller, the resolution
-of the reported joints counts as motion; larger, an arm that somebody moves slowly is zeroed."""
+"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. With a smaller one, the
+resolution of the reported joints counts as motion; with a larger one, an arm that a person moves slowly is tared."""
 LATE_MS = 20.0
 """Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Larger, forces grow for
 longer before the arm is stopped; smaller, a computer with other work is refused."""
@@ -47,28 +47,28 @@ CLOCK_PPM = 1000.0
 """Greatest drift between the clocks of device and host: quartz clocks differ by a tenth of it. Beyond, ticks were lost
 or the device's rate is another one than configured, and its times are wrong by 0.6 s in ten minutes."""
 HAND_M = 0.005
-"""Left between what is at the arm's end and a level surface where the tip has sunk in as far as it may [m]: for a
-surface that is not level, and a description that is millimetres off. Larger refuses short sticks; smaller lets a
-gripper or cable touch the surface beside the dent."""
+"""Clearance between parts at the arm's end and a level surface at the tip's greatest depth [m]: for a surface that is
+not level, and a description with errors of millimetres. A larger one refuses short sticks; a smaller one lets a gripper
+or cable touch the surface around the dent."""
 FREE_M = 0.01
-"""Least height of the tip over the surface at the begin [m]: several times what camera and arm are in doubt of where it
-is, so that the force there is that of free air. Larger only has the arm lifted further."""
+"""Least height of the tip over the surface at the start [m]: several times the uncertainty of camera and arm, so that
+the force there is that of free air. Larger only has the arm lifted further."""
 WAY_STEPS = 60
-"""Poses checked on the first way: half a turn of a joint is looked at every 3 deg, 3 cm of a tip half a metre away.
-Fewer may miss where it sinks; more take longer."""
+"""Number of poses checked on the first path: one every 3 deg of half a turn, 3 cm of a tip half a metre away. Fewer may
+miss where it sinks; more take longer."""
 SAME_SHARE, COARSE_S = 8.0, 0.08
-"""An axis of the force sensor is stuck that gives the same for so many times longer than in these checks, and two
-readings; not where it did so for longer [s]: its noise is below a count. In ten minutes of noise of 1 to 5 counts
-nothing repeats for so long, but at 100 Hz; a smaller share stops well sensors, a larger one notices a stuck axis
-later."""
+"""An axis of the force sensor is stuck if it repeats a value this many times longer than in these checks, and for two
+readings. An axis that repeated for longer in the checks [s] is exempt: its noise is below a count. In ten minutes of
+noise of 1 to 5 counts no repetition is that long, except at 100 Hz; a smaller share stops good sensors, a larger one
+detects a stuck axis later."""
 FORCE_TURNED = "[tool] R_tip_force"
 """Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
 COLLISION_NOISE = 6.0
-"""A collision's limit is so many deviations of the torques' noise at least."""
+"""A collision's limit is at least this number of standard deviations of the torques' noise."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
-"""Greatest age of a reading by device [s], or two of its periods where these are longer: within what the supervisor
-calls silent (`Limits`), and three periods of a camera at 30 Hz. Larger, a device passes that is stopped for silence at
-once; smaller, a busy computer is refused."""
+"""Greatest age of a reading by device [s], or two of its periods if longer: within the supervisor's limit on silence
+(`Limits`), and three periods of a camera at 30 Hz. Larger, a device passes that is stopped for silence at once;
+smaller, a busy computer is refused."""
 
 
 def check(
@@ -81,12 +81,12 @@ def check(
     lift_m: float = 0.0,
     described: RobotDescription = AS_CAPSULES,
 ) -> Preflight:
-    """Look at a robot that stands still for half a second, and at what it is to do.
+    """Check a robot at rest for half a second, and its planned motion.
 
-    plans: the touches, or those at the corners of where it may touch; calibrated: what has to be, by name, and whether
-    it is; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera" (default: as their
-    configurations say); lift_m: the plans are so far above the surface; described: what hand and cables look like
-    Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
+    plans: the touches, or those at the corners of where it may touch; calibrated: the required calibrations, by name,
+    and whether they are done; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera"
+    (default: as their configurations say); lift_m: the plans are so far above the surface; described: what hand and
+    cables look like Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
     """
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]
@@ -202,7 +202,7 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
         table_m, itself_m = robot.clearance.over_table_m(links), robot.clearance.to_itself_m(links)
         wanted = f"elbow and wrist {100 * limits.table_m:g} cm or more above it"
         yield Check("arm: over the table", table_m > limits.table_m, wanted, f"{100 * table_m:.1f} cm")
-        wanted = f"{100 * limits.itself_m:g} cm or more between parts that could meet"
+        wanted = f"{100 * limits.itself_m:g} cm or more between parts that may collide"
         yield Check("arm: clear of itself", itself_m > limits.itself_m, wanted, f"{100 * itself_m:.1f} cm")
         if limits.arm_box is not None:
             inside_m = robot.clearance.in_box_m(links, limits.arm_box)
@@ -210,9 +210,9 @@ def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:
     yield from _torques(robot, states)
     if (zones := getattr(robot.arm.config, "protection_zones", None)) is not None:  # an arm that did not, did not open
         wanted = "those of the rig file set as it was opened"
-        yield Check("arm: protection zones", True, wanted, f"{len(zones)} kept by the arm")
+        yield Check("arm: protection zones", True, wanted, f"{len(zones)} stored in the arm")
     homed = robot.arm.homed
-    yield Check("arm: homed", homed, "since it was switched on", "it was" if homed else "it was not, so it says")
+    yield Check("arm: homed", homed, "since power-on", "it was" if homed else "the arm reports that it was not")
     if (call_ms := robot.arm.health().extra.get(CALL_MS)) is not None:
         wanted = f"a call in less than {LONGEST_CALL_MS:g} ms"
         yield Check("arm: link", call_ms < LONGEST_CALL_MS, wanted, f"{call_ms:.1f} ms")
@@ -253,7 +253,7 @@ def _pictures(seen: Sequence[RobotObservation]) -> Iterator[Check]:
 
 
 def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[Check]:
-    """That the tip is above the surface: a force that acts while the sensor is zeroed would be taken for zero."""
+    """That the tip is above the surface: a force during the tare would become the zero."""
     if not plans:
         return
     over_m = robot.placement.center_offset_m
@@ -272,7 +272,7 @@ def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription)
     over_m = described.over_tip_m(robot.placement, robot.arm.chain.forward(robot.pose.joints_deg))
     if np.isfinite(over_m):
         left_m = over_m - max(plan.max_depth_m for plan in plans)
-        wanted = f"{1e3 * HAND_M:g} mm or more above it beside the deepest dent"
+        wanted = f"{1000.0 * HAND_M:g} mm or more above the surface around the deepest dent"
         yield Check("hand: above the surface", left_m >= HAND_M, wanted, f"{1e3 * left_m:.0f} mm")
 
 

@@ -8,8 +8,8 @@ from collections import deque
 class ForceControl:
     """The force along the normal becomes a velocity: `v = (set - force) / (stiffness * tau)`, admittance control.
 
-    The stiffness is the slope of force over depth of the last periods; before contact it is that of a rigid contact
-    behind a compliant arm, with which the force does not overshoot.
+    The stiffness is the slope of force over depth of the last periods. Before contact it is that of a rigid contact
+    behind a compliant arm, which prevents overshoot.
     """
 
     TAU_S = 0.12
@@ -36,6 +36,6 @@ class ForceControl:
             self.stiffness_n_m = min(max(*slopes, self.SOFT_N_M), self._most_n_m)
 
     def velocity_m_s(self, set_n: float, force_n: float) -> float:
-        """Velocity along -normal, positive into the surface [m/s]. set_n, force_n: wanted and measured [N]"""
+        """Velocity along -normal, positive into the surface [m/s]. set_n, force_n: requested and measured [N]"""
         asked = (set_n - force_n) / (self.stiffness_n_m * self.TAU_S)
         return min(max(asked, -self._fastest_m_s), self._fastest_m_s)

@@ -78,7 +78,7 @@ class CameraSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
-    """What came since the last control period, oldest first.
+    """Items since the last control period, oldest first.
 
     refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening
     lost_links: names of devices whose link is down, and why

@@ -1,7 +1,7 @@
 """Arm, force sensor and camera as one robot with one control period, watched by the supervisor.
 
-The same code runs on real devices, which have their own threads, and in a simulated laboratory: what differs is how
-time passes until the next control period (`wait_until`).
+The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
+next control period differs (`wait_until`).
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from deformscope_drivers.images import fingerprint
 from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
 VALID_PERIODS = 4
-"""A velocity ends by itself unless it is set again within so many control periods."""
+"""A velocity expires unless it is set again within this number of control periods."""
 
 
 class ForceSensor(Protocol):
-    """What tells the force at the end of an arm (`Optoforce`, `fingertip_force.FingertipForce`). Its readings have
+    """Source of the force at the end of an arm (`Optoforce`, `fingertip_force.FingertipForce`). Its readings have
     `stamp`, `force_n` (channels, 3) [N], `counts`, which change from one to the next, and `usable`"""
 
     @property
@@ -65,15 +65,15 @@ class RobotStopped(Exception):
 
 
 class MotionHeld(Exception):
-    """The robot was to move and stands, without a fault: it may be commanded again at any time."""
+    """The robot had a motion command and is at rest, without a fault: it accepts commands at any time."""
 
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
     """A velocity of the tip, surface frame. linear_m_s: (3,) of its centre; angular_rad_s: (3,) about its centre
 
-    angular_rad_s None = the robot holds the orientation as it was commanded last. Given, it is sent as it is: whoever
-    commands then closes the loop over the measured orientation.
+    angular_rad_s None = the robot holds the orientation as it was commanded last. If given, it is sent unchanged: the
+    caller then closes the loop over the measured orientation.
     """
 
     linear_m_s: FloatArray
@@ -107,9 +107,10 @@ class Robot:
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 
     commanded: speed of the tip's centre [m/s] of every period
-    reason_to_stand: asked in each period in which it is to move: a reason not to, empty = none
+    reason_to_stand: called in each period with motion: a reason against it, empty = none
     rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
-    share: of the tip's velocity asked for last that was sent: less near joint limits and singularities; nan for joints
+    share: sent part of the tip's velocity that was requested last: less near joint limits and singularities; nan for
+    joints
     """
 
     def __init__(
@@ -176,14 +177,14 @@ class Robot:
 
     @property
     def arm_seen(self) -> bool:
-        """Whether the arm has reported where it stands."""
+        """Whether the arm has reported its pose."""
         return self._pose is not None
 
     @property
     def pose(self) -> ArmSample:
         """The newest state of the arm. Raises RuntimeError before the first."""
         if self._pose is None:
-            raise RuntimeError("the arm has not been seen yet: cycle() first")
+            raise RuntimeError("no state of the arm yet: cycle() first")
         return self._pose
 
     @property
@@ -206,11 +207,11 @@ class Robot:
     # The control period ----------------------------------------------------------------------------------------------
 
     def cycle(self, command: Command = None) -> RobotObservation:
-        """Send a velocity (None = stand still), let a control period pass, look, and have it judged.
+        """Send a velocity (None = rest), let a control period pass, read the devices, and have them judged.
 
         Raises MotionHeld where `reason_to_stand` gave one: it was sent nothing, and stood for the period. Raises
-        RobotStopped, now and ever after until the supervisor's `acknowledge`, when the robot must not go on: the
-        arm is then halted and what waited in it erased. What makes the robot back off is the caller's to carry out.
+        RobotStopped, now and after every later call until the supervisor's `acknowledge`, when the robot must stop. The
+        arm is then halted and its waiting points are erased. The caller carries out a back-off.
         """
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
@@ -249,25 +250,24 @@ class Robot:
         return self.seen
 
     def look_on(self) -> SafetyDecision:
-        """Judge what came since the last call, as an arm is that stands; nothing is sent, and whoever calls it stops
-        it."""
+        """Judge readings since the last call, as of an arm at rest; nothing is sent, and the caller stops it."""
         self.seen = self._look()
         self._turn_on()
         return self.supervisor.judge(self.seen, commanded_rotation=self.rotation.rotation)
 
     def keep_up(self) -> None:
-        """Stand still for a control period if one is due: to be called now and then by what takes longer than that on a
-        host's clock. On a simulated one no time passes meanwhile, and none is due."""
+        """Stay at rest for a control period if one is due: for calls from long computations on a host's clock. On a
+        simulated one no time passes meanwhile, and none is due."""
         if self._clock() >= self._next_ns + PERIOD_NS // 2:
             self.cycle()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person wants the robot to stop: within this control period, or in the next one."""
+        """A person requests a stop: within this control period, or in the next one."""
         self.supervisor.stop(Fault.ASKED, reason, self._clock())
 
     def stand_by(self, duration_s: float) -> None:
-        """Stand still and let time pass, stopped or not: for a recording that shows what came after. The verdict stays
-        as it is."""
+        """Rest and let time pass, stopped or not: for a recording that shows the time after. The verdict is
+        unchanged."""
         end_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < end_ns:
             self._wait_until(min(now_ns + PERIOD_NS, end_ns))
@@ -275,8 +275,8 @@ class Robot:
             self._report_to_watch(self.supervisor.verdict)
 
     def halt(self, reason: str) -> bool:
-        """Erase what waits in the arm and refuse commands until `arm.acknowledge_stop`; whether the arm was reached:
-        one that was not has at most two velocities waiting, and is erased when it comes back."""
+        """Erase points that wait in the arm and refuse commands until `arm.acknowledge_stop`. Returns whether the arm
+        was reached: otherwise at most two velocities wait in it, and are erased on reconnection."""
         self._speed_m_s = 0.0
         self.commanded.append(0.0)
         try:
@@ -289,7 +289,7 @@ class Robot:
         """From now on velocities are sent. Raises InputError, which names the checks, unless all have passed."""
         if not preflight.passed:
             failed = "; ".join(f"{check.name}: {check.came}" for check in preflight.checks if not check.passed)
-            raise InputError("a preflight that passed", failed, "see to it, and check again")
+            raise InputError("a preflight that passed", failed, "remove the cause, and check again")
         self._may_move = True
         del self._judged_ns[:]
 
@@ -304,7 +304,7 @@ class Robot:
         return np.diff(1e-9 * np.array(self._judged_ns, dtype=np.float64))
 
     def resume(self) -> None:
-        """After somebody has seen to the reason of a stop: judge anew, and let the arm take commands again, once
+        """After a person has removed the reason of a stop: judge again, and let the arm take commands again, once
         another preflight has passed."""
         self._may_move = False
         self.arm.acknowledge_stop()
@@ -319,8 +319,8 @@ class Robot:
         self.supervisor.start(self._clock())
 
     def rest(self) -> None:
-        """Close the devices' queues until `start`, while something is computed or a person asked: they would overflow,
-        and count losses."""
+        """Close the devices' queues until `start`, during a computation or a question: they would overflow, and count
+        losses."""
         for queue in (self._forces, self._states, self._pictures):
             if queue is not None:
                 queue.close()
@@ -334,7 +334,7 @@ class Robot:
         try:
             self.watch(self.seen, verdict)
         except BaseException as error:
-            self.halt(f"what watches it failed: {type(error).__name__}")
+            self.halt(f"its monitor failed: {type(error).__name__}")
             raise
 
     def _begin_anew(self) -> None:
@@ -450,7 +450,7 @@ class Robot:
         )
 
     def _listen(self) -> None:
-        """Open new, empty queues of the devices; one that has ended for good gives none, and its link says so."""
+        """Open new, empty queues of the devices; a device that has ended gives none, and its link reports that."""
         self.rest()
         with contextlib.suppress(DeviceError):
             self._forces = self.force.readings()
@@ -461,7 +461,7 @@ class Robot:
 
 
 def taken(queue: Any) -> list[Any]:
-    """The items that wait in a device's queue; none of a device that has failed, whose link says so."""
+    """The items that wait in a device's queue; none of a failed device, whose link reports the failure."""
     try:
         return list(queue.take())
     except DeviceError:

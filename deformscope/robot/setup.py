@@ -40,10 +40,10 @@ ROLES = ("arm", "wrench", "depth")
 CAMERA_HZ = 30.0
 """What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
 FEWEST_PERIODS = 1.5
-"""Of a device's own period: a limit on its silence is at least so long, as a reading that comes late is no fault."""
+"""Number of a device's own periods that its limit on silence has at least, because a late reading is no fault."""
 T_BASE_SURFACE = transform(np.eye(3), (-0.30, -0.55, 0.0))
-"""(4, 4) surface frame to the arm's base frame [m], where none is given: the arm stands 0.15 m beyond the middle of the
-long edge at y = 0.4 m, and the far corners are 0.63 m from its axis."""
+"""(4, 4) surface frame to the arm's base frame [m] by default: the arm is 0.15 m beyond the middle of the long edge at
+y = 0.4 m, and the far corners are 0.63 m from its axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraView:
-    """How the depth camera projects, and where it stands.
+    """Projection and pose of the depth camera.
 
     focal_px, center_px: (x, y), None = as its images say; distortion: OpenCV's k1, k2, p1, p2, k3
     T_surface_camera: (4, 4), None = not known; doubt_m: how far off it may be where the surface is; rate_hz
@@ -77,12 +77,13 @@ class Setup:
 
     open_source: opens all devices; names: of arm, force sensor and camera among them
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
-    calibrated: what has to be known before the arm moves, by name, and whether it is; ages: of what was measured
+    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: of what was
+    measured
     simulated: nothing real moves; truth: what is simulated, None where that is not known
     runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
-    person: who places the arm, None = it moves by itself
+    person: places the arm; None = an arm with motors
     described: what the robot looks like
     press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
     """
@@ -147,7 +148,7 @@ def seen(robot: Robot) -> Robot:
     except RobotStopped as stopped:
         verdict = stopped.verdict
         came = f"{verdict.fault}: {verdict.reason}"
-        raise InputError("devices that are well", came, f"see to {advice(verdict.fault)}") from stopped
+        raise InputError("devices without faults", came, f"see to {advice(verdict.fault)}") from stopped
     return robot
 
 
@@ -223,7 +224,7 @@ def open_rig(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigParts:
-    """What a rig file says of its robot. devices: that play `ROLES`; Raises InputError, which names what is missing."""
+    """The robot's parts from a rig file. devices: that play `ROLES`; Raises InputError, which names what is missing."""
 
     rig: Rig
     devices: tuple[RigDevice, ...]
@@ -259,7 +260,7 @@ def rig_setup(
 
     double: makes a device of the rig that nothing is simulated around, or its double
     table: of a `[surface] scene`, over which arm, force sensor and camera are doubles
-    person: who places a real arm that does not move by itself
+    person: places a real arm without motors
     give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
     """
     rig, simulated = parts.rig, table is not None
@@ -316,7 +317,10 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
     ):
         hz = getattr(entry.config, key)
         if silent_s is not None and hz is not None and hz * silent_s < FEWEST_PERIODS:
-            least = f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, missed after {silent_s:g} s"
+            least = (
+                f"{key} of {FEWEST_PERIODS / silent_s:.0f} or more for {entry.name}, which fails after "
+                f"{silent_s:g} s of silence"
+            )
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
@@ -327,14 +331,14 @@ def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
     camera_s = limits.camera_periods * limits.camera_period_s
     for entry, silent_s in zip(devices, (limits.arm_silent_s, limits.force_silent_s, camera_s), strict=True):
         if entry.late_ns >= 1e9 * silent_s:
-            least = f"{entry.name} late by less than the {silent_s:g} s that it may be silent for"
+            least = f"{entry.name} with a delay below its limit on silence, {silent_s:g} s"
             came = f"{entry.late_ns / 1e9:g} s, by calibrate time"
             raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
 
 
 def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "", driver: str = "") -> RigDevice:
-    """The one device of a kind. use: what it is wanted for; name, driver: of it, empty = any (of a depth camera, as
-    `[camera]` says); raises InputError where there is none, or several"""
+    """The one device of a kind. use: its purpose, for the message; name, driver: of it, empty = any (of a depth camera,
+    as `[camera]` says); raises InputError where there is none, or several"""
     name = rig.camera.device or "" if kind == "depth" else name
     drivers = [one for one, known in DRIVERS.items() if known.kind == kind and driver in ("", one)]
     found = [one for one in rig.devices if one.driver.name in drivers and name in ("", one.name)]
@@ -346,12 +350,12 @@ def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "
 
 
 def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
-    """What [shape] says of the robot. Raises InputError, which says what is wrong with it."""
+    """The robot's description from [shape]. Raises InputError, which says what is wrong with it."""
     if rig.shape == ShapeSection():
         return AS_CAPSULES
     model = MANUAL if arm.driver.name == "placed" else arm.config.model
     if model is None:
-        raise InputError('model = "..." of the arm, beside [shape]', "none", 'model = "j2n6s300"', arm.name)
+        raise InputError('model = "..." of the arm, besides [shape]', "none", 'model = "j2n6s300"', arm.name)
     try:
         return describe(rig.shape, chain_of(model), rig.folder)
     except InputError as error:

@@ -1,4 +1,5 @@
-"""What the arm and its stick fill, roughly: what hides the surface from a camera, and is not to be taken for it."""
+"""The approximate volume of the arm and its stick: it hides the surface from a camera, and is removed from the
+surface's points."""
 
 from __future__ import annotations
 
@@ -12,9 +13,9 @@ from deformscope.robot.placement import Placement
 from deformscope_drivers.arm.kinematics import FloatArray
 
 LINK_RADIUS_M = 0.045
-"""Radius of the capsules that stand for the arm's links [m], that of the arm in the simulated laboratory. Larger, more
-of the surface beside the arm is left out of the camera's picture, and the arm is kept further from table and itself;
-smaller, parts of a thicker arm are taken for surface and may touch."""
+"""Radius of the capsules that stand for the arm's links [m], that of the arm in the simulated laboratory. With a larger
+one, more of the surface around the arm is removed from the image, and the arm keeps further from table and itself. With
+a smaller one, parts of a thicker arm count as surface and may touch."""
 
 
 def link_capsules(T_base_links: FloatArray, T: FloatArray) -> list[Capsule]:

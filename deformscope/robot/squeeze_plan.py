@@ -1,4 +1,4 @@
-"""How a container is gripped: the hand's pre-shape, and where on the container it stands, drawn at random."""
+"""The grasp of a container: the hand's pre-shape, and its random place on the container."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ BASE_DEG = 90.0
 PAD_M = 0.011
 """From the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not measured."""
 OPENING_DEG = 12.0
-"""The proximal axes begin so far before the contact that the container's width gives: the fingertips then stand some 3
-cm away. With less, a hand that stands beside its place touches before it closes; with more, closing at a squeeze's low
-speed (6 deg/s as standard, 2 s for this) takes longer."""
+"""Start of the proximal axes before the contact at the container's width: the fingertips are then about 3 cm away. With
+a smaller value, a hand that is displaced touches before it closes; with a larger one, closing at a squeeze's low speed
+(6 deg/s as standard, 2 s for this) takes longer."""
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
@@ -74,7 +74,7 @@ class GripShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RandomGrasp:
-    """Where the hand stands on the container.
+    """The hand's place on the container.
 
     along_m: of the middle of the pads from the container's middle, along its longest edge; tilt_deg: of the hand about
     the axis of closing; T_hand_container: (4, 4) container to hand [m]; turn_deg: about the container's own z axis
@@ -87,7 +87,7 @@ class RandomGrasp:
 
 
 def draw_grasps(container: ContainerSection, squeeze: SqueezeSection, seed: int, count: int) -> list[RandomGrasp]:
-    """Grasps one after the other, the same for the same seed: each as `draw_grasp`, from either side of a box, from any
+    """Grasps one after another, the same for the same seed: each as `draw_grasp`, from either side of a box, from any
     side of a cylinder."""
     random = np.random.default_rng([seed, 0x97])
     found = []
@@ -144,8 +144,8 @@ def hand_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
 
 
 def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatArray:
-    """(4, 4) container to hand for the grasp in its middle [m]: as the rig file says, else from the side, its middle
-    between the pads, its x and the hand's alike, its z along the hand's y."""
+    """(4, 4) container to hand for the grasp in its middle [m], as in the rig file. By default it is from the side: its
+    middle between the pads, its x and the hand's alike, its z along the hand's y."""
     if container.T_hand_container is not None:
         return np.array(container.T_hand_container, np.float64)
     from_side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

@@ -1,7 +1,7 @@
 """A hand and its tactile arrays with one control period, watched by a supervisor: pre-shape, close, hold, open.
 
-The same code runs on real devices, which have their own threads, and in a simulated laboratory: what differs is how
-time passes until the next control period (`wait_until`).
+The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
+next control period differs (`wait_until`).
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ SQUEEZE_PERIOD_NS = 20_000_000
 KEEP_S = 0.1
 """The hand's driver sets a velocity back to 0 unless it is set again within this: five control periods."""
 RAMP_DEG_S2 = 400.0
-"""Of the closing axes: the most that Schunk's library takes. From 6 deg/s they then stand within 15 ms of a stop; at
-the hand's default of 100 deg/s2 it would be 60 ms."""
+"""Of the closing axes: the most that Schunk's library takes. From 6 deg/s they then rest within 15 ms of a stop; at the
+hand's default of 100 deg/s2 it would be 60 ms."""
 PRESHAPE_DEG_S = 40.0
 """Of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
 MISSED_DEG = 2.0
-"""An axis that ends so far from its pre-shape met something: four times the precision of its angles."""
+"""An axis that ends this far from its pre-shape has hit something: four times the precision of its angles."""
 SETTLE_READINGS = 13
 """A hand may report the states from before a command for half a second (IPA): 13 readings at 25 Hz."""
 PRESHAPE_MARGIN_S = 4.0
@@ -52,8 +52,8 @@ PRESHAPE_MARGIN_S = 4.0
 OLD_FIRMWARE_S = 15.0
 """The whole range of an axis at 12 deg/s."""
 STOP_TRIES, STOP_EVERY_S = 15, 0.1
-"""Attempts to stop the hand or to set its limits back, and from one to the next while its link is down: the driver
-looks for a lost one after 0.05 s, and then ever more rarely."""
+"""Attempts to stop the hand or to restore its limits, and the pause between them while its link is down: the driver
+looks for a lost one after 0.05 s, then less often."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class SqueezeStopped(Exception):
 class SqueezeRobot:
     """Opened devices and a supervisor; `cycle` is one control period.
 
-    hand_readings, tactile_frames: what came in the last period, oldest first
+    hand_readings, tactile_frames: items of the last period, oldest first
     on_cycle: called in every period, before it is judged: whoever watches may ask to stop
     """
 
@@ -117,9 +117,9 @@ class SqueezeRobot:
         self.supervisor.start(self._clock())
 
     def cycle(self, closing_deg_s: float | None = None) -> None:
-        """Close at a speed (None = as it is), let a control period pass, look, and have it judged.
+        """Close at a speed (None = unchanged), let a control period pass, read the devices, and have them judged.
 
-        Raises SqueezeStopped where the hand must not go on: it was stopped then.
+        Raises SqueezeStopped when the hand must stop: it was stopped then.
         """
         if closing_deg_s is not None:
             velocity = [0.0] * AXIS_COUNT
@@ -139,7 +139,7 @@ class SqueezeRobot:
             raise SqueezeStopped(verdict)
 
     def stand_by(self, duration_s: float) -> None:
-        """Let time pass, stopped or not: for a recording that shows what came after."""
+        """Let time pass, stopped or not: for a recording that shows the time after."""
         until_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < until_ns:
             self._wait_until(min(now_ns + SQUEEZE_PERIOD_NS, until_ns))
@@ -147,7 +147,7 @@ class SqueezeRobot:
             self._on_cycle()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person wants it to stop: within this control period, or in the next one."""
+        """A person requests a stop: within this control period, or in the next one."""
         self.supervisor.stop(SqueezeFault.ASKED, reason, self._clock())
 
     def fail(self, fault: SqueezeFault, reason: str) -> None:
@@ -167,8 +167,8 @@ class SqueezeRobot:
         self.command(lambda: self._move(self.shape.open_deg))
 
     def release(self) -> None:
-        """Open the fingers after a stop: what they hold is not to be pressed any longer. Raises SqueezeStopped where
-        the hand does not."""
+        """Open the fingers after a stop: they must not press their content any longer. Raises SqueezeStopped where the
+        hand does not."""
         self.supervisor = SqueezeSupervisor(self.squeeze, self._fingers, self._clock(), closing=False)
         self.preshape()
 

@@ -37,8 +37,8 @@ class SqueezeNames:
 
 
 class TrueMoments(Protocol):
-    """What a laboratory knows of a squeeze, on its clock: the first contact, and from when the fingers stood still;
-    None = not yet."""
+    """True moments of a squeeze in a laboratory, on its clock: the first contact, and the rest of the fingers; None =
+    not yet."""
 
     @property
     def contact_ns(self) -> int | None: ...
@@ -134,10 +134,10 @@ class SqueezeSetup:
     camera: how the depth camera projects; T_camera_hand: (4, 4) hand to camera [m], None = not known, so that nothing
     can be learned from images; T_arm_hand: (4, 4) hand to the end of the arm that carries it, None = none carries it
     T_arm_camera: (4, 4) camera to the arm's base
-    grasp: where the hand is to stand on the container; placed: it stands there already
+    grasp: the hand's place on the container; placed: the hand is there already
     simulated: nothing real moves; runs_itself: the devices have threads of their own and the host's clock
     truth: of a simulated squeeze, None where only the devices can say
-    placing: the arm that places the hand, None = a person does, or it stands there already
+    placing: the arm that places the hand; None = a person does, or the hand is there already
     """
 
     names: SqueezeNames
@@ -168,7 +168,7 @@ def squeeze_setup(
     """All devices of a rig file.
 
     double: makes a device of the rig that no container is simulated around, or its double
-    container: between the doubles; the hand stands at it already, and it brings the pose and projection of its camera
+    container: between the doubles, with the hand at it; it brings the pose and projection of its camera
     place: as of `SqueezeParts.of`
     """
     rig, seen = parts.rig, parts.rig.camera

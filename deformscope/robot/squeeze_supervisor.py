@@ -1,4 +1,4 @@
-"""Whether the hand may go on squeezing: limits of its angles and pads, and the age of what its devices report.
+"""Whether the hand may continue the squeeze: limits of its angles and pads, and the age of its devices' reports.
 
 The first fault holds (`latch`).
 """
@@ -17,15 +17,16 @@ from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope_drivers.sdh.kinematics import fingertips
 
 LIMIT_DEG = 1.0
-"""An axis that comes so near to the end of its range is at it: reported angles are precise to 0.5 deg."""
+"""An axis this near to the end of its range is at it: reported angles are precise to 0.5 deg."""
 TOO_HOT_C = 70.0
-"""Of a motor. Assumed: Schunk's firmware switches off by itself somewhere above (error 29), no source gives where."""
+"""Of a motor. Assumed: Schunk's firmware switches off at some higher temperature (error 29); no source gives the
+value."""
 LATE_NS = 100_000_000
-"""A judgement so long after the last one, five control periods, came late (`LatchingSupervisor`)."""
+"""A judgement this long after the last one, five control periods, was late (`LatchingSupervisor`)."""
 
 
 class SqueezeFault(StrEnum):
-    """Why it must not go on."""
+    """Why it must stop."""
 
     NONE = "none"
     SATURATED = "tactile array saturated"
@@ -48,25 +49,25 @@ class SqueezeFault(StrEnum):
 ADVICE: dict[SqueezeFault, str] = {
     SqueezeFault.SATURATED: "a lower current_a in [squeeze], or a lower sensitivity of the arrays",
     SqueezeFault.OVER_SQUEEZED: "a lower current_a in [squeeze], or a larger over_squeeze_m",
-    SqueezeFault.JOINT_RANGE: "the container's size in [container], and where it stands",
+    SqueezeFault.JOINT_RANGE: "the container's size in [container], and its place",
     SqueezeFault.HAND_SILENT: "the hand's supply and cable",
     SqueezeFault.HAND_LOST: "the hand's supply and cable; it may still press with the current that was set",
     SqueezeFault.TACTILE_SILENT: "the tactile controller's supply and cable",
     SqueezeFault.TACTILE_LOST: "the tactile controller's supply and cable",
-    SqueezeFault.TOO_HOT: "a pause, until the motors have cooled",
+    SqueezeFault.TOO_HOT: "a pause, until the motors have cooled down",
     SqueezeFault.REFUSED: "the axis states: deformscope doctor",
-    SqueezeFault.PRESHAPE: "what is in the fingers' way",
-    SqueezeFault.TOUCHED_BEFORE: "what touches the fingertips; open_deg in [squeeze]",
-    SqueezeFault.NO_CONTACT: "where the container stands between the fingers; onset_counts in [squeeze]",
+    SqueezeFault.PRESHAPE: "obstacles between the fingers",
+    SqueezeFault.TOUCHED_BEFORE: "contacts of the fingertips; open_deg in [squeeze]",
+    SqueezeFault.NO_CONTACT: "the container's place between the fingers; onset_counts in [squeeze]",
     SqueezeFault.NOT_STILL: "still_deg, still_s and still_timeout_s in [squeeze]",
-    SqueezeFault.ARM: "what moved or pushed the arm, its cable and supply; the fingers may still hold the container",
+    SqueezeFault.ARM: "the reason for the arm's motion, its cable and supply; the fingers may still hold the container",
 }
-"""What to look at."""
+"""Advice by fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class SqueezeObservation:
-    """What came since the last control period, oldest first.
+    """Items since the last control period, oldest first.
 
     position_deg: (n, 7) of the hand's readings, hand_ns: (n,) their times; hottest_c: of the motors, None = not known
     peak_counts: (m,) the highest texel of the squeezing fingertips in each tactile frame; tactile_ns: (m,)
@@ -108,7 +109,7 @@ class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
         self._contact_gap_m = self._gap_m
 
     def judge(self, seen: SqueezeObservation) -> SqueezeDecision:
-        """The verdict on what came in the last control period."""
+        """The verdict on the items of the last control period."""
         self._begin(seen.now_ns)
         tactile = self._tactile(seen) if self._closing else []
         lost = [one for one in seen.lost if self._closing or one[0] is SqueezeFault.HAND_LOST]

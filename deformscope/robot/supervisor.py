@@ -1,4 +1,4 @@
-"""Whether the arm may go on: limits of forces, speeds, joints and space, and the age of what its devices report.
+"""Whether the arm may continue: limits of forces, speeds, joints and space, and the age of its devices' reports.
 
 `BACK_OFF` and `STOP` hold until `acknowledge`, and the worse of the two wins (`latch`).
 """
@@ -22,7 +22,7 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vecto
 
 
 class Fault(StrEnum):
-    """Why it must not go on."""
+    """Why it must stop."""
 
     NONE = "none"
     FORCE_SOFT = "force above the soft stop"
@@ -62,27 +62,27 @@ FORCE_FAULTS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the robot must keep to. The times are set so that a fault is noticed within 50 ms (force), 100 ms (arm) and
+    """What the robot must keep to. The times are set so that a fault is detected within 50 ms (force), 100 ms (arm) and
     two frame periods (camera), a control period of 10 ms included.
 
     soft_force_n, hard_force_n: magnitude backed away at, stopped at
     speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
     tilt_deg: between the rotation of the arm's end as measured and as commanded: 5 deg carry a stick of 10 cm 9 mm
     joint_margin_deg: no joint comes nearer to the end of its range
-    table_m, itself_m: elbow and wrist come no nearer to the table's top, and no parts of the arm to one another that
-    could meet (`clearance.ArmClearance`)
+    table_m, itself_m: least distance of elbow and wrist from the table's top, and between parts of the arm that may
+    collide (`clearance.ArmClearance`)
     arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
-    collision_nm: a joint's torque may differ so much from its mean of the last seconds, beside what the force on the
-    tip explains: a collision (`collision.CollisionWatch`); 0 = torques are not looked at
+    collision_nm: largest difference of a joint's torque from its mean of the last seconds, besides the effect of the
+    force on the tip; more is a collision (`collision.CollisionWatch`), 0 = torques are ignored
     low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
     the tip will be by then
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
     axes_rest: the force sensor's axes are a hand's fingers, which say 0 while nothing touches them: that is not frozen
-    arm_frozen_m, arm_frozen_s: way that it was sent on, and time at least that it was sent, without any change of the
-    joints, pauses between left out (an arm begins to move, and reports it, some periods after the command)
+    arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
+    excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
-    camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: the same picture
-    so many times after its first is a frozen camera (noise makes two real ones differ)
+    camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
+    repeats of a picture that mean a frozen camera (noise makes two real ones differ)
     """
 
     soft_force_n: float = 8.0
@@ -149,9 +149,9 @@ like speed; over more, a fast arm is noticed later."""
 APPROACH_DEG_S = 0.5
 """A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
-"""A judgement so long after the last one, two control periods, came late (`LatchingSupervisor`)."""
+"""A judgement this long after the last one, two control periods, was late (`LatchingSupervisor`)."""
 TIP_DECAY = 0.995
-"""Share of a force on the tip that explains joint torques still a reading of 1 ms later: torques are read by turns, up
+"""Share of a force on the tip that explains joint torques still at a reading 1 ms later: torques are read in turn, up
 to 0.2 s after (`reading.TURN_NS`)."""
 
 
@@ -173,8 +173,8 @@ class Supervisor(LatchingSupervisor[Fault]):
         clearance: of the chain from table and itself; None = it is not watched
         by_hand: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
 
-        axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = not known,
-        and only all of them together are looked at
+        axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = unknown, and
+        only all of them together are checked
         """
         super().__init__(Fault.NONE, LATE_NS)
         self.limits = limits
@@ -230,7 +230,7 @@ class Supervisor(LatchingSupervisor[Fault]):
     ) -> SafetyDecision:
         """What to do now.
 
-        commanded_m_s: the speed asked for since the last call; commanded_rotation: (3, 3) of the arm's end in the base
+        commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) of the arm's end in the base
         frame, None = any; camera_needed: its pictures matter now, so that it must not be silent or frozen
         """
         self._begin(seen.now_ns)
@@ -328,7 +328,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         if age_s := self._silent_s(self._arm_ns, limits.arm_silent_s):
             found.append((Action.STOP, Fault.ARM_SILENT, f"no state of the arm for {age_s * 1e3:.0f} ms"))
         if self._unmoved_m > limits.arm_frozen_m and self._unmoved_ns >= limits.arm_frozen_s * 1e9:
-            why = f"its joints say the same while it was sent {self._unmoved_m * 1e3:.1f} mm on"
+            why = f"its joints report no motion while commands moved {self._unmoved_m * 1e3:.1f} mm"
             found.append((Action.STOP, Fault.ARM_FROZEN, why))
         return found
 
@@ -337,20 +337,21 @@ class Supervisor(LatchingSupervisor[Fault]):
         if limit_nm > 0 and (sample.currents or self._motors):
             self._motors = True
             if not sample.currents:
-                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, where collisions are seen by them")]
+                return [(Action.STOP, Fault.TORQUES, "no motor currents any more, which collisions are detected by")]
             why = self._currents.look(sample.currents, sample.joints_deg, self._tip_n, sample.time_ns)
             return [(Action.STOP, Fault.COLLISION, why)] if why else []
         if self._collisions is None or limit_nm == 0 or not (torques_nm or self._torques):
             return []
         self._torques = True
         if not torques_nm or not np.all(np.isfinite(torques_nm)):
-            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm} where collisions are seen by them")]
+            return [(Action.STOP, Fault.TORQUES, f"torques {torques_nm}, which collisions are detected by")]
         why = self._collisions.look(torques_nm, sample.joints_deg, self._tip_n, limit_nm, sample.time_ns)
         return [(Action.STOP, Fault.COLLISION, why)] if why else []
 
     def _motion(self, sample: ArmSample) -> list[Alarm[Fault]]:
-        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints on their way to a limit,
-        all from the difference of poses over SPEED_OVER_NS: what an arm reports as its velocities is not trusted."""
+        """Speed and box of the tip's centre in the base frame, the rate of turning, and joints that approach a limit.
+        All come from the difference of poses over SPEED_OVER_NS, because an arm's reported velocities are not
+        reliable."""
         limits, found = self.limits, []
         self._track.append(sample)
         while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:
@@ -427,7 +428,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         tilt_deg = _angle_deg(commanded, sample.T_base_ee)
         if tilt_deg <= self.limits.tilt_deg:
             return []
-        why = f"{tilt_deg:.1f} deg beside what was commanded, limit {self.limits.tilt_deg:g} deg"
+        why = f"{tilt_deg:.1f} deg from the command, limit {self.limits.tilt_deg:g} deg"
         return [(Action.STOP, Fault.TILT, why)]
 
     def _camera(self, pictures: tuple[CameraSample, ...], now_ns: int, needed: bool) -> list[Alarm[Fault]]:

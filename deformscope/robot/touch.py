@@ -65,15 +65,15 @@ class TouchEnding(StrEnum):
 class TouchPlan:
     """Where and how to touch; lengths [m], forces [N], speeds [m/s], in the surface frame.
 
-    point_m: (3,) where the surface is believed to be; normal: (3,) of the surface there, outwards
+    point_m: (3,) estimated place of the surface; normal: (3,) of the surface there, outwards
     set_force_n: pressed with; more_force_n: with this where the dent stays below small_dent_m, None = never
     max_depth_m: never deeper below the first contact
     standoff_m: of the tip above the point before and after; travel_height_m: z of the tip's centre when it crosses
     slow_within_m: nearer to the point than this, the approach is slow; miss_m: so far below the point it is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
-    contact_force_n: along the normal means contact; dwell_s: still for so long; dwell_at_most_s: dwell no longer
+    contact_force_n: along the normal means contact; dwell_s: duration at rest; dwell_at_most_s: dwell no longer
     tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
-    passing_m: so near above the point the tip goes on, without coming to rest where it is sent
+    passing_m: distance above the point at which the tip continues, without coming to rest there
     slow_back: until contact is lost it goes back as slowly as it came, for the energy that the foam gives back
     braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
     rigid_n_m: stiffness that a contact is taken to have before it is known
@@ -159,13 +159,13 @@ class PhaseSpan:
 class TouchRecord:
     """What a touch was; times [s] on the robot's clock, places and forces in the surface frame.
 
-    time_s (n,), position_m (n, 3), force_n (n, 3): from the approach to the end of the dwell, at the arm's rate: the
-    tip's centre as the joints say, and what the world does to the tip; loading: how many of them, from the first, lead
+    time_s (n,), position_m (n, 3), force_n (n, 3): from the approach to the end of the dwell, at the arm's rate.
+    Positions are the tip's centre by the joints, forces act on the tip; loading: how many of them, from the first, lead
     up to the set force (the dwell and all after it are not among them)
     contact_m: (3,) where the tip's centre was at contact, None without; depth_m: below that at the end of the dwell
     center_m, final_force_n: (3,) mean over the last of the dwell; None where there was none
     peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
-    phases: what it did when; ending, reason: why it ended; settled: dent and force were still
+    phases: state of the touch at each time; ending, reason: why it ended; settled: dent and force were still
     arms, forces: the states and readings that all of it is computed from, each reading with the time of the arm's
     newest state then [ns]; poses: all states of that, those before the approach among them; back: states on the way
     back
@@ -196,39 +196,39 @@ class TouchRecord:
 
 HELD_GAIN_PER_S = 3.0
 """Share of a distance that is made up in a second, across the normal and towards the greatest depth: a factor e in 1/3
-s. Larger overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control
-period); smaller leaves the tip beside the normal's line for longer."""
+s. A larger one overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control
+period). A smaller one leaves the tip beyond the normal's line for longer."""
 FREE_M_S_N = 0.004
 """Speed of yielding to a tangential force [m/s/N], where the plan has it free: 2.5 N give ACROSS_M_S. Larger swings
 where an arm follows late; smaller leaves the force across for longer."""
 ACROSS_M_S = 0.01
-"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s that are allowed near contact, so that with 10 mm/s
-along the normal the tip stays within them (14 mm/s)."""
+"""Greatest tangential speed in contact [m/s]: half of the 20 mm/s allowed near contact. With 10 mm/s along the normal
+the tip stays within them (14 mm/s)."""
 STILL_S = 0.3
 """Time over which force and place must hold [s], and over whose last their means are taken. Shorter, a dent that still
-creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/exploring.md`)."""
+creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/results/maps.md`)."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
-"""What may vary meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
+"""Allowed variation meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
 reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch until it may dwell no
 longer; larger, creep counts as still, and as depth."""
 PAUSE_PERIODS = 3
-"""Control periods at rest before the tip backs away from a force that is too high: an arm needs one to take a command
-and two to stand (`force_alone.ARM_CYCLES`). More press for longer; fewer turn round an arm that still moves on."""
+"""Control periods at rest before the tip backs away from too large a force: an arm needs one to take a command and two
+to stop (`force_alone.ARM_CYCLES`). More press for longer; fewer turn round an arm that still moves on."""
 NEAR_M = 2e-4
 """So near the greatest depth it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
-"""After which a press ends without its force [s]: the greatest depth of 15 mm takes 1.5 s at 10 mm/s, the rest is for a
-force that is approached slowly in what is soft. Shorter ends touches of soft things; longer goes on where the force is
-never reached."""
+"""Time limit of a press without its force [s]: the greatest depth of 15 mm takes 1.5 s at 10 mm/s, the rest is for soft
+foam, which is loaded slowly. A shorter one ends touches of soft foam; a longer one continues where the force is never
+reached."""
 AVERAGED_NS = 3_000_000
-"""Forces within so much of an arm's state are averaged for it: both ways alike, so that nothing lags."""
+"""Forces within this time of an arm's state are averaged for it: symmetric in time, so that nothing lags."""
 
 
 class TouchStateMachine:
     """The states from approach to retreat; `step` once in a control period, then `phase` is DONE.
 
-    It sees the force along the normal and the depth, never a device. place: of the tip's centre when the touch would
-    just begin at the point that is believed in.
+    It sees the force along the normal and the depth, never a device. place: the tip's centre at first contact with the
+    estimated point.
     """
 
     def __init__(self, plan: TouchPlan, center_offset_m: float, start_s: float) -> None:
@@ -412,10 +412,10 @@ def run_touch(
 ) -> TouchRecord:
     """Travel above the place, take the tare, touch, and come back above it.
 
-    still_seen: whether what watches the dent (a camera) sees no change; asked while it dwells, when the camera must be
-    alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises for what
-    happens to the robot: `ending`, `fault` and `reason` say it, and the supervisor's verdict holds until somebody
-    acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
+    still_seen: whether the observer of the dent (a camera) sees no change; called during the dwell, when the camera
+    must be alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises
+    for faults of the robot: `ending`, `fault` and `reason` report them, and the supervisor's verdict holds until a
+    person acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
     return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
 
@@ -621,10 +621,10 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLik
 
 TARE_PERIODS = 30
 """Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best. It
-is part of every touch (0.35 s of 13.4 s, `docs/exploring.md`); shorter zeroes noise."""
+is part of every touch (0.35 s of 13.4 s, `docs/results/maps.md`); shorter zeroes noise."""
 TARE_STILL_N = 0.05
-"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`: larger would zero a load that still
-changes, smaller refuses a sensor that has passed the preflight."""
+"""Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. A larger one would zero a changing
+load, a smaller one refuses a sensor that has passed the preflight."""
 TARE_DRIFT_N = 0.6
 """Change since the last tare that passes for drift [N], as `preflight.ZERO_N`: larger would zero a tip that touches,
 smaller stops where a sensor warms up."""
@@ -642,16 +642,16 @@ def take_tare(robot: Robot) -> FloatArray:
             taken += [sample for sample in seen.forces if sample.usable]
     forces_n = np.array([sample.force_n for sample in taken]).reshape(-1, 3)
     if len(forces_n) < 20:
-        raise NotThere("20 usable forces in 0.3 s", f"{len(forces_n)}", "look at the force sensor")
+        raise NotThere("20 usable forces in 0.3 s", f"{len(forces_n)}", "check the force sensor")
     halves = np.array_split(forces_n, 2)
     varies_n = float(np.max(np.abs(halves[0].mean(axis=0) - halves[1].mean(axis=0))))
     noise_n = forces_n.std(axis=0)
     if varies_n > TARE_STILL_N or float(np.max(noise_n)) > TARE_STILL_N:
         came = f"a load that varies by {max(varies_n, float(np.max(noise_n))):.2f} N"
-        raise NotThere(f"a load within {TARE_STILL_N:g} N in free air", came, "let nothing touch the tip")
+        raise NotThere(f"a load within {TARE_STILL_N:g} N in free air", came, "keep the tip free of contact")
     mean_n = forces_n.mean(axis=0)
     if float(np.linalg.norm(mean_n)) > TARE_DRIFT_N:
-        came = f"{np.linalg.norm(mean_n):.2f} N beside the last tare"
+        came = f"{np.linalg.norm(mean_n):.2f} N from the last tare"
         raise NotThere(f"less than {TARE_DRIFT_N:g} N: a sensor's drift", came, "lift the tip: it seems to touch")
     robot.tare_n = robot.tare_n + mean_n
     return np.asarray(noise_n)

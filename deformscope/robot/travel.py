@@ -19,29 +19,30 @@ from deformscope.robot.supervisor import Limits
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, pose_error
 
 ANGULAR_RAD_S = 0.3
-"""Greatest angular speed of the arm's end while travelling: 17 deg/s, below the half of `Limits.turn_deg_s` (40 deg/s)
-that velocities are kept to. Faster, a late state of the arm stops it; slower, ways that turn the tool take longer."""
+"""Greatest angular speed of the arm's end during travel: 17 deg/s, below half of `Limits.turn_deg_s` (40 deg/s), the
+limit of velocities. Faster, a late state of the arm stops it; slower, ways that turn the tool take longer."""
 JOINT_DEG_S = 15.0
-"""Greatest rate while travelling joint by joint: below the driver's standard limit of 20 deg/s, which then cuts nothing
-off, so that all joints arrive together. Slower, the first way takes longer: half a turn takes 12 s."""
+"""Greatest rate of travel joint by joint: below the driver's standard limit of 20 deg/s, which then cuts nothing off,
+so that all joints arrive together. Slower, the first way takes longer: half a turn takes 12 s."""
 PATIENCE = 200
 """Control periods without coming nearer, after which joints count as not coming where they are sent."""
 GAIN_PER_S = 4.0
 """Share of the remaining distance that is commanded a second: the last of a way takes some 1/4 s for each factor e.
-Larger overshoots where an arm follows late (share times delay must stay far below 1, and is 0.04 for a control period);
-smaller makes every way end more slowly."""
+A larger one overshoots where an arm follows late (share times delay must stay far below 1, and is 0.04 for a control
+period); a smaller one makes every path end more slowly."""
 REACHED_M, REACHED_RAD, REACHED_DEG = 3e-4, 3e-3, 0.1
-"""Within these a pose counts as reached. Closer than an arm moves in small steps it never arrives, and the way fails
-(`SLACK`, `PATIENCE`); wider, the touch begins beside where it was planned: 0.3 mm is well below the 2 mm that a camera
-is in doubt of a surface."""
+"""Within these a pose counts as reached. With a smaller distance than an arm's small steps it never arrives, and the
+path fails (`SLACK`, `PATIENCE`). With a larger one, the touch begins away from its plan; 0.3 mm is well below a
+camera's 2 mm uncertainty."""
 PASSED_M, PASSED_RAD = 3e-3, 0.05
 """Within these a point in between counts as passed. Wider cuts corners, which is why ways lead higher by this
 (`find_way`); closer, the arm slows down at each of them."""
 SAG_M = 0.01
-"""Joint by joint the tip may sink by so much below the height at which it crosses, since such a way is no straight
-line. More, and it may meet what lies on the surface; less, and more places are left out because no way leads there."""
+"""Joint by joint the tip may go this far below the height at which it crosses, because such a path is not straight.
+With a larger one, it may hit objects on the surface; with a smaller one, more places are left out because no path leads
+there."""
 SLACK = 3.0
-"""A way may take so many times longer than its length says, and two seconds, before it counts as not possible."""
+"""Time limit of a path as a multiple of its planned time, plus two seconds."""
 
 
 class NotThere(InputError):
@@ -60,7 +61,7 @@ def move_tip(
 ) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    passing: it goes on from there, so that near is enough; near_m: else so near; braking_per_s: as of `TouchPlan`
+    passing: it continues from there, so that near is enough; near_m: else this near; braking_per_s: as of `TouchPlan`
     Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
@@ -94,7 +95,7 @@ def move_to(
 
 
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
-    """To joint angles (n,), all arriving together; where from and by what way is not looked at: only through free air.
+    """To joint angles (n,), all arriving together; start and path are not checked: only through free air.
 
     Raises as `move_tip` does.
     """
@@ -111,7 +112,7 @@ def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
         nearest, patience = (farthest, PATIENCE) if farthest < nearest - REACHED_DEG else (nearest, patience - 1)
         step(robot, JointRates(turn / farthest * min(JOINT_DEG_S, GAIN_PER_S * farthest)))
     robot.cycle()
-    raise NotThere("the joints where they were sent", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
+    raise NotThere("joints at their commanded angles", f"{np.max(np.abs(turn)):.1f} deg away", "a free way")
 
 
 def to_above(
@@ -127,11 +128,11 @@ def to_above(
 ) -> None:
     """To a place above the surface: up to height_m, across no lower, and down to it.
 
-    Straight where the arm can follow; joint by joint the first time, and where a straight way leads near a joint's
-    limit or a singularity: its other joint angles for the same pose are then sought.
-    height_m: z of the tip's centre while it crosses; deepest_m: (3,) where a straight way goes on to from there [m,
-    surface frame]; passing_m: so near the place is near enough; braking_per_s: as of `TouchPlan`.
-    Raises NotThere where neither is possible: before it moves, or high above where it was.
+    Straight where the arm can follow. The first time, and where a straight path leads near a joint's limit or a
+    singularity, joint by joint: other joint angles for the same pose are then sought.
+    height_m: z of the tip's centre while it crosses; deepest_m: (3,) end of a following straight path [m, surface
+    frame]; passing_m: distance from the place that is near enough; braking_per_s: as of `TouchPlan`. Raises NotThere
+    where neither is possible: before it moves, or high above where it was.
     """
     way = find_way(
         robot.arm.chain,
@@ -249,28 +250,28 @@ def _forbidden(
     centers_m = placement.T_surface_center(frames[:, -1])[:, :3, 3]
     inside = in_box(placement, limits, centers_m)
     if not inside[int(inside.argmax()) :].all() or not inside[-1]:  # it may come in from outside
-        return "whose way leaves the box of [workspace]"
+        return "whose path leaves the box of [workspace]"
     if centers_m[:, 2].min() < lowest_m:
-        return "whose way sinks to the surface"
+        return "whose path goes below the surface"
     if clearance is not None:
         table_m = min(map(clearance.over_table_m, frames))
         itself_m = min(map(clearance.to_itself_m, frames))
         box_m = min(clearance.in_box_m(one, limits.arm_box) for one in frames)
         if table_m < limits.table_m or itself_m < limits.itself_m or box_m < 0:
-            return "on whose way the arm comes near the table or itself, or leaves its own box"
+            return "whose path brings the arm near the table or itself, or out of its box"
     return ""
 
 
-NEAR_LIMITS = "a way to which leads near a joint's limit or a singularity"
+NEAR_LIMITS = "whose path leads near a joint's limit or a singularity"
 
 
 def _no_way(to_m: FloatArray, why: str) -> NotThere:
     came = f"a place at {np.round(to_m, 3)} m, {why}"
-    return NotThere("a way that the arm can follow", came, "another place, or move arm or surface")
+    return NotThere("a path that the arm can follow", came, "another place, or move arm or surface")
 
 
 def step(robot: Robot, command: TipVelocity | JointRates) -> None:
-    """Send one velocity. Raises InputError, standing, where the supervisor wants the robot to back off."""
+    """Send one velocity. Raises InputError, at rest, when the supervisor demands that the robot back off."""
     if robot.supervisor.verdict.action is Action.GO_ON:  # it may have changed while a way was checked
         robot.cycle(command)
     verdict = robot.supervisor.verdict

@@ -1,6 +1,6 @@
 """The shapes of a URDF's links, and where its links are for given joint angles.
 
-A URDF is somebody else's file: it is read without entities, and its meshes from below its own package alone.
+A URDF is an untrusted file: it is read without entities, and its meshes from below its own package alone.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _in_order(joints: list[UrdfJoint], links: list[str], path: Path) -> tuple[st
     children = {joint.child for joint in joints}
     roots = [name for name in links if name not in children]
     if len(roots) != 1 or len(children) != len(joints):
-        came = f"{len(roots)} of {len(links)} links are nobody's child"
+        came = f"{len(roots)} of {len(links)} links have no parent"
         raise InputError("a URDF whose links form one tree", came, where=path)
     ordered: list[UrdfJoint] = []
     level = roots

@@ -48,7 +48,7 @@ def opening_of(config: ArmConfig) -> Opening:
 def calibrate_arm(
     config: ArmConfig, opening: Opening, recording: AbstractContextManager[Recorder]
 ) -> RigCalibrationResult:
-    """Touch a rigid block some times, and write the compliance into the rig file unless that is not wanted."""
+    """Touch a rigid block several times, and write the compliance into the rig file unless --no-write is given."""
     setup, options = opening.setup, opening.options
     xy_m = np.array(config.at) if config.at is not None else 0.5 * np.array(setup.size_m)
     if not ((xy_m > 0.0) & (xy_m < setup.size_m)).all():
@@ -95,16 +95,16 @@ def calibrate_arm(
 def _result(found: CombinedCompliance, place: str) -> RigCalibrationResult:
     rows = [
         ("touched at", place),
-        ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N, give or take {1e3 * found.compliance_sd:.3f}"),
-        ("camera", f"sees the surface {1e3 * found.off_m:+.1f} mm from where the arm meets it"),
+        ("compliance", f"{1e3 * found.compliance_m_per_n:.3f} mm/N +- {1e3 * found.compliance_sd:.3f}"),
+        ("camera", f"depth camera sees the surface {1e3 * found.off_m:+.1f} mm from the height of contact"),
         ("for [tool]", f"compliance_m_per_n = {found.compliance_m_per_n:.3e}"),
         ("", f"compliance_sd = {found.compliance_sd:.1e}"),
     ]
     if found.dome > 0.0:
-        dent = f"yields {1e3 * found.dome * 3.0 ** (2.0 / 3.0):.2f} mm itself at 3 N (Hertz), beside the compliance"
+        dent = f"dents {1e3 * found.dome * 3.0 ** (2.0 / 3.0):.2f} mm at 3 N (Hertz), in addition to the compliance"
         rows.insert(2, ("tip", dent))
     if found.compliance_sd > SURE_SD * found.compliance_m_per_n:
-        rows.append(("note", "the touches differ: more of them, or is it not rigid, or not firmly held?"))
+        rows.append(("note", "the touches differ: make more of them; is it rigid and firmly held?"))
     known = {"compliance_m_per_n": found.compliance_m_per_n, "compliance_sd": found.compliance_sd}
     png = compliance_png([one.found for one in found.touches], ArmCompliance(**known))
     figure = Figure(png, "Compliance of the arm at each touch")

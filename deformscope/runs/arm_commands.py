@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 NOT_YET = ("plan", "workspace", "calibration", "age", "camera", "tip: in free air", "arm: reach", "arm: first way")
-"""Rows of the table of checks that do not matter to an arm that is moved by hand, in small steps, before anything is
-calibrated; those of arm, force sensor and this computer do."""
+"""Rows of the table of checks without importance for an arm that a person moves in small steps before any calibration.
+Rows of arm, force sensor and this computer remain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def home(config: HomeConfig) -> None:
         if not arm.goes_home:
             raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")
         if not config.yes:
-            _ask("The arm will now go home by itself, on its own path: is the way free? Type yes: ", asked)
+            _ask("The arm will now move to its home pose on its own path: is the way free? Type yes:", asked)
         say("the arm goes home: Ctrl-C stops it")
         with ThreadPoolExecutor(1, "home") as beside:
             going = beside.submit(arm.home)
@@ -137,8 +137,8 @@ def go(
 
 
 def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys: Keys | None = None) -> FloatArray:
-    """Move the tip by keys until somebody leaves; (3,) where its centre then is, surface frame [m]. keys: default:
-    those of the terminal"""
+    """Move the tip by keys until the person leaves; (3,) the final place of its centre, surface frame [m]. keys:
+    default: those of the terminal"""
 
     def work(robot: Robot, setup: Setup) -> None:
         say(HELP)
@@ -156,7 +156,7 @@ def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys
 
 @dataclass(frozen=True, slots=True)
 class _Moved:
-    """A robot as a `Watch` wants it."""
+    """A robot with the attributes that a `Watch` needs."""
 
     robot: Robot
 
@@ -178,9 +178,9 @@ def _moved(
     work: Callable[[Robot, Setup], None],
     leave_out: tuple[str, ...],
 ) -> FloatArray:
-    """Open the devices, look at all that matters, ask, and let something move the robot, which is halted in the end.
+    """Open the devices, run the checks, ask, and carry out the motion of a robot, which is halted in the end.
 
-    Where devices have threads of their own, the robot has one too: what they give is recorded in this one.
+    For devices with threads, the robot has one too: their items are recorded in this one.
     """
     setup = setup_of(config.rig, ExploreOptions(), None, trusted=config.trust_rig).setup
     with (

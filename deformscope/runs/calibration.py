@@ -65,16 +65,17 @@ from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
 
 PairArrays: TypeAlias = Mapping[str, Any]
-"""A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and what else one holds."""
+"""A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and a pair file's other
+arrays."""
 
 FLOW_S_PER_PX = 5e-7
-"""Flow both ways from a frame to the next in steady motion takes about so long on two cores [s/px]."""
+"""Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
 FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
-"""Frames of a long sequence are followed for so long, but no fewer than these; in jumps up to 7 times that."""
+"""Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
 LAYERS_S, MOST_PARTICLES = 6e-6, 11_000
-"""A fit of layers takes about so long for each cluster size and particle to the power 4 / 3 [s], and has so many
-particles by default."""
-FLAT_SURFACE = "note: a flat surface by itself hardly feels beta; --thickness-m fits the material below it"
+"""Time of a fit of layers for each cluster size and particle to the power 4 / 3 [s], and its default number of
+particles."""
+FLAT_SURFACE = "note: a flat surface alone hardly determines beta; --thickness-m fits the material below it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +104,12 @@ class CalibrationResult(SourceResult):
 
     @property
     def verdict(self) -> Verdict:
-        """What the data allow to say of the parameter."""
+        """The verdict on the parameter."""
         return self.estimate.verdict
 
     @property
     def reasons(self) -> tuple[Doubt, ...]:
-        """Why the parameter is to be doubted, and what it holds for; those that lower the verdict first."""
+        """Why the parameter is doubtful, and its range of validity; reasons that lower the verdict first."""
         return self.estimate.reasons
 
     def __repr__(self) -> str:
@@ -120,7 +121,7 @@ class CalibrationResult(SourceResult):
         if self.pokes is not None:
             return self.pokes.model
         if self.pair is None:
-            raise InputError("a result of one pair, or of pokes of a surface", "one of images or of several pairs")
+            raise InputError("a result of one pair, or of pokes of a surface", "several pairs, or images")
         (seen, model), found = self.pair, self.estimate
         beta, theta = (found.value, model.theta) if model.parameter == "beta" else (model.beta, found.value)
         law = Law(beta, theta, model.cluster_size, model.basis, model.volume)
@@ -146,7 +147,7 @@ class CalibrationResult(SourceResult):
     def tables(self) -> tuple[Table, ...]:
         parameter, rows = self.estimate.parameter, self.source_rows()
         if self.recording is not None and self.recording.path is not None:
-            rows.append(("to look at it", f"{rerun_command()} {self.recording.path}"))
+            rows.append(("to show it", f"{rerun_command()} {self.recording.path}"))
         title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
         first, *others = estimate_tables(self.estimate, title)
         tables = [Table([*first.rows, *rows], caption=first.caption), *others]
@@ -159,7 +160,7 @@ class CalibrationResult(SourceResult):
 
 
 def rerun_command() -> str:
-    """How this user starts rerun's viewer: by name where it is on the PATH, else beside this Python."""
+    """This user's command of rerun's viewer: its name if it is on the PATH, else its path in this Python's folder."""
     beside = Path(sys.executable).with_name("rerun")
     if shutil.which("rerun") is not None or not beside.exists():
         return "rerun"
@@ -182,7 +183,7 @@ def calibrate(
     sources, search, output = config.sources, config.search, config.output
     if config.from_rig:
         again = "--viewer page; or fit a recording of it (deformscope record)"
-        raise InputError("--viewer page with a rig, whose camera is followed there", output.viewer, again, sources[0])
+        raise InputError("--viewer page with a rig, whose camera supplies the images", output.viewer, again, sources[0])
     check_arrays(sources, config.images, search.noise_px, "pair files")  # a page sets both until its fit is made
     fit = fit_options(config)
     layers = _layers(config)
@@ -217,7 +218,7 @@ def calibrate(
     images = images_of(config)
     rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
     if select is not None and {"alpha", "dt"} & set(select) and not rated:
-        raise InputError("--fps with --select alpha or dt", "images that do not say their rate", "--fps 30")
+        raise InputError("--fps with --select alpha or dt", "images without a frame rate", "--fps 30")
     return [calibrate_images(config, images, fit, select, given, progress, note)]  # type: ignore[arg-type]
 
 
@@ -226,18 +227,18 @@ def _minutes(seconds: float) -> str:
 
 
 def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
-    """A long sequence is followed in as many frames as take about a minute, unless all are asked for; what takes long
-    says so before it begins."""
+    """A long sequence is thinned to the frames that take about a minute, unless all are requested; a slow fit is
+    announced before it begins."""
     each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
     if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
         return particles
     if every:
-        note(f"{count} frames are followed, which takes about {_minutes(count * each_s)} on two cores")
+        note(f"{count} frames are tracked, in about {_minutes(count * each_s)} on two cores")
         return particles
     source.thin(most)
     note(
-        f"{most} of {count} frames are followed, evenly spread, in about {_minutes(most * each_s)} on two cores; "
-        f"--fine follows all of them, in about {_minutes(count * each_s)}"
+        f"{most} of {count} frames are tracked, evenly spread, in about {_minutes(most * each_s)} on two "
+        f"cores; --fine tracks all, in about {_minutes(count * each_s)}"
     )
     return dataclasses.replace(particles, frames_of=count)
 
@@ -275,7 +276,7 @@ def calibrate_images(
     progress: Progress | None,
     note: Note,
 ) -> CalibrationResult:
-    """Fit a sequence of files, or of the images (H, W[, 3]) given, and record it where asked. images: how they become
+    """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
     particles; select: as `run_images` takes it"""
     sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
@@ -333,7 +334,7 @@ def run_images(
 
 
 def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] | None = None) -> Iterator[ColorFrame]:
-    """All of a sequence, said to `progress` as they are done. last: where it is given, it is kept as the last image"""
+    """All of a sequence, said to `progress` as they are done. last: if given, it is the last image"""
     for done, frame in enumerate(source):
         if last is not None:
             last[:] = [frame.image]
@@ -352,7 +353,7 @@ def images_recorder(
             recorder.write(InputFile("mask", encode_png(mask)))
         yield recorder
         if problems := source.problems():
-            recorder.stopped_because(f"with what could be read of {source.name}: {'; '.join(problems)}")
+            recorder.stopped_because(f"with the readable part of {source.name}: {'; '.join(problems)}")
 
 
 # Pairs ---------------------------------------------------------------------------------------------------------------
@@ -389,7 +390,7 @@ def calibrate_pair_bytes(
         seconds = LAYERS_S * sizes * particles ** (4 / 3)
         if seconds > 10.0 or spacing_m > finest_m:
             words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart: the fit takes about {_minutes(seconds)}"
-            finer = f"; --fine sets them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
+            finer = f"; --fine spaces them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
             note(f"{words} on two cores{finer}")
 
     names = [name for name, _ in raws]

@@ -31,8 +31,8 @@ MOST_SHOWN = 24
 def calibration_page(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> str:
-    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, beside
-    those of the estimates"""
+    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, in
+    addition to those of the estimates"""
     return html_report(_title(results), calibration_sections(results, seed=seed, settings=settings, pokes=pokes))
 
 
@@ -49,10 +49,14 @@ def calibration_sections(
         if count := min(len(one.comparisons), left):
             of = f" of {_name(one)}" if several else ""
             sections.append(Section(f"Numbers and evidence{of}", _evidence(one)))
-            sections.append(Section(f"Where the model{of} is wrong", _pictures(one, count)))
+            sections.append(Section(f"Error of the model{of}", _pictures(one, count)))
             left -= count
     if missing := sum(len(one.comparisons) for one in results) - (MOST_SHOWN - left):
-        sections.append(Section("Left out", [f"Pictures of {missing} more, which would make this page too large."]))
+        sections.append(
+            Section(
+                "Left out", [(f"{missing} more pictures are left out, because they would make this page too large.")]
+            )
+        )
     if pokes is not None:
         sections.append(Section("Pokes", list(poke_tables(pokes))))
     return [
@@ -69,7 +73,7 @@ def settings_section(settings: Mapping[str, object]) -> Section:
 
 
 def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Section]:
-    """What made a result, and how to make it again."""
+    """The provenance of a result, and the command that reproduces it."""
     rows: list[tuple[str, str]] = [
         ("made", datetime.datetime.now().astimezone().isoformat(sep=" ", timespec="seconds"))
     ]
@@ -79,7 +83,7 @@ def provenance_sections(*, seed: int, settings: Mapping[str, object]) -> list[Se
     rows.append(("seed", str(seed)))
     rows += [(f"version of {name}", version) for name, version in provenance.versions().items()]
     if git := provenance.git_state():
-        rows.append(("git commit", f"{git['commit']}{' with changes that are not committed' if git['dirty'] else ''}"))
+        rows.append(("git commit", f"{git['commit']}{' with uncommitted changes' if git['dirty'] else ''}"))
     rows.append(("machine", provenance.machine()))
     command = shlex.join(["deformscope", *provenance.command()[1:]])
     again = "The same command on the same sources gives the same numbers, on one machine to the last digit."
@@ -101,8 +105,8 @@ def _explained(found: Estimate) -> str:
     if known is None:
         return ""
     return (
-        f"The model explains {max(known.explained, 0.0):.1%} of the motion (sums of squares), and the data separate "
-        f"the likeliest value from the least likely one by {known.rise:.3g} standard deviations."
+        f"The model explains {max(known.explained, 0.0):.1%} of the motion (sums of squares). The data "
+        f"separate the most likely value from the least likely one by {known.rise:.3g} standard deviations."
     )
 
 
@@ -153,7 +157,7 @@ def poke_tables(found: PokesResult) -> tuple[Table, Table]:
             None if one.apparent_modulus_pa is None else 1e-3 * one.apparent_modulus_pa.half_space, "{:.3g}"
         ),
         "surface error [of the depth]": lambda one: _number(one.surface_error, "{:.1%}"),
-        "the same, left out of the fit": lambda one: _number(one.surface_error_held_out, "{:.1%}"),
+        "the same, of pokes left out of the fit": lambda one: _number(one.surface_error_held_out, "{:.1%}"),
         "force predicted from the others": lambda one: _number(one.left_out_error, "{:+.1%}"),
     }
     rows = [[show(one) for show in columns.values()] for one in found.rows()]
@@ -180,5 +184,5 @@ def _title(results: Sequence[Result]) -> str:
 
 
 def _name(result: Result) -> str:
-    """Of a file without its folder, which stands among the sources."""
+    """A file's name without its folder, which is among the sources."""
     return PurePath(result.names[0]).name if len(result.names) == 1 else f"{len(result.names)} pairs together"

@@ -89,7 +89,7 @@ def solve_tip(rig: Rig, T_base_ee: FloatArray) -> RigCalibrationResult:
     T_tip = np.array(made.T_ee_center.T)
     if rig.tool.tip == "sphere":
         T_tip[:3, 3] += rig.tool.radius_m * T_tip[:3, 2]
-    caption = "How far each tilt has the ball from its place"
+    caption = "Distance of the ball from its mean position, at each tilt"
     return RigCalibrationResult(
         "tip",
         {"tool": {"T_ee_tip": _matrix(T_tip)}, "calibrated.tip": intervals(made.T_ee_center)},
@@ -152,7 +152,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
             *_format_transform(made.T_arm_surface),
             (
                 "sides",
-                f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm, give or take {1e3 * made.size_half_m.max():.1f} mm",
+                f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm +- {1e3 * made.size_half_m.max():.1f} mm",
             ),
             ("corners", f"touched within {1e3 * made.touch_sd_m:.2f} mm"),
         ),
@@ -219,12 +219,12 @@ def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, meas
     rows = [
         ("camera", "in the arm's base frame"),
         *_format_transform(estimate),
-        ("where the surface is", f"within {1e3 * doubt_m:.1f} mm"),
+        ("the surface's pose", f"within {1e3 * doubt_m:.1f} mm"),
     ]
     if "lens" in extra:
         rows.append(("lens", f"focal length {values['focal_px'][0]:.1f}, {values['focal_px'][1]:.1f} px"))
     if doubt_m > DOUBT_AT_MOST_M:
-        rows.append(("note", "too far off to leave the stick out of what it sees: more views, turned further"))
+        rows.append(("note", "too inaccurate to remove the stick from the images: take more views, turned further"))
     return RigCalibrationResult(
         "camera",
         {"camera": values, "calibrated.camera": intervals(estimate)},
@@ -235,7 +235,7 @@ def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, meas
             "mm",
             1e3 * sd_m,
             each="place" if measured.places is not None else "view",
-            caption="How far what each shows is from what the arm says",
+            caption="Difference of each view from the arm's pose",
         ),
         {"T_arm_camera": _json(estimate), "doubt_m": doubt_m, **extra},
     )
@@ -268,9 +268,9 @@ def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPushes:
-    """force_n, axis: (n, 3) felt [N], and of the tip on the world, tip frame; free: None = not measured
-    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) what was felt then [N]
-    load_n: a known load, None = none; loaded_n: (k, 3) what was felt under it beyond free air [N]"""
+    """force_n, axis: (n, 3) measured [N], and direction of the tip on the world, tip frame; free: None = not measured
+    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) forces then [N]
+    load_n: a known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]"""
 
     force_n: FloatArray
     axis: FloatArray
@@ -296,14 +296,14 @@ def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
 
 
 def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationResult:
-    """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift beside them."""
+    """`[tool] R_tip_force` from pushes, and `force_gain` from a known load; noise and drift as well."""
     pushes = made if isinstance(made, MeasuredPushes) else pushes_of(rig, made)
     found = mount(pushes.force_n, pushes.axis / np.linalg.norm(pushes.axis, axis=1, keepdims=True))
     rest = None if pushes.free is None else free_air(pushes.free.time_s, pushes.free.force_n)
     half_deg, turn_deg = np.degrees(found.turn_half_rad), np.degrees(found.turn_rad)
     signs = "as they should be" if np.linalg.det(found.R_tip_force) > 0 else "mirrored: an axis the other way round"
     rows = [
-        ("turned", f"by {turn_deg:.1f} degrees about the stick, give or take {half_deg:.1f}"),
+        ("turned", f"by {turn_deg:.1f} degrees about the stick +- {half_deg:.1f}"),
         ("axes", signs),
         ("z", "out of the stick" if found.R_tip_force[2, 2] > 0 else "into the stick: its sign is turned round"),
     ]
@@ -353,7 +353,7 @@ def _format_free_air(rest: FreeAir) -> Sequence[tuple[str, str]]:
     drift, half = rest.drift_n_per_min[worst], rest.drift_half[worst]
     return (
         ("in free air", f"{np.linalg.norm(rest.tare_n):.2f} N, noise {1e3 * rest.noise_n.max():.1f} mN"),
-        ("drift", f"{drift:+.2f} N a minute at most, give or take {half:.2f}"),
+        ("drift", f"{drift:+.2f} N a minute at most, +- {half:.2f}"),
     )
 
 
@@ -368,7 +368,7 @@ def force_arrays(found: Arrays, load_n: float | None = None) -> MeasuredPushes:
 
 
 def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibrationResult:
-    """By how much a device is late, beside a force sensor; their names in the rig."""
+    """Delay of a device relative to a force sensor; their names in the rig."""
     found = time_offset(taps.x_time_s, taps.x, taps.y_time_s, taps.y)
     half_s = 0.5 * (found.high_s - found.low_s)
     late_ms, low_ms, high_ms = 1e3 * found.offset_s, 1e3 * found.low_s, 1e3 * found.high_s
@@ -383,7 +383,7 @@ def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibration
             }
         },
         (
-            (f"{device} late", f"{late_ms:+.1f} ms beside {beside}, between {low_ms:.1f} and {high_ms:.1f} ms"),
+            (f"{device} late", f"{late_ms:+.1f} ms relative to {beside}, between {low_ms:.1f} and {high_ms:.1f} ms"),
             ("taps", f"explain {100 * found.share:.0f} % of it"),
         ),
         offset_figure(found, device, beside),

@@ -117,4 +117,4 @@ TASKS: dict[type, Callable[[Any], SetupTask[Any]]] = {
     ForceConfig: _force,
     TimeConfig: _time,
 }
-"""By options. Each raises InputError where the rig file lacks what it needs."""
+"""By options. Each raises InputError if the rig file lacks a required key."""

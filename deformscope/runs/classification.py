@@ -156,15 +156,15 @@ def format_accuracy(score: ClassificationScore) -> str:
 
 
 def format_told(found: Evaluation, score: ClassificationScore) -> str:
-    """As `format_accuracy`; where no groups are told the interval for another container comes first."""
+    """As `format_accuracy`; without groups the interval for another container comes first."""
     if found.protocol == "group":
         return format_accuracy(score)
     low, high = found.elsewhere(score)
     (near_low, near_high), method = score.accuracy.interval, f"{score.modality}, {score.method}"
     return (
-        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new trials of "
-        f"those that were squeezed {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), chance "
-        f"{score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
+        f"{score.accuracy.value:.1%} right; in another container or session {low:.1%} to {high:.1%}, in new "
+        f"trials of the same containers {near_low:.1%} to {near_high:.1%} ({score.level:.0%} intervals), "
+        f"chance {score.chance:.1%}: {method}, {score.splits} {format_split(score)}"
     )
 
 
@@ -201,7 +201,7 @@ def format_fusion(found: Evaluation) -> str:
     words = [whole or "late fusion was not compared"]
     if gained:
         words.append(f"better in {', '.join(gained)}")
-    words.append(f"WORSE in {', '.join(worse)}" if worse else "worse than the better modality in no class")
+    words.append(f"WORSE in {', '.join(worse)}" if worse else "in no class worse than the better modality")
     return "; ".join(words)
 
 
@@ -243,8 +243,8 @@ def classify_table(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> ClassificationResult:
-    """`classify` on a table; linear algebra in one thread each, since splits run beside each other. beyond: as
-    `evaluate` takes it"""
+    """`classify` on a table; linear algebra in one thread each, because splits run in parallel. beyond: as `evaluate`
+    takes it"""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):
@@ -259,7 +259,7 @@ def table_from(
     merge: Mapping[str, Sequence[str]] | None = None,
     duplicates: Literal["refuse", "drop"] = "refuse",
 ) -> LabelledTable:
-    """A table out of what may hold one, as it is evaluated."""
+    """A table from any supported source, in the form that is evaluated."""
     if isinstance(source, LabelledTable):
         table = source
     elif isinstance(source, str | Path):
@@ -276,7 +276,7 @@ def table_from(
 
 
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
-    """How the flags want it evaluated."""
+    """The flags as options of an evaluation."""
     splits = config.splits, config.costly_splits, config.curve_splits
     if config.quick:
         splits = min(config.splits, QUICK_SPLITS), 0, 0

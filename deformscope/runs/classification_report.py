@@ -27,11 +27,11 @@ FIGURES = {
     "curve": "accuracy over the share of the training trials (as figure 2.11)",
     "confusion": "confusion matrices of single modalities (as figures 2.12 and 2.13)",
     "raw": "confusion matrices without principal components (as figure 2.14)",
-    "fusion": "named rightly in each class, from each modality and from all fused late",
+    "fusion": "share of right answers in each class, by each modality and by late fusion",
     "fused": "confusion matrices of early and late fusion",
     "transfer": "trained on one kind of container and tested on another",
-    "reliability": "share of right answers over their probability, beside a perfectly calibrated classifier",
-    "steps": "what is known while the squeeze goes on",
+    "reliability": "share of right answers over their probability, with a perfectly calibrated classifier",
+    "steps": "posterior during the squeeze",
     "accuracies": "accuracy of every method with its interval",
 }
 """What each picture shows, by the start of its name."""
@@ -118,9 +118,9 @@ def _sections(
             Section("Comparisons", [Table(rows, names, "The same splits, by the corrected resampled t-test")])
         )
     if found.curve:
-        sections.append(Section("How many trials it takes", of("curve")))
+        sections.append(Section("Accuracy over the number of trials", of("curve")))
     if steps := of("steps"):
-        sections.append(Section("While the squeeze goes on", steps))
+        sections.append(Section("During the squeeze", steps))
     if transfer := of("transfer"):
         sections.append(Section("Transfer", [TRANSFER_WORDS, *transfer]))
     sections.append(Section("Calibration", [CALIBRATION_WORDS, *of("reliability")]))
@@ -129,23 +129,23 @@ def _sections(
 
 
 PROTOCOL_WORDS = (
-    "Scaling, principal components, classifiers, calibration and fusion are learned inside the training side of each "
-    "split (70 %). Random splits are the thesis's; splits by group leave whole containers or sessions out, which is "
-    "what a new container asks for. Intervals are Wilson's for as many trials as are independent: fewer since splits "
-    "share them (Nadeau and Bengio 2003), and where trials of a group may err together. knn and qda use the components "
-    "that hold 80 % of the variance; knn-raw, qda-raw and linear all of them. pooled weighs all of these, calibrated "
-    "on training trials left out."
+    "Scaling, principal components, classifiers, calibration and fusion are learned inside the training side "
+    "of each split (70 %). Random splits are the thesis's; splits by group leave whole containers or "
+    "sessions out, as for a new container. Intervals are Wilson's for the effective number of independent "
+    "trials. Splits share trials (Nadeau and Bengio 2003) and trials of a group may err together, which "
+    "reduces it. knn and qda use the components that hold 80 % of the variance; knn-raw, qda-raw and linear "
+    "all of them. pooled combines all of these, with weights calibrated on training trials left out."
 )
 CONFUSION_WORDS = (
-    "Each row adds up to 100 % and holds what the trials of one content were named, with Wilson's interval below where "
-    "classes are few."
+    "Each row adds up to 100 % and gives the classifications of the trials of one content, with Wilson's "
+    "interval below where classes are few."
 )
 TRANSFER_WORDS = (
-    "All trials of one kind train, all of the other test; trials of a group count as fewer in the intervals."
+    "All trials of one kind train, all trials of the other test; trials of a group count as fewer in the intervals."
 )
 CALIBRATION_WORDS = (
-    "Of the answers of a probability of 80 %, 80 % should be right. The band holds a perfectly calibrated classifier, "
-    "for as many trials as there are; the dots' areas are the numbers of answers."
+    "Of the answers with probability 80 %, 80 % should be right. The band contains a perfectly calibrated "
+    "classifier, for this number of trials; the dots' areas are the numbers of answers."
 )
 
 
@@ -177,9 +177,9 @@ def _groupings(found: Evaluation) -> list[Part]:
         rows.append((name, str(len(clusters.centroid)), rand, within, pooled))
     names = ("modality", "clusters", "adjusted Rand index", "normal within class", "normal over all")
     words = (
-        "The adjusted Rand index is 1 where clusters are the contents and 0 where they have nothing to do with them; "
-        f"mean and deviation of 10 runs. Normal: components whose Lilliefors p-value is above {ALPHA:g}; QDA assumes "
-        "it within each class, and of truly normal ones 95 % would pass."
+        "The adjusted Rand index is 1 if the clusters equal the contents and 0 if they are independent of "
+        "them; mean and standard deviation of 10 runs. Normal: components whose Lilliefors p-value is above "
+        f"{ALPHA:g}. QDA assumes normal classes; 95 % of truly normal ones pass."
     )
     return [Table(rows, names), words]
 
@@ -191,13 +191,13 @@ def _weights(model: ContentModel) -> Table:
         for label, weights in zip(model.labels, model.fusion.weight.T, strict=True)
     ]
     caption = (
-        "Weight of each modality's log posterior in late fusion, learned from all trials: 1 as Bayes' rule, 0 unheard"
+        "Weight of each modality's log posterior in late fusion, fitted on all trials: 1 = Bayes' rule, 0 = ignored"
     )
     return Table(rows, ("content", *model.modalities), caption)
 
 
 def _confused(found: Evaluation) -> Table:
-    """The pairs of contents that are taken for each other most often."""
+    """The pairs of contents that are confused most often."""
     best, labels = found.best, found.table.classes
     shares = np.nan_to_num(best.shares - np.diag(np.diagonal(best.shares)))
     order = np.argsort(-shares, axis=None)[:MOST_CONFUSED]

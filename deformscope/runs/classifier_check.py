@@ -1,4 +1,4 @@
-"""What comes of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
+"""Evaluation of a saved classifier on new trials: `deformscope classify TABLE --model MODEL`."""
 
 from __future__ import annotations
 
@@ -73,13 +73,13 @@ class ClassifierCheckResult(LibraryResult):
 
     def figures(self) -> tuple[Figure, ...]:
         captions = {
-            "reliability": "How often answers of a probability are right; shaded, a perfectly calibrated classifier",
+            "reliability": "Share of right answers over their probability; shaded, a perfectly calibrated classifier",
             "confusion": "Confusion: rows are the true contents",
         }
         return tuple(Figure(png, captions[name]) for name, png in self.pictures().items())
 
     def entries(self) -> list[dict[str, Any]]:
-        """As the entries of an evaluation: one for all modalities, one for each by itself."""
+        """The entries of an evaluation: one for all modalities together, one for each alone."""
         return [self._entry(one) for one in (self.check.score, *self.check.alone.values())]
 
     def as_json(self) -> dict[str, Any]:
@@ -96,22 +96,22 @@ def format_promise(check: ModelCheck) -> str:
     """Whether the accuracy is what the model's file promises."""
     if check.trained:
         count = int(check.score.trials.sum())
-        return f"not judged: {check.trained} of {count} trials trained this model, and say nothing of new ones"
+        return f"not judged: {check.trained} of {count} trials trained this model, so they do not test it"
     if check.promised is None or check.expected is None:
         return "nothing: the file holds no accuracy"
     better = check.score.accuracy.value > check.expected[1]
     verdict = "kept" if check.kept else "NOT kept, it does better" if better else "NOT kept"
     promised = "{:.1%} ({:.1%} to {:.1%})".format(check.promised.value, *check.promised.interval)
-    return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of so many trials".format(*check.expected)
+    return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of this number of trials".format(*check.expected)
 
 
 def format_calibration(check: ModelCheck) -> str:
-    """Whether the posteriors mean what they say."""
+    """Whether the posteriors are calibrated."""
     verdict = "inside" if check.calibration_kept else "NOT inside"
     return (
-        f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: {check.calibrated:.0%} of "
-        f"such stray farther; {check.inside[0]} of {check.inside[1]} bins lie in theirs, "
-        f"error {check.score.calibration_error:.1%}"
+        f"{verdict} the {check.score.level:.0%} band of a perfectly calibrated classifier: "
+        f"{check.calibrated:.0%} of perfectly calibrated ones deviate more; {check.inside[0]} of "
+        f"{check.inside[1]} bins lie in their bands, error {check.score.calibration_error:.1%}"
     )
 
 

@@ -1,4 +1,4 @@
-"""What there is to do with a rig before it explores, in order, and what comes next (`deformscope doctor RIG`)."""
+"""The steps of a rig before it explores, in order, and the next one (`deformscope doctor RIG`)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 @dataclass(frozen=True, slots=True)
 class RigStep:
     """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
-    words: what is known; command: does it; minutes: that it takes at an arm, estimated by what is asked of a person, or
-    with doubles; 0 = as many as it finds to do
+    words: what is known; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0
+    = depends on its findings
     """
 
     what: str
@@ -40,7 +40,7 @@ def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None)
         return ()
     simulated = bool(rig.surface.scene)
     if simulated and rig.surface.hidden is None:
-        return (RigStep("explore", "to do", "doubles that are where the file says", f"deformscope explore {name}"),)
+        return (RigStep("explore", "to do", "doubles are at the poses of the file", f"deformscope explore {name}"),)
     there = {
         "tip": rig.tool.T_ee_tip is not None,
         "place": rig.surface.T_arm_surface is not None and rig.workspace.low_m is not None,
@@ -65,7 +65,7 @@ def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None)
             state, words = "optional" if what == "time" else "to do", WHY[what]
         minutes = MINUTES[what] if not simulated else 2 if what == "camera" else 1
         steps.append(RigStep(what, state, words, command, minutes))
-    steps.append(RigStep("explore", "to do", "map how soft it is, and where", f"deformscope explore {name}"))
+    steps.append(RigStep("explore", "to do", "map the stiffness of the surface", f"deformscope explore {name}"))
     return tuple(steps)
 
 
@@ -75,13 +75,13 @@ def next_step(steps: tuple[RigStep, ...]) -> RigStep | None:
 
 
 WHY = {
-    "tip": "where the tip is on the arm's end: its ball in a cone, tilted 8 times by the joystick",
-    "place": "where the surface is: the tip on 3 of its corners, twice each",
-    "camera": "where the camera stands: a board on the arm's end (--print-board draws it) in 14 poses",
-    "force": "how the force sensor sits: a finger that pushes the tip 10 times",
-    "arm": "how arm and stick yield: a block of steel or stone on the surface",
-    "time": "how late the arm is beside the force sensor: 5 taps on the tip",
+    "tip": "position of the tip on the arm's end: its ball in a cone, tilted 8 times by the joystick",
+    "place": "pose of the surface: the tip on 3 of its corners, twice each",
+    "camera": "pose of the camera: a board on the arm's end (--print-board draws it) in 14 poses",
+    "force": "orientation of the force sensor: a finger pushes the tip 10 times",
+    "arm": "compliance of arm and stick: a block of steel or stone on the surface",
+    "time": "delay of the arm relative to the force sensor: 5 taps on the tip",
 }
 """What is measured, and what for or with."""
 MINUTES = {"tip": 8, "place": 6, "camera": 15, "force": 5, "arm": 5, "time": 1}
-"""Half a minute for a push, a minute for a pose that is steered to. Estimated: nobody has done it on a real arm."""
+"""Half a minute for a push, a minute for a pose that is steered to. Estimated: never measured on a real arm."""

@@ -15,7 +15,7 @@ from deformscope.stages.squeeze.table import LabelledTable
 
 
 class OpenDataset(LibraryResult):
-    """A data set of squeezes, read anew by each call. folder: of its index and recordings"""
+    """A data set of squeezes; each call reads it again. folder: of its index and recordings"""
 
     def __init__(self, folder: Path) -> None:
         """Raises InputError where it is none."""
@@ -29,7 +29,7 @@ class OpenDataset(LibraryResult):
         return tuple(self._dataset.entries())
 
     def recording(self, trial: str) -> Path:
-        """Where a trial's recording is, for `open_recording`; only where it was kept."""
+        """Path of a trial's recording, for `open_recording`; None without a stored recording."""
         return self._dataset.recording_path(trial)
 
     def table(self) -> LabelledTable:

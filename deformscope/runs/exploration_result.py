@@ -37,13 +37,13 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.touch_beta import BOUNDS
 
 RIVAL = 0.1
-"""Probability from which another verdict is named beside the one that is given."""
+"""Probability from which another verdict is named in addition to the given one."""
 NOT_KNOWN = "not known"
 
 
 @dataclass(frozen=True, slots=True)
 class LayerThickness:
-    """Of the layer that stands for the foam: thickness and its deviation [m], and by what it is known."""
+    """The layer that represents the foam: thickness and its deviation [m], and its source."""
 
     thickness_m: float | None = field(metadata=reported(unit="m"))
     sd_m: float | None = field(metadata=reported(unit="m"))
@@ -61,7 +61,7 @@ class TruthScore:
 
 @dataclass(frozen=True, slots=True)
 class TouchOutcome:
-    """A touch, and what became of the exploration with it.
+    """A touch, and its effect on the exploration.
 
     ended_s: since the session began; iou: of the map after it; failed: what failed on it, in words
     asked_for: by a person, on the page
@@ -78,14 +78,14 @@ class TouchOutcome:
 class ExplorationResult(LibraryResult):
     """What `explore` found: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
 
-    feel: what was mapped; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
+    feel: the mapped quantity; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
     estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
     missed: None before any plan; probability: of each number of regions; max_force_n: in the laboratory
     measured_max_force_n: by the sensor
     seconds: computing, of the slowest touch, by the robot's clock and on this computer
     supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move
     arm_stands: whether it could be stopped; losses: of each device that lost something; fault: why it was stopped
-    simulated: the scene; laboratory: its settings; recorded: somebody's robot touched before, and nothing was commanded
+    simulated: the scene; laboratory: its settings; recorded: another robot touched before, and nothing was commanded
     """
 
     scenario: str = field(metadata=reported())
@@ -124,7 +124,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def regions_by(self) -> str | None:
-        """By what the regions are told apart."""
+        """The quantity that distinguishes the regions."""
         return None if self.estimate is None else self.estimate.mapped
 
     touches: tuple[TouchOutcome, ...] = field(metadata=reported())
@@ -138,7 +138,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def region_count_at_least(self) -> bool:
-        """Whether there may be more: as many are the most that are told apart."""
+        """Whether there may be more: the number is the largest that is distinguished."""
         return self.estimate is not None and self.estimate.at_least
 
     @property
@@ -211,7 +211,7 @@ class ExplorationResult(LibraryResult):
 
     @property
     def verdict_text(self) -> str:
-        """The verdict with its probability, and what else is likely."""
+        """The verdict with its probability, and other probable ones."""
         if self.estimate is None:
             return "none: no touch gave a map"
         kind = format_regions(self.estimate)
@@ -220,7 +220,8 @@ class ExplorationResult(LibraryResult):
         return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:
-        """What else is likely, where the verdict is in doubt; what stiffness says, where the regions are beta's."""
+        """The other probable verdict, if the verdict is uncertain; the verdict by stiffness, if the regions are
+        beta's."""
         by_beta = self.regions_by == "beta"
         given = "" if by_beta else str(self.region_count or "gradual")
         share, count = max((share, count) for count, share in (self.probability or {}).items() if count != given)
@@ -234,13 +235,15 @@ class ExplorationResult(LibraryResult):
         rows = [("verdict", self.verdict_text)]
         rows += [(f"region {number}", self._format_region(one)) for number, one in enumerate(self.regions, start=1)]
         if self.levelled_m is not None:
-            level = f"converted to that of a level layer {100.0 * self.levelled_m:.2g} cm thick"
-            rows.append(("stiffness", f"{level}; the JSON has each touch as it was measured, too"))
+            level = f"converted to a level layer {100.0 * self.levelled_m:.2g} cm thick"
+            rows.append(("stiffness", f"{level}; the JSON also has each touch as measured"))
         if self.thickness.known_by == NOT_KNOWN:
-            why = "no thickness_m in [surface], and the camera sees no table beside the foam"
+            why = "no thickness_m in [surface], and the camera sees no table around the foam"
             rows.append(("modulus", f"not known: {why}"))
         elif any(one.modulus_text for one in self.regions):
-            rows.append(("modulus", f"no interval: foam that yields may have up to {PLATEAU_FACTOR:g} times as much"))
+            rows.append(
+                ("modulus", f"no interval: foam on its plateau may have up to {PLATEAU_FACTOR:g} times as much")
+            )
         if (truth := self.truth) is not None and truth.iou is not None:
             off = "" if truth.boundary_m is None else f", border {100 * truth.boundary_m:.1f} cm off"
             true = counted(truth.region_count, "region")
@@ -280,7 +283,7 @@ class ExplorationResult(LibraryResult):
         return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
 
     def _missed_rows(self) -> Rows:
-        """What may be there that no touch has met."""
+        """Possible inclusions and regions without a touch."""
         if (missed := self.missed) is None:
             return []
         x, y = 100.0 * missed.untouched_at_m
@@ -289,18 +292,18 @@ class ExplorationResult(LibraryResult):
         rows = [("untouched", what)]
         if self.lumps is None and (unseen := missed.inclusions):
             each = ", ".join(f"{one.probability:.2f} for {200.0 * one.radius_m:.3g} cm" for one in unseen)
-            by_loss = "the energy loss of what is around it, or as many times less"
+            by_loss = "the energy loss of its surroundings, or as many times less"
             kind = by_loss if self.feel == "loss" else "as stiff or as soft"
             stated = f"assumed: {missed.contrast:g} times {kind}; {missed.prior:g} before any touch"
-            rows.append(("inclusions unseen", f"probability that one was missed, by its width: {each} ({stated})"))
+            rows.append(("inclusions unseen", f"probability of a missed one, by its width: {each} ({stated})"))
         return rows
 
     @property
     def force_text(self) -> str:
         """What touches were to press with, and the largest force: by the sensor, and true where it is known."""
         more_n, true_n = self.more_force_n, self.max_force_n
-        more = "" if more_n is None else f" ({more_n:g} N where that dents less than {1e3 * SHALLOW_M:g} mm)"
-        true = "" if true_n is None else f", true {true_n:.2f} N (known in the simulation alone)"
+        more = "" if more_n is None else f"({more_n:g} N if the dent is below {1e3 * SHALLOW_M:g} mm)"
+        true = "" if true_n is None else f", true {true_n:.2f} N (available in simulation only)"
         return f"set to {self.set_force_n:g} N{more}; largest: measured {self.measured_max_force_n:.2f} N{true}"
 
 
@@ -311,11 +314,11 @@ def format_betas(touches: Sequence[TouchEstimate]) -> str:
     span = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"
     every = f"{span} in {counted(len(values), 'touch')}"
     if high <= BOUNDS[0] or low >= BOUNDS[1]:
-        return f"{every}, the end of its range: beta does not distinguish what was touched"
+        return f"{every}, the end of its range: beta does not distinguish the touched places"
     bound = sum(one.beta_verdict == "at-bound" for one in touches)
     if bound:
-        why = "linear foam has the same beta however soft it is"
-        return f"{every}; in {bound} its interval reaches the end of its range: {why}, and stiffness decides"
+        why = "as expected of linear foam, whose beta is the same at any stiffness; regions are decided by stiffness"
+        return f"{every}, {why} (interval at the end of its range: {counted(bound, 'touch')})"
     return every
 
 

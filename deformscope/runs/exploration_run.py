@@ -1,4 +1,4 @@
-"""An exploration from its options to what it found: devices opened, surface touched, arm stopped, results recorded."""
+"""An exploration from its options to its result: devices opened, surface touched, arm stopped, results recorded."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 
 
 INCLUSION_FORCE_N = 5.0
-"""Inclusions are sought with in the laboratory, unless asked for otherwise: pressed harder, a touch feels deeper."""
+"""Force in the laboratory in a search for inclusions, unless given: with a larger force a touch reaches deeper."""
 
 
 @dataclass
 class ExplorationEnd:
-    """Why and when an exploration ended; filled in as it goes on.
+    """Why and when an exploration ended; completed during the run.
 
     error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
     arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
@@ -130,9 +130,9 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         if ending.error is not None:
             raise ending.error
     for fault in to_come.waiting if to_come is not None else ():
-        say(f"--fault {fault.injected.word}@{fault.touch} did not strike: there was no such moment")
+        say(f"--fault {fault.injected.word}@{fault.touch} was not injected: its moment did not occur")
     if found.stop is not None and found.stop.kind == DRY_RUN and not asked.is_set():
-        say(f"dry run: {found.stop.reason}; the arm stands. Without --dry-run it touches.")
+        say(f"dry run: {found.stop.reason}; the arm is at rest. Without --dry-run it touches.")
         return explored
     if found.stop is not None or asked.is_set():
         path, stands = recorder.summary().path, ending.arm_stopped
@@ -141,13 +141,15 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
 
 
 def _check_first(config: ExploreConfig, setup: Setup) -> None:
-    """Raises InputError for a first touch beside the surface, and for a dry run that somebody would make by hand."""
+    """Raises InputError for a first touch outside the surface, and for a dry run of an arm that a person places."""
     if config.first_m is not None:
         (x, y), (width, height) = config.first_m, setup.size_m
         if not (0.0 < x < width and 0.0 < y < height):
             raise InputError(f"--first on the surface: between 0,0 and {width:g},{height:g} m", f"{x:g},{y:g}")
     if config.dry_run and setup.person is not None:
-        raise InputError("an arm that moves by itself, for --dry-run", "one that a person places", "explore without it")
+        raise InputError(
+            "an arm that moves on commands, for --dry-run", "one that a person places", "explore without it"
+        )
 
 
 def _run(
@@ -165,7 +167,7 @@ def _run(
 
     recorded: touches that were made before: nothing moves
     """
-    from deformscope.experiments.explore import explore
+    from deformscope.experiments.explore import AT_END, explore
     from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
     from deformscope.pictures.render_process import render_process
@@ -207,9 +209,12 @@ def _run(
         recorder.start(layout, ending.start_ns)
         if recorded is not None:
             ending.began_s, ending.largest_force_n = time.perf_counter(), recorded.largest_force_n
+            recorded.asked = asked.is_set
             with stage_executor(setup, options) as (beside, stage):
                 experiment = _with_messages(explore(setup.clock, stage, found), run.line, 0)
                 run_session(run.source, experiment, run.recorded, recorded, beside)
+            if found.stop is not None and found.stop.kind == AT_END:  # after a touch that gave no estimate
+                found.stop, found.stop_reason = None, AT_END
             while items := recorded.rest():
                 recorder.write(items)
             ending.session_s = (setup.clock() - ending.start_ns) / 1e9
@@ -238,7 +243,7 @@ def _run(
 
 
 def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
-    """What came of it, where there is a page, which may outlive the exploration."""
+    """Print the outcome, if there is a page, which may outlive the exploration."""
     if recorder.page is None:
         return
     rows = explored.rows()
@@ -251,7 +256,7 @@ def _say_on_page(recorder: Recorder, explored: ExplorationResult) -> None:
 def _with_messages(
     experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
-    """The same experiment; what it finds is printed, and shown on the page, as it comes. budget: touches at most, 0 =
+    """The same experiment; its results are printed, and shown on the page, during the run. budget: touches at most, 0 =
     they were made before, wherever a plan would have them"""
     from deformscope.stages.map.exploration import TouchEstimate
 
@@ -315,18 +320,18 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
         if result.target_m is None or result.stop_reason:
             yield f"no further touch: {format_stop(result.stop_reason) if result.stop_reason else result.reason}"
         else:
-            left = f"; some {spent_s / made * (budget - made):.0f} s to go for all {budget}" if made else ""
+            left = f"; about {spent_s / made * (budget - made):.0f} s left for all {budget}" if made else ""
             yield f"touch {made + 1} of at most {budget}, at {_cm(result.target_m)} cm: {result.reason}{left}"
     elif isinstance(result, TouchForecast):
         low, high = result.stiffness_interval
         expected = f"{result.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
-        yield f"asked for on the page: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
+        yield f"requested on the page: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
     elif isinstance(result, SteeringDecision):
         yield f"page: {result.kind} at {_cm(result.xy_m)} cm{': ' * bool(result.reason)}{result.reason}"
     elif isinstance(result, TouchEstimate):
         yield f"  measured at {_cm(result.xyz_m[:2])} cm: {to_line(result)}"
         if result.creep is not None:
-            at = "" if result.speed_m_s is None else f", felt at {1e3 * result.speed_m_s:.2g} mm/s"
+            at = "" if result.speed_m_s is None else f", detected at {1e3 * result.speed_m_s:.2g} mm/s"
             yield f"  creep{at}: {result.creep.text}"
     elif isinstance(result, MapEstimate):
         truth = f", {format_iou(result)}" if format_iou(result) else ""
@@ -403,7 +408,7 @@ def _result(
 def _thickness(exploration: Exploration, options: ExploreOptions) -> LayerThickness:
     surface = exploration.surface
     known_m = None if surface is None else surface.layer_m
-    by = "stated" if options.thickness_stated else NOT_KNOWN if known_m is None else "seen over the table beside it"
+    by = "stated" if options.thickness_stated else NOT_KNOWN if known_m is None else "measured from the table around it"
     return LayerThickness(known_m, None if surface is None else surface.layer_sd_m, by)
 
 

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from deformscope.config import ExportConfig
 from deformscope.pictures.report import Table
 from deformscope.recording.export.export import Credits, ExportRequest, export
+from deformscope.recording.losses import named
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import SCHEMA_VERSION
 from deformscope.runs.result import FoundResult
 from deformscope.terminal import Progress
 
 
-def export_recording(config: ExportConfig, progress: Progress) -> FoundResult:
+@dataclass(frozen=True, slots=True)
+class ExportResult(FoundResult):
+    """What `export` wrote. remarks: what the recording lacks; checked: whether it has a ledger to check it with"""
+
+    remarks: tuple[str, ...] = ()
+    checked: bool = True
+
+
+def export_recording(config: ExportConfig, progress: Progress) -> ExportResult:
     """Write it, and list what was written."""
     asked = ExportRequest(
         to=config.format,
@@ -23,11 +34,16 @@ def export_recording(config: ExportConfig, progress: Progress) -> FoundResult:
         overwrite=config.overwrite,
         manifest=config.to is not None,
     )
-    found = export(Replay(config.recording), asked, progress)
+    replay = Replay(config.recording)
+    found = export(replay, asked, progress)
     if config.format == "images":
         rows = [(f"{one.what} of {one.device}", f"{one.count} in {one.folder}") for one in found.images]
     else:
         rows = [(one.entity, f"{one.rows} in {found.folder / one.file}") for one in found.files]
     said = {"recording": config.recording, "schema_version": SCHEMA_VERSION, "format": config.format}
     said |= {"folder": found.folder, "images": found.images, "files": found.files}
-    return FoundResult(said, (Table(rows, caption=str(config.recording)),))
+    remarks = [f"losses: {named(replay.losses)}"] if replay.losses else []
+    if "recovered" in replay.outcome or not replay.outcome.get("complete"):
+        remarks.append("the recording does not have its run's end: what came after is lost")
+    table = Table(rows, caption=str(config.recording))
+    return ExportResult(said, (table,), tuple(remarks), replay.has_ledger)

@@ -42,7 +42,7 @@ def material_figure(found: MaterialFit) -> Figure:
         assert found.motion is not None
         caption = "Error over the yield strain; distance from observed to simulated in each frame"
         return Figure(yield_png(estimate, found.motion), caption)
-    return Figure(recovery_png(estimate), "How far it was pressed over time, and the recovery after the release")
+    return Figure(recovery_png(estimate), "Indentation over time, and the recovery after the release")
 
 
 def material_bodies(found: MaterialFit) -> tuple[ColoredBody, ...]:
@@ -76,10 +76,10 @@ def _axes_rows(found: AxisEstimate) -> Rows:
             rows.append((words, "along no axis"))
         else:
             rows.append((words, f"along {_axis(found, most)}: mean strain {found.strain[most]:+.3g}"))
-    differ = "the axes differ" if found.anisotropic else "one beta explains it as well"
+    differ = "the axes differ" if found.anisotropic else "one beta explains the data as well"
     return [
         *rows,
-        ("anisotropy", f"{differ} (one beta would leave so much error with probability {found.p_isotropic:.2g})"),
+        ("anisotropy", f"{differ} (one beta would leave this error with probability {found.p_isotropic:.2g})"),
         *to_rows(found, "beta"),
         ("error, axes / one beta", f"{format_value(found, 'aee')} / {format_value(found, 'aee_isotropic')}"),
         *to_rows(found, "noise", "explained", "converged"),
@@ -87,7 +87,7 @@ def _axes_rows(found: AxisEstimate) -> Rows:
 
 
 def _lowered(reasons: Sequence[Doubt]) -> str:
-    """Why nothing is known; empty where nothing says so."""
+    """Why nothing is identified; empty without a reason."""
     return next((one.text for one in reasons if one.allows == "unidentified"), "")
 
 
@@ -98,11 +98,11 @@ def _axis(found: AxisEstimate, k: int) -> str:
 def _yield_rows(found: YieldEstimate) -> Rows:
     low, high = found.yield_strain.interval
     strain = f"{found.yield_strain.value:.4g} ({low:.4g} to {high:.4g})" if high is not None else f"above {low:.4g}"
-    unsure = "nothing that yielded is sure" if high is None else "it yielded, but where it began is not known"
+    unsure = "no yield is identified" if high is None else "it yielded, but the yield strain is not identified"
     meaning = {
         "identified": "the motion determines it well",
         "weak": "the motion determines it roughly",
-        "at-bound": "it yields as early as can be seen",
+        "at-bound": "it yields at the smallest strain that the data resolve",
         "unidentified": _lowered(found.reasons) or unsure,
     }
     return [
@@ -123,24 +123,24 @@ def _unloading(settings: dict[str, object]) -> Rows:
     if not isinstance(cycle, dict):
         return []
     source = {
-        "displacement": "it rests from there on: that no tool still presses is assumed; --at names other frames",
-        "force": "no force from there on",
+        "displacement": "it rests from this frame on: the tool is assumed to be off; --at gives other frames",
+        "force": "no force from this frame on",
         "given": "as named",
     }[str(cycle["source"])]
-    kept = f"{float(cycle['kept_share']):.0%} of the way down is left"
+    kept = f"{float(cycle['kept_share']):.0%} of the indentation is left"
     return [("unloaded", f"from frame {cycle['unloaded_frame']} on, {kept} ({source})")]
 
 
 def _field_rows(found: FieldEstimate) -> Rows:
     meaning = {
-        "uniform": "no place differs from the others, as far as can be seen",
+        "uniform": "no place differs from the others within the data's accuracy",
         "anisotropic": "one material, stiffer along one direction; no place differs from the others",
         "materials": f"{found.materials} materials with sharp borders",
-        "gradual": "it changes from place to place, by no few materials",
-        "unidentified": "how stiff most places are against the others is not known",
+        "gradual": "it changes gradually from place to place",
+        "unidentified": "the relative stiffness of most places is not identified",
     }[found.verdict]
     metres = 1.0 if found.unit == "m" else found.metres_per_unit
-    absolute = "positions alone tell stiffness against each other only: give a force (--force-n)"
+    absolute = "positions alone determine only relative stiffness: give a force (--force-n)"
     if found.absolute is not None and metres is None:
         absolute = "in N/m with the scale of the images (--px-per-cm)"
     elif found.absolute is not None:
@@ -164,7 +164,7 @@ def _field_rows(found: FieldEstimate) -> Rows:
         ("beta", f"{found.beta.min():.3g} to {found.beta.max():.3g}"),
         *to_rows(found, "poisson"),
         *[
-            (name, f"probability {likely:.2f} (what was left out: {error:.3g} times its noise)")
+            (name, f"probability {likely:.2f} (left-out data: {error:.3g} times its noise)")
             for name, likely, error in zip(found.tried, found.probability, found.held_out, strict=True)
         ],
         *to_rows(found, "noise"),
@@ -175,16 +175,16 @@ def _field_rows(found: FieldEstimate) -> Rows:
 
 def _recovery_rows(found: RecoveryEstimate) -> Rows:
     meaning = {
-        "elastic": "it comes back at once, as far as can be seen",
-        "viscous": "what is left of the push recovers with time",
-        "plastic": "it keeps a part of the push, and the rest comes back at once",
-        "viscoplastic": "a part of the push recovers with time, and a part is kept",
-        "unidentified": "whether it relaxes, or keeps a set, is not known",
+        "elastic": "it recovers immediately, within the data's accuracy",
+        "viscous": "the rest of the indentation recovers with time",
+        "plastic": "a part of the indentation is permanent, the rest recovers immediately",
+        "viscoplastic": "a part of the indentation recovers with time, and a part is permanent",
+        "unidentified": "whether it relaxes, or has a permanent set, is not identified",
     }[found.verdict]
     relaxes = found.verdict not in ("elastic", "plastic")
     return [
         *to_rows(found, "share"),
-        *(to_rows(found, "time_s") if relaxes else [("mean relaxation time", "nothing that relaxes is sure")]),
+        *(to_rows(found, "time_s") if relaxes else [("mean relaxation time", "no relaxation is identified")]),
         ("permanent set", f"{format_value(found, 'set')} of the push"),
         ("verdict", f"{found.verdict}: {_lowered(found.reasons) or meaning}"),
         *reason_rows(found.reasons),

@@ -65,7 +65,7 @@ from deformscope.stages.see.particles import clean_mask
 FORCE_FILE = "force"
 """What of another recording's force sensor a run is computed from, as a recording of it keeps that."""
 FREE_SHARE = 0.05
-"""Of a force sensor's readings, the first ones that are taken for its zero."""
+"""Number of a force sensor's first readings that give its zero."""
 RAW_FILES = {"axes": ("pair", "a pair file (.npz)"), "yield": ("motion", "a motion file (.npz)")}
 RAW_FILES["viscous"] = RAW_FILES["yield"]
 RAW_FILES["field"] = RAW_FILES["axes"]
@@ -79,7 +79,7 @@ KINDS: dict[str, type[MaterialEstimate]] = {
 
 @dataclass(frozen=True, slots=True)
 class MaterialJob:
-    """What decides a result beside the inputs; a recording keeps it.
+    """Settings that determine a result besides the inputs; they are recorded.
 
     find: what of a material; noise: of a position [m of files, px of images]; particles: of images
     frame: of images, that axes or a field are fitted to; force_n: on what was moved; at, released: see
@@ -125,7 +125,7 @@ class MaterialJob:
 class MaterialResult(SourceResult):
     """What `calibrate axes`, `field`, `yield` or `viscous` found.
 
-    estimate: the numbers; found: what they were compared with
+    estimate: the numbers; found: the compared motion
     """
 
     found: MaterialFit
@@ -191,7 +191,7 @@ def calibrate_material(
 
 
 def job_of(config: MaterialOptions) -> MaterialJob:
-    """The same without the sources, and what is left behind. What is None takes the job's default."""
+    """The same without the sources and output files. What is None takes the job's default."""
     groups = (config.output, config.fit, getattr(config, "unloading", None), config)
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
@@ -239,7 +239,7 @@ def run_material_files(
     """Pairs, all in one fit, or one motion, given by name and content: the same for files and recordings."""
     used = {**settings, "material": dataclasses.asdict(job)}
     if job.find == "field" and len(raws) > 1:
-        raise InputError("one pair file", str(len(raws)), "name them in several commands")
+        raise InputError("one pair file", str(len(raws)), "give them in several commands")
     if job.find in ("axes", "field"):
         seen = [parse_pair(raw, name, noise_m=job.noise_m) for name, raw in raws]
         for remark in size_notes([one.rest for one in seen]):
@@ -251,7 +251,7 @@ def run_material_files(
             recorder.write(Step((result.findings(),), frame=0))
         return dataclasses.replace(result, recording=recorder.summary())
     if len(raws) > 1:
-        raise InputError("one motion file", str(len(raws)), "name them in several commands")
+        raise InputError("one motion file", str(len(raws)), "give them in several commands")
     (name, raw), *_ = raws
     motion = parse_motion(raw, name, noise_m=job.noise_m)
     for remark in size_notes([motion.rest]):
@@ -323,10 +323,10 @@ def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
 
 
 def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce | None:
-    """The force that a recording has beside its images, None where it has none.
+    """The force that a recording has along with its images, None without one.
 
-    sensor: by name, needed where several were recorded; began_ns: when the first frame came
-    The first readings are taken for the sensor's zero: nothing touches at the start.
+    sensor: by name, needed where several were recorded; began_ns: time of the first frame The first readings give the
+    sensor's zero: nothing touches it at the start.
     """
     found: dict[str, list[WrenchFrame]] = {}
     for row in read_rows(Replay(path, trust=True), (WrenchFrame,)):
@@ -371,7 +371,7 @@ def kept_force(recording: Replay) -> PressForce | None:
 def replay_material(
     recording: Replay, source: Source, output: OutputOptions, *, progress: Progress | None = None
 ) -> tuple[list[MaterialEstimate], MaterialResult]:
-    """What a recording says, and the same fitted again to what it keeps. source: its images"""
+    """The recorded result, and a new fit to the recorded data. source: its images"""
     settings = dict(recording.settings)
     try:
         job = msgspec.convert(settings.pop("material"), MaterialJob)

@@ -28,8 +28,8 @@ LAB = "lab:"
 class Opening:
     """A setup, and what belongs to it.
 
-    options: how to explore it; settings: for its recording; lab: whose faults can be asked for, None on a rig
-    recorded: that give what somebody's robot did, None = a robot is commanded
+    options: how to explore it; settings: for its recording; lab: source of faults, None on a rig
+    recorded: items of another robot, None = a robot is commanded
     """
 
     setup: Setup
@@ -60,10 +60,10 @@ def setup_of(
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, closed, or of a recording.
 
-    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: the laboratory
-    keeps nothing from the estimator; camera: what its camera measures by; robot: what it
-    sees of the robot; removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file
-    says, in the laboratory free where `options` are the thesis's
+    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: no hidden
+    errors in the laboratory; camera: what its camera measures by; robot: the robot's model in the images;
+    removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file says, in the
+    laboratory free where `options` are the thesis's
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
@@ -139,12 +139,12 @@ def recorded_rig(path: Path) -> Rig:
     known: list[tuple[str, object]] = [("[surface] T_arm_surface", rig.surface.T_arm_surface)]
     known += [(f"[camera] {name}", getattr(camera, name)) for name in ("T_arm_camera", "focal_px", "center_px")]
     if missing := [name for name, value in known if value is None]:
-        raise InputError(f"{missing[0]} of what was recorded", "none", "in the map of its import", path)
+        raise InputError(f"{missing[0]} among the recorded devices", "none", "in the map of its import", path)
     return rig
 
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
-    """The setup of a rig file, closed. Raises InputError, which names what it lacks."""
+    """The setup of a rig file, closed. Raises InputError, which names missing keys."""
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.rig_members import member_of
     from deformscope.robot.setup import RigParts, rig_setup
@@ -187,8 +187,8 @@ CONTAINERS = f"{LAB}containers"
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
 class SqueezeOpening:
-    """A setup to squeeze with, closed; settings: for its recording; content, container: what stands there, as asked for
-    or, in the laboratory, as drawn"""
+    """A setup to squeeze with, closed; settings: for its recording; content, container: the requested ones or, in the
+    laboratory, random ones"""
 
     setup: SqueezeSetup
     settings: dict[str, Any]

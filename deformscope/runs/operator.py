@@ -1,4 +1,4 @@
-"""The operator of a run: somebody at the terminal, at the page where the run has one, or a script that has agreed."""
+"""The operator of a run: a person at the terminal, at the page if the run has one, or a script with given consent."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ Keys = Callable[[], str]
 
 @dataclass(frozen=True, slots=True)
 class RunOperator:
-    """Who is asked before a robot moves.
+    """The person who permits motion.
 
-    asked: set once somebody wants the run to end; agreed: somebody has agreed at the page, None without one
+    asked: set when a person requests the end of the run; agreed: a person has agreed at the page, None without one
     """
 
     asked: Interruption
     agreed: Callable[[], bool] | None = None
 
     def line(self, prompt: str) -> RigExperiment[str]:
-        """What is typed; frames pass meanwhile. Empty once somebody ends the run, and yes once it was agreed at the
-        page."""
+        """What is typed; frames pass meanwhile. Empty once a person ends the run, and yes once the page has confirmed
+        it."""
         print(prompt, end="", file=sys.stderr, flush=True)
         listens = self.agreed is None or at_terminal()
         while not self.asked.is_set():
@@ -48,15 +48,15 @@ class RunOperator:
         return ""
 
     def confirm(self, prompt: str, *, or_ended: bool = False) -> RigExperiment[None]:
-        """As `line`; raises InputError unless somebody says yes. or_ended: nor where somebody ends the run"""
+        """As `line`; raises InputError unless a person says yes. or_ended: nor if a person ends the run"""
         if self.agreed is None and not at_terminal():
-            raise InputError("somebody who says yes", "no terminal to ask at", "--yes")
+            raise InputError("a person who confirms", "no terminal for questions", "--yes")
         if (yield from self.line(prompt)) != "yes" and not (or_ended and self.asked.is_set()):
             raise InputError("yes", f"{self.asked.by or 'something else'}: nothing has moved")
 
 
 class PersonAtTerminal:
-    """Places an arm that does not move by itself: a line for each request (`robot.by_hand.Person`)."""
+    """Places an arm without motors: a line for each request (`robot.by_hand.Person`)."""
 
     def ask(self, request: PlaceRequest) -> None:
         say(request.words)
@@ -65,12 +65,12 @@ class PersonAtTerminal:
         if not select.select([sys.stdin], [], [], 0.0)[0]:
             return None
         if not (line := sys.stdin.readline()):
-            raise InputError("somebody at the terminal who places the arm", "the end of its input", "a terminal")
+            raise InputError("a person at the terminal who places the arm", "the end of its input", "a terminal")
         return line.strip()
 
 
 def at_terminal() -> bool:
-    """Whether somebody can be asked there."""
+    """Whether a person at the terminal can answer."""
     return sys.stdin.isatty()
 
 
@@ -88,7 +88,7 @@ def terminal_keys() -> Iterator[Keys]:
     import tty
 
     if not at_terminal():
-        raise InputError("a terminal, whose keys move the arm", "none", "run it in one")
+        raise InputError("a terminal, whose keys move the arm", "none", "run it in a terminal")
     descriptor = sys.stdin.fileno()
     kept = termios.tcgetattr(descriptor)
 

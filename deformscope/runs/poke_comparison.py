@@ -1,7 +1,7 @@
-"""Pokes that were not fitted: predicted by the model, and by what else a user might take, against what was measured.
+"""Pokes that were not fitted: predicted by the model, and by its alternatives, compared with the measurement.
 
-The others know what the model knows, the force at its first poke: a rigid body, an elastic half-space in closed form,
-and linear finite elements of the very slab.
+The others have the model's information, the force at its first poke. They are a rigid body, an elastic half-space in
+closed form, and linear finite elements of the same slab.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
 
 @dataclass(frozen=True, slots=True)
 class PredictionResult(LibraryResult):
-    """What a poke will do. points: (n, 3) of the surface whose deformed positions are wanted too [m]"""
+    """What a poke will do. points: (n, 3) of the surface whose deformed positions are predicted too [m]"""
 
     prediction: Prediction
     points: FloatArray | None = None
@@ -93,7 +93,7 @@ class PredictionResult(LibraryResult):
         else:
             low, high = found.force_interval
             rows.append(("force", f"{found.force:.4g} N, 90 % interval {low:.4g} to {high:.4g}"))
-        rows.append(("surface", f"off by {1e3 * found.surface_error:.3g} mm near the tip (rms, as in the fit)"))
+        rows.append(("surface", f"surface error {1e3 * found.surface_error:.3g} mm near the tip (rms, in the fit)"))
         rows.append(("touched", f"{len(found.touched)} particles"))
         rows += _beyond(found)
         rows.append(("converged", "yes" if found.converged else "NO: do not rely on it"))
@@ -109,7 +109,7 @@ class PredictionResult(LibraryResult):
 def moved_body(found: Prediction) -> ColoredBody:
     """The deformed particles, coloured by how far each moved."""
     moved_mm = 1e3 * np.linalg.norm(found.position - found.rest, axis=1)
-    return ColoredBody("Particles under the poke, coloured by how far they moved [mm]", found.position, moved_mm)
+    return ColoredBody("Particles under the poke, coloured by their displacement [mm]", found.position, moved_mm)
 
 
 def _beyond(found: Prediction) -> list[tuple[str, str]]:
@@ -118,12 +118,12 @@ def _beyond(found: Prediction) -> list[tuple[str, str]]:
 
 
 def comparison_table(name: str, found: PokeComparison) -> Table:
-    """How the model and what else one might take did on a measured poke."""
+    """Errors of the model and its alternatives on a measured poke."""
     rows = []
     for one in found.scores:
         force = "no force" if one.force is None else f"force {one.force:.3g} N"
         off = "" if one.force_error is None else f" ({one.force_error:+.1%})"
-        rows.append((one.method, f"surface off by {one.surface_error:.1%} of the depth, {force}{off}"))
+        rows.append((one.method, f"surface error {one.surface_error:.1%} of the depth, {force}{off}"))
     rows += _beyond(found.prediction)
     if found.poke.force is not None:
         rows.append(("measured", f"force {found.poke.force:.3g} N at {1e3 * found.poke.depth:.3g} mm"))
@@ -135,10 +135,10 @@ def comparison_table(name: str, found: PokeComparison) -> Table:
 
 def together_table(found: PooledPokes) -> Table:
     """How the model did on all measured pokes."""
-    rows = [("surface", f"off by {found.surface_error:.1%} of the depth (rms)")]
+    rows = [("surface", f"surface error {found.surface_error:.1%} of the depth (rms)")]
     if found.force_error is not None:
         rows.append(("force", f"off by {found.force_error:.1%} (rms)"))
-        held = f"{found.held} of {found.forces} hold the measured force, median width {found.width:.0%}"
+        held = f"{found.held} of {found.forces} intervals contain the measured force, median width {found.width:.0%}"
         rows.append(("90 % intervals", held))
     return Table(rows, caption=f"Against {found.pokes} measured pokes")
 
@@ -158,16 +158,16 @@ def predicted(model: FittedModel, text: PokeText, points_m: FloatArray | None, d
 
 
 def fitted_model(model: ModelSource) -> FittedModel:
-    """The model in what may hold one."""
+    """The model of any supported source."""
     if isinstance(model, CalibrationResult):
         return model.model()
     return model if isinstance(model, FittedModel) else load_model(Path(model))
 
 
 def poke_of(text: PokeText, model: FittedModel) -> Poke:
-    """A poke with what it left out taken from the model."""
+    """A poke with missing values from the model."""
     if text.tip is None and model.tip is None:
-        raise InputError("a tip, since the model knows none", "none", "tip=flat size=0.02x0.02")
+        raise InputError("a tip, because the model has none", "none", "tip=flat size=0.02x0.02")
     slips = model.tip.slips if model.tip is not None else True
     if text.tip is not None:
         tip = Tip(text.tip, text.size, slips)
@@ -183,8 +183,8 @@ def poke_of(text: PokeText, model: FittedModel) -> Poke:
 
 
 def arrays_of(every: Sequence[Prediction]) -> Mapping[str, np.ndarray]:
-    """Of every poke the (K, d) particles at rest and deformed, in the unit of the model, and the indices (s,), (m,) of
-    the surface and of what the tip touches: as the command's file has them."""
+    """The (K, d) particles of every poke at rest and deformed, in the unit of the model, and indices. (s,) are those of
+    the surface, (m,) those that the tip touches, as in the command's file."""
     arrays: dict[str, np.ndarray] = {}
     for index, one in enumerate(every):
         arrays[f"rest_{index}"], arrays[f"deformed_{index}"] = one.rest, one.position

@@ -1,4 +1,4 @@
-"""A recording as a report: figures of the thesis's chapters 2 to 4 from what it holds, and what it lacks."""
+"""A recording as a report: figures of the thesis's chapters 2 to 4 from its content, and a list of missing ones."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SHOWN = 6
 """Touches, and maps, of which each has its pictures: the last, if there are more."""
 TIME = "time since the recording's start [s]"
 CHAPTERS = {
-    2: "chapter 2: what is in the container",
+    2: "chapter 2: the content of the container",
     3: "chapter 3: meshless shape matching",
     4: "chapter 4: exploring a surface",
     0: "of the run itself",
@@ -81,7 +81,7 @@ class RecordingReport(LibraryResult):
 
     def page(self) -> str:
         """As one HTML page."""
-        lacks = f"It lacks: {', '.join(self.lacks)}." if self.lacks else "Every stage of its kind is in it."
+        lacks = f"It lacks: {', '.join(self.lacks)}." if self.lacks else "It has every stage of its kind."
         first, last = Section("", [ReportVerdict(self.words, (lacks,))]), Section("Stages", stage_tables(self.stages))
         return html_report(self.recording.name, [first, *self.sections, last])
 
@@ -139,7 +139,7 @@ def _exploration(replay: Replay) -> Drawn:
     if maps:
         words = ", ".join(one for one in (words, format_verdict(maps[-1]), format_iou(maps[-1])) if one)
         result = drawn_of.result_png(maps[-1], found=found[-1] if found else None)
-        whole.append(Figure(result, "what the touches measured"))
+        whole.append(Figure(result, "measurements of the touches"))
     surface, at_touches = Section("Surface", surfaces), Section("Touches", touched)
     return words, [Section("Map", whole), surface, at_touches, Section("Fields, touch by touch", fields)]
 
@@ -161,12 +161,12 @@ def _with_interval(label: str, rows: Sequence[tuple[float, ...]], at: Any) -> Cu
 def _progress(maps: Sequence[MapEstimate]) -> Figure:
     at, nan = np.array([one.touches for one in maps]), float("nan")
     values = {
-        "way over the surface [m]": [one.travel_m for one in maps],
+        "travel over the surface [m]": [one.travel_m for one in maps],
         "deviation of log stiffness [-]": [float(np.mean(one.stiffness_log_sd)) for one in maps],
         "IoU with the truth [-]": [nan if one.iou is None else one.iou for one in maps],
     }
     panels = [Curves(label, at, np.array(some)[:, None]) for label, some in values.items() if np.isfinite(some).any()]
-    return Figure(curves_png(panels, "touches"), "way, deviation and overlap by touch")
+    return Figure(curves_png(panels, "touches"), "travel, deviation and overlap by touch")
 
 
 def _squeeze(replay: Replay) -> Drawn:

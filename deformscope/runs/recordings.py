@@ -14,7 +14,7 @@ from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
-from deformscope.recording.discards import Discard, discard, discards_of
+from deformscope.recording.discards import Discard, discard
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import RecordingTables
@@ -22,7 +22,7 @@ from deformscope.runs.result import LibraryResult
 
 
 class OpenRecording(LibraryResult):
-    """A recording of ours: settings, frames and results, read when they are asked for.
+    """A recording of ours: settings, frames and results, read on demand.
 
     path: of the file; its bytes were compared with its ledger when it was opened
     """
@@ -77,7 +77,7 @@ class OpenRecording(LibraryResult):
 
     def discarded(self) -> list[Discard]:
         """What of it is not to be used, and why; it is there all the same."""
-        return discards_of(self.path, self.notes())
+        return self._replay.discarded
 
     def discard(self, reason: str, episode: int = 0) -> None:
         """Mark it, or one of its episodes (from 1), as not to be used, in its ledger."""
@@ -99,7 +99,7 @@ class OpenRecording(LibraryResult):
         return found | {"discarded": self.discarded()}
 
     def tables(self) -> tuple[Table, ...]:
-        rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was cut short")))]
+        rows = [("kind", self.kind), ("frames", str(self.outcome.get("frames", "unknown: its run was interrupted")))]
         rows += [(name, cell_text(value)) for name, value in self.outcome.items() if name in ("stopped", "complete")]
         rows += [("discarded", str(one)) for one in self.discarded()]
         rows += [

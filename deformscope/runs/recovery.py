@@ -29,10 +29,10 @@ def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
         # Not `optimize`, which tears rows apart: what belongs to one frame would lie in several portions.
         facts, damage = salvage(path, readable)
         if facts.damage or not facts.counts:
-            raise InputError("a recording of which something can be read", facts.damage or "none of it", where=path)
+            raise InputError("a recording with readable parts", facts.damage or "none of it", where=path)
         _write_ending(ending, facts, path)
         if refused := run_rrd("merge", readable, ending, "-o", whole):
-            raise InputError("a recording that can be made whole", refused, where=path)
+            raise InputError("a recording that can be completed", refused, where=path)
         with whole.open("rb") as file:
             os.fsync(file.fileno())
         _refuse_existing(out)
@@ -47,10 +47,10 @@ def _check(path: Path, out: Path) -> None:
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
     check_magic(path)
     if is_being_written(path):
-        raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
+        raise InputError("a finished recording", "one that a run is writing", "again after the run", path)
     _refuse_existing(out)
     if not run_rrd("verify", path) and (facts := read_facts(path)).outcome.get("complete") and not facts.damage:
-        raise InputError("a recording that was cut short", "a finished one", f"deformscope verify {path}", path)
+        raise InputError("a truncated recording", "a finished one", f"deformscope verify {path}", path)
     free, need = shutil.disk_usage(out.parent).free, 3 * path.stat().st_size
     if free < need:
         raise InputError(f"{need >> 20} MiB free on the disk", f"{free >> 20} MiB", "--out on another disk", out.parent)
@@ -88,7 +88,7 @@ def _report(path: Path, out: Path, facts: Facts, damage: str) -> FoundResult:
         *((name, str(count)) for name, count in sorted(facts.counts.items())),
         *((f"{name} lost", to_text(lost)) for name, lost in sorted(facts.losses.items())),
         ("lost", ", ".join(f"{count} {name}" for name, count in missing.items()) or "what came after"),
-        *((("damage", f"{damage}: nothing behind it can be read"),) if damage else ()),
+        *((("damage", f"{damage}: nothing after it is readable"),) if damage else ()),
         ("original", f"{path}: as it was"),
     ]
     found = {

@@ -1,4 +1,4 @@
-"""A recording computed again: the same stages on its inputs, compared with its numbers; of a rig, its bytes decoded
+"""A recording computed again: the same stages on its inputs, compared with its numbers. The bytes of a rig are decoded
 again and compared with its frames."""
 
 from __future__ import annotations
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
     from deformscope.files.sources import Source
     from deformscope.stages.fit.estimate import Estimate
 
-CUT_SHORT = "the recording holds no result (its run was cut short): nothing to compare with"
+CUT_SHORT = "the recording holds no result (its run was interrupted): nothing to compare"
 
 
 def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayResult:
-    """As the options say. Raises `Different` for numbers that are not as recorded, unless the result says so."""
+    """As the options say. Raises `Different` for numbers that differ from the recorded ones, unless the result allows
+    it."""
     quiet_warp()
     recording = Replay(config.recording)
     settings = recording.settings
@@ -189,7 +190,7 @@ def _replay_rig(recording: Replay) -> ReplayResult:
             different = Different("the recorded results of every stage, to the last bit", came, where=path)
     if differences := [one.difference for one in found if one.difference]:
         more = f" (and of {len(differences) - 1} more devices)" if len(differences) > 1 else ""
-        different = Different("frames as their bytes give them", differences[0] + more, where=path)
+        different = Different("frames equal to their bytes", differences[0] + more, where=path)
     report["identical"] = different is None
     verdict = f"replay: {sum(one.compared for one in found)} frames decoded again, identical to the recorded ones"
     shown = (Table(rows, caption=f"replay of {path}"),)

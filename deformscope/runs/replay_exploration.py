@@ -1,5 +1,5 @@
-"""A replay of an exploration: from its recorded depth images, wire forces and states of the arm, once more
-all that was computed of them: surface, plans with their maps, touches, maps; each equal to the last bit."""
+"""A replay of an exploration from its recorded depth images, wire forces and states of the arm. All results (surface,
+plans with their maps, touches, maps) are computed again and equal to the last bit."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ LEAN = "recorded lean, or by an older version: no pixel masks, surfaces under to
 
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
-    whether it fails may hang on the machine. page: that plays it, and has other settings' results beside the recorded
+    whether it fails may hang on the machine. page: that plays it, and shows other settings' results with the recorded
+    ones
     """
     import msgspec
 
@@ -108,7 +109,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         {"results": len(recorded), "identical": True, "failures": failed},
         verdict=f"replay: {len(recorded)} results from {start}, identical to the recorded numbers",
         notes=(
-            *(f"failed when it was recorded: {format_failure(one)}" for one in failed),
+            *(f"failed during the recording: {format_failure(one)}" for one in failed),
             *([LEAN] if options.detail == "lean" else []),
         ),
     )
@@ -147,7 +148,7 @@ def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:
 def _beside(
     recorded: list[Any], again: list[Any], changes: dict[str, Any], path: Path, page: PageServer | None
 ) -> ReplayResult:
-    """What comes of other settings, beside what was recorded; the robot touched where the recorded ones sent it."""
+    """Results of other settings, with the recorded ones; the robot touched the recorded places."""
     from deformscope.pictures.messages import format_claim, format_verdict
     from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 

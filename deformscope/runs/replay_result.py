@@ -1,4 +1,4 @@
-"""What came of a replay, and how recorded results are compared with those computed again."""
+"""Outcome of a replay, and the comparison of recorded results with those computed again."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from deformscope.rows import differing
 from deformscope.runs.result import LibraryResult
 
 CLOSE = 0.01
-"""Largest difference that another machine's arithmetic may make: of the value and its interval as a share of the
-interval's width, of an error as a share of itself. On one machine there is none."""
+"""Largest difference due to another machine's arithmetic: of the value and its interval as a share of the interval's
+width, of an error as a share of the error. On one machine there is none."""
 VERSIONS = "the versions in the recording's properties"
-"""What to look at where numbers differ."""
+"""Remedies for different numbers."""
 
 
 class Different(InputError):

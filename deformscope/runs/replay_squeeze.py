@@ -1,5 +1,5 @@
-"""A replay of a squeeze: from its recorded tactile frames, angles and depth images, once more all that was
-computed of them: pressures, events, tracked container, features, posteriors; each equal to the last bit."""
+"""A replay of a squeeze from its recorded tactile frames, angles and depth images. All results (pressures, events,
+tracked container, features, posteriors) are computed again and equal to the last bit."""
 
 from __future__ import annotations
 
@@ -56,14 +56,13 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
     return ReplayResult(
         {"results": compared, "identical": True, "stopped": stops},
         verdict=f"replay: {compared} results from raw frames ({counted}), identical to the recorded numbers",
-        notes=tuple(f"stopped when it was recorded: {stop.kind}: {stop.reason}" for stop in stops),
+        notes=tuple(f"stopped during the recording: {stop.kind}: {stop.reason}" for stop in stops),
     )
 
 
 def _by_frame(results: list[Any]) -> dict[tuple[int, int], Any]:
-    """Results by the frame that they are of, or their order, and how many there were of it before: that of its median
-    with others is the last. What came after the hand had opened was recorded, but no longer looked at: recorded results
-    may be fewer at the end."""
+    """Results by their frame, or by their order, and their count before it; the median of several is the last. Items
+    after the hand had opened were recorded, but not evaluated: recorded results may be fewer at the end."""
     counted: defaultdict[int, Iterator[int]] = defaultdict(count)
     of = [getattr(one, "index", order) for order, one in enumerate(results)]
     return {(frame, next(counted[frame])): one for frame, one in zip(of, results, strict=True)}

@@ -38,7 +38,7 @@ class LibraryResult(ABC):
 
     @abstractmethod
     def as_json(self) -> dict[str, Any]:
-        """The public form; dataclasses and arrays may stand in it."""
+        """The public form; it may contain dataclasses and arrays."""
 
     def figures(self) -> tuple[Figure, ...]:
         """Pictures of it."""

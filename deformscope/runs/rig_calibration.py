@@ -100,7 +100,7 @@ class SetupTask(Generic[M]):
 
 
 def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigCalibrationResult:
-    """Measure, or read what was measured; solve; write it into the rig file unless that is not wanted."""
+    """Measure, or read an earlier measurement; solve; write into the rig file unless --no-write is given."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is not None:
         if config.measured.suffix == ".rrd" and task.recorded is not None:
@@ -123,7 +123,7 @@ def set_up(config: SetupOptions, task: SetupTask[M], recorder: Recorder) -> RigC
 
 
 def write_values(path: Path, values: Values) -> None:
-    """Into the rig file, which is then as good as it was, or stays as it was."""
+    """Write into the rig file; a failure leaves it unchanged."""
     from deformscope.rig.rig_file import parse_rig
 
     text = edited(path.read_text(encoding="utf-8"), values)
@@ -142,7 +142,7 @@ def written_lines(found: RigCalibrationResult) -> str:
 
 
 def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
-    """The devices, closed, and who stands there: a person at a terminal, or the laboratory's."""
+    """The devices, closed, and the operator: a person at a terminal, or the laboratory's."""
     if not rig.surface.scene:
         devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
         arm, wrench, camera = (devices[kind].name if kind in devices else "" for kind in ROLES)
@@ -154,9 +154,12 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
     table, randomized = table_of(parts)
     assert table is not None
     if randomized is None:
-        came = "doubles that are where the file says"
+        came = "doubles are at the poses of the file"
         raise InputError(
-            "something to find out", came, "hidden = 1 in [surface]: drawn, and to be calibrated", rig.name
+            "a calibration that is still missing",
+            came,
+            "hidden = 1 in [surface]: random poses, for calibration",
+            rig.name,
         )
     arm, wrench, camera = (entry.name for entry in parts.devices)
     hand = _simulated(SimulatedHand(randomized, table, table.size_m), asked)
@@ -166,7 +169,7 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
 def _at_terminal(asked: Interruption) -> Assistant:
     """Somebody who reads what to do, does it, and presses Enter."""
     if not at_terminal():
-        raise InputError("somebody who does what is asked for", "no terminal to ask at", "--measured FILE.npz")
+        raise InputError("a person who follows the requests", "no terminal for questions", "--measured FILE.npz")
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         say(f"{request.words}; then Enter")
@@ -177,7 +180,7 @@ def _at_terminal(asked: Interruption) -> Assistant:
 
 
 def _go_on(asked: Interruption) -> None:
-    """Raises InputError where somebody asked to end."""
+    """Raises InputError if a person has requested the end."""
     if asked.is_set():
         raise InputError("an answer to each request", "Ctrl-C: nothing was written", "begin again")
 
@@ -187,7 +190,7 @@ def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         _go_on(asked)
-        does_so = "holds it in a way of their own" if request.kind == "view" else "does so"
+        does_so = "holds it in its own way" if request.kind == "view" else "does so"
         say(f"{request.words} (a simulated person {does_so})")
         hand.do(request.kind, request.number, request.axis)
         if request.kind == "tap":

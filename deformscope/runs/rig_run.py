@@ -1,4 +1,4 @@
-"""A rig's devices recorded, watched, and followed by live stages, from the options to what came of it."""
+"""A rig's devices recorded, shown, and evaluated by live stages, from the options to the outcome."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ PAGE_HOLDS_S = 30.0
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RigRun:
-    """What came of a run of a rig.
+    """Outcome of a rig's run.
 
     result: what was recorded; failures: reason of each device that failed, by name; why: it ended
     early_by: the signal that ended it before its end, 0 = none
@@ -64,8 +64,8 @@ class RigRun:
 
 
 def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool) -> RigRun:
-    """Run a rig until its end or Ctrl-C. auto: the viewer where none is asked for; always_record: also without a name
-    for the file, which then gets one"""
+    """Run a rig until its end or Ctrl-C. auto: the viewer if none is requested; always_record: also without a name for
+    the file, which then gets one"""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
@@ -158,7 +158,7 @@ def _new_file(rig: Rig) -> Path:
 
 
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """How the stages run that were asked for. Raises InputError where the rig lacks what one of them needs.
+    """The options of the requested stages. Raises InputError where the rig lacks what one of them needs.
 
     streams: of the devices, where they are not the rig's
     """
@@ -210,7 +210,7 @@ class _Ending:
 
     @property
     def early_by(self) -> int:
-        """The signal that ended it before its end; 0 = none did. Ctrl-C is the end of what has no other."""
+        """The signal that ended it before its end; 0 = none did. Ctrl-C is the end of a run without a duration."""
         number = self._asked.signal_number
         return 0 if number == signal.SIGINT and self._seconds is None else number
 
@@ -228,15 +228,15 @@ class _Ending:
                 say("stages: " + ", ".join(f"{name} {rate:.3g}/s {ms:.0f} ms behind" for name, rate, ms in late))
                 self._counts.clear()
         lasted_s = time.monotonic() - self._began
-        early = "" if self._seconds is None else f", earlier than the {self._seconds:g} s asked for"
+        early = "" if self._seconds is None else f", earlier than the requested {self._seconds:g} s"
         if self._asked.is_set():
             by = self._asked.by or f"by {signal_word(self._asked.signal_number)}"
             self.reason = f"{by} after {lasted_s:.1f} s{early}"
         elif self._source.ended:
-            self.reason = f"after {lasted_s:.1f} s{early}: every device has come to its end"
-            say("every device has come to its end")
+            self.reason = f"after {lasted_s:.1f} s{early}: every device has ended"
+            say("every device has ended")
         elif self._seconds is not None and lasted_s >= self._seconds:
-            self.reason = f"after {self._seconds:g} s, as asked for"
+            self.reason = f"after {self._seconds:g} s, as requested"
         return bool(self.reason)
 
 
@@ -275,7 +275,7 @@ def _result(
 
 
 def _to_text(health: Health, failure: str | None) -> str:
-    """What came of a device, what it lost, and why where it is known."""
+    """A device's summary: its frames and losses, and their reason if known."""
     why = f"FAILED: {failure}" if failure else health.reason
     return ", ".join(part for part in (f"{health.received} readings", to_text(lost_by(health)), why) if part)
 

@@ -1,5 +1,5 @@
-"""What every run shares: devices opened, recorded and closed; the question before a robot moves, Ctrl-C, that the robot
-stands in the end, and how a run that was stopped leaves."""
+"""Parts that all runs share: devices opened, recorded and closed, the question before a robot moves, and Ctrl-C. The
+robot is at rest in the end; a stopped run reports its reason."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ class OpenRun:
         config: ExploreConfig | SqueezeConfig,
         make: Callable[[PageSession, ShownDevices], PageT],
     ) -> PageT | None:
-        """From here on, say alarms at the terminal, and show on the recorder's page how devices are; what moves the
-        robot from there, which `make` makes, None without a page."""
+        """From here on print alarms at the terminal, and show the state of devices on the recorder's page. Returns the
+        object of `make` that moves the robot from there, None without a page."""
         session = None if recorder.page is None else recorder.page.session
         shown = None if session is None else ShownDevices(session, self.source.streams)
         self.recorded = WatchedDevices(recorder, shown, self.line)
@@ -119,11 +119,11 @@ class WatchedRobot(Protocol):
 
 
 class Watch:
-    """Called in every control period: ends it when somebody asks, and shows what the robot does. robot: once there is
-    one; arm_stopped: whether the arm could be stopped, in the end"""
+    """Called in every control period: ends the run on request, and shows the robot's state. robot: once there is one;
+    arm_stopped: whether the arm could be stopped, in the end"""
 
     def __init__(self, asked: Interruption, *shows: Callable[[str], None]) -> None:
-        """asked: set when somebody wants it to end; shows: where one line goes that the next replaces"""
+        """asked: set when a person requests the end; shows: where one line goes that the next replaces"""
         self.robot: WatchedRobot | None = None
         self.arm_stopped = True
         self._asked, self._shows = asked, shows
@@ -144,7 +144,7 @@ class Watch:
         """Whatever ends this, the arm is then halted, also where halting it was interrupted. Beyond it are the
         end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
         self.robot = robot
-        reason = "what moved it has ended"
+        reason = "the page that moved it has ended"
         try:
             yield
         except BaseException as error:
@@ -172,13 +172,13 @@ def permitted(
     places_m: FloatArray | None = None,
     page: RobotPage | None = None,
 ) -> RigExperiment[None]:
-    """Within an experiment: look at everything, print the table of checks, and ask before a real arm moves; before that
-    for a finger on the tip, where nothing but the force there guards it.
+    """Within an experiment: check everything, print the table of checks, and ask before a real arm moves. Before that
+    ask for a finger on the tip, if the force there is the only guard.
 
-    calibrated: what has to be, by name, and whether it is; yes: do not ask
+    calibrated: the required calibrations, by name, and whether they are done; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
-    What was checked is checked again after the question, which may have waited for long. Raises InputError where a
-    check fails, or nobody says yes, and ExplorationStopped where it is answered by Ctrl-C.
+    What was checked is checked again after the question, which may have waited for long. Raises InputError if a check
+    fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C.
     """
     from deformscope.experiments.touching_robot import CheckFirst
     from deformscope.session import ask
@@ -194,8 +194,8 @@ def permitted(
         touches = f"up to {options.budget} touches of {robot.format_forces}"
         if setup.person is None:
             say(
-                f"The arm will now move by itself: {touches}.\n"
-                "This program is no safety function: keep the emergency stop in your hand."
+                f"The arm will now move: {touches}.\nThis program is no safety function: keep the emergency "
+                "stop in your hand."
             )
         else:
             say(f"You will be asked to place the stick, step by step: {touches}. Keep your hands out of the picture.")
@@ -214,10 +214,10 @@ def permitted(
 def agree(
     asked: Interruption, page: RobotPage | None, what: str, *, enter_when: str = "", or_ended: bool = False
 ) -> RigExperiment[None]:
-    """Within an experiment: wait until somebody lets the robot move, at its page where it has one, or at the terminal.
+    """Within an experiment: wait until a person permits the motion, at the page if there is one, or at the terminal.
 
-    what: will move; enter_when: the terminal's Enter is enough then, in words
-    Otherwise it raises InputError unless somebody says yes. or_ended: nor where somebody ends the run
+    what: will move; enter_when: condition, as text, after which the terminal's Enter is enough Otherwise it raises
+    InputError unless a person says yes. or_ended: nor if a person ends the run
     """
     operator = RunOperator(asked, None if page is None else page.is_agreed)
     first = ""
@@ -233,13 +233,13 @@ def agree(
 def leave_arm(
     stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
 ) -> NoReturn:
-    """As `leave`, after so many touches."""
+    """As `leave`, after a number of touches."""
     from deformscope.robot.supervisor import Fault
 
-    stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: look at it, use its emergency stop"
+    stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: check it, use its emergency stop"
     state = f" after {touched} touch{'es' * (touched != 1)}; {stands}"
     ended = stop is None or stop.kind == Fault.ASKED
-    leave(stop, state, asked, recording, "an exploration that comes to its end", "explore again", ended=ended)
+    leave(stop, state, asked, recording, "an exploration that ends normally", "explore again", ended=ended)
 
 
 def leave(
@@ -254,13 +254,13 @@ def leave(
 ) -> NoReturn:
     """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
 
-    state: how far it came and whether the robot stands; ended: somebody asked for it
+    state: progress of the run, and whether the robot is at rest; ended: a person requested it
     """
     import signal
 
     advice = f"see to {stop.advice}" if stop is not None and stop.advice else ""
     if ended or stop is None:
-        kept = "" if recording is None else f"; the recording is whole: {recording}"
+        kept = "" if recording is None else f"; the recording is complete: {recording}"
         by = asked.by or f"by {signal_word(asked.signal_number)}"
         say(f"deformscope: ended {by}{state}{advice and f'; {advice}'}{kept}")
         raise SystemExit(128 + (asked.signal_number or signal.SIGINT))

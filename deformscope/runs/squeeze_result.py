@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SqueezeResult(LibraryResult):
-    """What came of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
+    """Outcome of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
 
-    content: what was asked for or, in the laboratory, drawn; stop: why it ended before its steady state
+    content: the requested one or, in the laboratory, the random one; stop: why it ended before its steady state
     start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
     placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
     on its way back
-    hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are as they were
+    hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are restored
     truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
     """
 
@@ -97,7 +97,7 @@ class SqueezeResult(LibraryResult):
     @property
     @derived(optional=True)
     def container_seen(self) -> list[dict[str, Any]] | None:
-        """As the depth images had it, before, when the hand was placed, and after the squeeze."""
+        """Size and pose by the depth images, before, when the hand was placed, and after the squeeze."""
         return [to_json(one) for one in self.sightings] or None
 
     withdrawal: SqueezeStop | None = field(metadata=reported(optional=True))
@@ -162,9 +162,9 @@ class SqueezeResult(LibraryResult):
         if not self.arm_stands:
             rows.append(("arm", "COULD NOT BE STOPPED: use its emergency stop"))
         elif self.stop is not None and self.placement is not None and self.placement.reached in ("approach", "grasp"):
-            rows.append(("arm", "stands at the container: move it away by its joystick before the next squeeze"))
+            rows.append(("arm", "is at the container: move it away by its joystick before the next squeeze"))
         if self.withdrawal is not None:
-            rows.append(("arm", f"stopped on its way back: {self.withdrawal.kind}: {self.withdrawal.reason}"))
+            rows.append(("arm", f"stopped during withdrawal: {self.withdrawal.kind}: {self.withdrawal.reason}"))
         if self.computed is not None:
             events, seen = self.computed.events, self.computed.features
             force_n, stiffness = self.physical["force_n"], self.physical["stiffness_n_per_m"]
@@ -185,7 +185,7 @@ class SqueezeResult(LibraryResult):
             ]
         if (tracking := self.tracking) is not None:
             behind = ", {lag_median_s:.2f} s behind (95 %: {lag_p95_s:.2f})" if tracking["live"] else ""
-            words = ("{images} images, {live} while it was squeezed, {skipped} left out" + behind).format(**tracking)
+            words = ("{images} images, {live} during the squeeze, {skipped} left out" + behind).format(**tracking)
             refused = "; ".join(f"{count} refused: {why}" for why, count in tracking["refused"].items())
             rows.append(("tracked", "; ".join(filter(None, (words, refused, self.untracked)))))
         if self.answer is not None:
@@ -201,11 +201,11 @@ class SqueezeResult(LibraryResult):
 
     @property
     def hand_text(self) -> str:
-        """Whether the hand stands, and may be used again as it was."""
+        """Whether the hand is at rest, and ready for use."""
         if not self.hand_stands:
             return "COULD NOT BE STOPPED: it may still press; switch it off"
         if not self.limits_restored:
-            return "stands; ITS CURRENT LIMITS ARE NOT AS THEY WERE: switch it off"
+            return "at rest; ITS CURRENT LIMITS WERE NOT RESTORED: switch it off"
         return "stands"
 
     def _since_s(self, time_ns: int) -> float:

@@ -1,4 +1,4 @@
-"""A squeeze from its options to what it found: devices opened, container squeezed, hand stopped, trial kept."""
+"""A squeeze from its options to its result: devices opened, container squeezed, hand stopped, trial stored."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ recordings of lab:containers."""
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SqueezeOutcome:
-    """What a squeeze left. asked: who ended it, where somebody did"""
+    """What a squeeze left. asked: the person who ended it, if any"""
 
     result: SqueezeResult
     asked: Interruption
@@ -141,7 +141,7 @@ def _run(
     asked: Interruption,
     seed: int,
 ) -> dict[str, Any]:
-    """Open the devices, squeeze, close them; what is known beside `found`."""
+    """Open the devices, squeeze, close them; other results besides `found`."""
     from deformscope.experiments.squeeze import squeeze
     from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
     from deformscope.experiments.squeeze_frames import ObservedRecorder
@@ -224,8 +224,8 @@ def _run(
 def _permitted(
     config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None
 ) -> RigExperiment[None]:
-    """Within the experiment: ask before a real hand moves, and where it begins paused. Raises InputError unless
-    somebody says yes."""
+    """Within the experiment: ask before a real hand moves, and where it begins paused. Raises InputError unless a
+    person says yes."""
     current_a = setup.squeeze.current_a
     moves = f"open, turn its fingers towards each other and, once it is placed, close with {current_a:g} A at most"
     if not setup.simulated:
@@ -239,7 +239,7 @@ def _permitted(
 def _arm_permitted(
     config: SqueezeConfig, setup: SqueezeSetup, asked: Interruption, page: PageSqueezing | None, preflight: Preflight
 ) -> RigExperiment[bool]:
-    """Within the experiment: print the table of checks, and ask before a real arm moves; whether somebody was asked.
+    """Within the experiment: print the table of checks, and ask before a real arm moves; whether a person was asked.
     Raises InputError unless they say yes."""
     say(preflight.table())
     asks = not setup.simulated and not config.yes and preflight.passed
@@ -270,7 +270,7 @@ def _placed(
     if not config.yes or at_terminal():
         if page is not None:
             page.session.remark(words)
-        yield from agree(asked, page, "the hand closes", enter_when="when it stands still")
+        yield from agree(asked, page, "the hand closes", enter_when="when it is at rest")
         if page is not None:
             page.go_on()
 
@@ -287,7 +287,7 @@ def _model(path: Path | None) -> ContentModel | None:
 
 
 def step_posterior(model: ContentModel) -> Predict | None:
-    """What the model makes of the features as the squeeze goes on; None where it has no tactile modality."""
+    """The model's posterior during the squeeze; None without a tactile modality."""
     if "tactile" not in model.modalities:
         return None
 
@@ -301,7 +301,7 @@ def step_posterior(model: ContentModel) -> Predict | None:
 def final_posterior(
     model: ContentModel,
 ) -> Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]:
-    """What the model makes of all features that it knows: (modalities, labels, probabilities)."""
+    """The model's posterior from all its features: (modalities, labels, probabilities)."""
 
     def predict(features: dict[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:
         known = {name: features[name][None] for name in model.modalities if name in features}
@@ -323,7 +323,7 @@ def _trials_before(dataset: SqueezeDataset | None, container: str, session: str)
 def _finished(
     entry: TrialEntry, found: Squeezed, ended: dict[str, Any], dataset: SqueezeDataset | None, path: Path | None
 ) -> TrialEntry:
-    """The entry with what came of the squeeze."""
+    """The entry with the outcome of the squeeze."""
     recording = ""
     if path is not None and dataset is not None:
         inside = path.is_relative_to(dataset.folder)
@@ -345,18 +345,18 @@ def _format_size(setup: SqueezeSetup) -> str:
     """What a recording will take."""
     pixels = 640 * 480 if setup.names.camera else 0
     bytes_s = 30 * TACTILE_BYTES + setup.camera.rate_hz * pixels * 2 * DEPTH_SHARE
-    return f"a recording of some {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
+    return f"a recording of about {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"
 
 
 def leave(squeezed: SqueezeOutcome) -> None:
-    """Where it was stopped, raises InputError with the reason and what to see to, SystemExit if somebody ended it."""
+    """After a stop, raises InputError with the reason and the advice, SystemExit if a person ended it."""
     result = squeezed.result
     stop = result.stop or result.withdrawal
     if stop is None:
         return
     state, expected, again = (
         f"; the hand {result.hand_text}",
-        "a squeeze that comes to its steady state",
+        "a squeeze that reaches its steady state",
         "squeeze again",
     )
     skeleton.leave(stop, state, squeezed.asked, result.recording, expected, again, ended=squeezed.interrupted)

@@ -21,14 +21,14 @@ from deformscope.runs.result import FoundResult
 if TYPE_CHECKING:
     from deformscope.recording.stages import RecordedStage
 
-WHOLE = "every byte is as it was recorded"
+WHOLE = "all bytes are as recorded"
 SHOWN_LETTERS = 90
 """Of what a recording says."""
-UNCHECKED = "not checked, as there is no ledger: a flipped bit would go unnoticed"
+UNCHECKED = "not checked, because there is no ledger: a flipped bit would not be detected"
 
 
 class Damaged(InputError):
-    """The recording is not what it was, or was never finished."""
+    """The recording has changed, or was never finished."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
         hint = f"the unfinished one: {part}" if part is not None else ""
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
     if is_being_written(path):
-        raise InputError("a recording that has ended", "one that a run is writing", "again when it has ended", path)
+        raise InputError("a finished recording", "one that a run is writing", "again after the run", path)
     check = _check(path)
     if check is None:
         check_magic(path)
@@ -99,13 +99,12 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
         found["privacy"] = _private(path, tables)
     error = None
     if problems:
-        hint = f"an intact copy, or what can be read of it: deformscope recover {path}"
+        hint = f"an intact copy, or its readable part: deformscope recover {path}"
         error = Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
     elif unfinished:
-        kept = f"everything{reached} is there" if reached else "its readable part is there"
-        error = Damaged(
-            "a recording that was finished", f"one of a run cut short; {kept}", f"deformscope recover {path}", path
-        )
+        kept = f"everything{reached} is there" if reached else "its readable part exists"
+        came = f"one of an interrupted run; {kept}"
+        error = Damaged("a finished recording", came, f"deformscope recover {path}", path)
     losses = _losses(facts, checked=differs is not None, reached=reached) if error is None else []
     return VerifyResult(found, tuple(tables), error, tuple(remarks), tuple(losses))
 
@@ -119,24 +118,24 @@ def _stages(path: Path, tables: list[Table], remarks: list[str]) -> list[Recorde
     tables += stage_tables(stages)
     remarks.append(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
     if not any(one.computed for one in stages):
-        remarks.append("costs: not recorded, as before they were measured, and in deterministic recordings")
+        remarks.append("costs: not recorded, as in older and in deterministic recordings")
     return stages
 
 
 def _private(path: Path, tables: list[Table]) -> dict[str, str]:
-    """What it says of people and machines, by its place; its table is added."""
+    """Information on people and machines, by its place; its table is added."""
     from deformscope.recording.streams import RecordingTables
 
     replay = Replay(path, trust=True)
     found = left_out(replay.properties) | RecordingTables(replay).left_out()
     lines = {place: textwrap.shorten(said, SHOWN_LETTERS, placeholder=" ...") for place, said in found.items()}
-    title = "what it says of people and machines (export --anonymous leaves it out)"
+    title = "information on people and machines (export --anonymous leaves it out)"
     tables.append(Table([*lines.items()], caption=title))
     return found
 
 
 def _check(path: Path) -> LedgerCheck | None:
-    """The recording beside its ledger; None = there is no ledger."""
+    """The recording checked by its ledger; None without a ledger."""
     try:
         return check_recording(path)
     except FileNotFoundError:
@@ -148,7 +147,7 @@ def _bytes(check: LedgerCheck) -> str:
         return "TRUNCATED" + (" and DIFFERS" if check.damaged else "")
     if check.problems:
         return "DIFFERS"
-    return WHOLE if check.ended else f"as they were recorded up to the last commit (byte {check.committed})"
+    return WHOLE if check.ended else f"as recorded up to the last commit (byte {check.committed})"
 
 
 def _rows(
@@ -162,7 +161,7 @@ def _rows(
 ) -> list[tuple[str, str]]:
     ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
     if "recovered" in facts.outcome:
-        ended = f"recovered from {facts.outcome['recovered']}, which was cut short"
+        ended = f"recovered from {facts.outcome['recovered']}, which was truncated"
     stopped = facts.outcome.get("stopped")
     devices = {name.rsplit("/", 1)[0] for name in counts if name.endswith("/frames")} | set(facts.losses)
     return [
@@ -181,7 +180,7 @@ def _losses(facts: Facts, *, checked: bool, reached: str) -> list[str]:
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")
     if "recovered" in facts.outcome:
-        remarks.append(f"it was recovered{reached}: what came after is lost")
+        remarks.append(f"it was recovered{reached}: later data are lost")
     if not checked:
-        remarks.append("it has no ledger: whether its bytes are as they were recorded is not known")
+        remarks.append("it has no ledger: changed bytes cannot be detected")
     return remarks

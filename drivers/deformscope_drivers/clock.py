@@ -1,4 +1,4 @@
-"""When a reading was taken: one stamp, made once, on a clock that never jumps; and a device's clock beside it."""
+"""Time of a reading: one stamp, made once, on a clock that never jumps; and its relation to a device's clock."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Unwrap:
 
 @dataclass(frozen=True, slots=True)
 class ClockRelation:
-    """How a device's clock runs beside the host's.
+    """Relation of a device's clock to the host's.
 
     tick_ns: host time of a device tick [ns]; drift_ppm: its deviation from the nominal tick, None where none is known
     offset_ns: host time at tick 0, as seen through the shortest delay; residual_ns: root mean square of what the
@@ -94,7 +94,7 @@ class ClockFit:
     """Fits a device's clock to the host's, online and in bounded memory.
 
     A reading arrives late by a delay that is never negative and often small. So of every stretch of time the reading
-    that arrived earliest beside the others is kept as an anchor, and a straight line goes through the anchors.
+    with the least delay becomes an anchor, and a straight line goes through the anchors.
     tick_ns: nominal host time of a tick, where the device's documents name one
     """
 

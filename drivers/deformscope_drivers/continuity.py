@@ -1,7 +1,7 @@
 """Readings that are missing by time: a device that should send and did not, whatever its own counter says.
 
-A counter starts anew after a lost link, wraps in a long pause, or is not there at all; the host's clock goes on. So a
-pause between readings is compared with the rate at which the device sent before it.
+A counter restarts after a lost link, wraps in a long pause, or is absent; the host's clock continues. So a pause
+between readings is compared with the rate at which the device sent before it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ START_S = 3.0
 SETTLE_S = 1.0
 """After a pause of a link that held, what waited in a buffer arrives within this time, and is not missing."""
 RATE_FROM_S, RATE_OVER_S = 1.0, 10.0
-"""The observed rate is known from so long a stretch on; it is that of the latest stretch of about RATE_OVER_S."""
+"""The observed rate is known after a stretch of this length; it is that of the latest stretch of about RATE_OVER_S."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,8 @@ class Continuity:
         self._last_ns = now_ns if self._last_ns is None else self._last_ns
 
     def expect(self, now_ns: int, rate_hz: float | None) -> None:
-        """What should come from now on. rate_hz: as the device was set, 0 = not known; None = nothing by itself"""
+        """What should come from now on. rate_hz: as the device was set, 0 = unknown; None = no readings without
+        request"""
         if rate_hz == self._set_hz:
             return
         if self._set_hz is None or rate_hz is None:
@@ -112,7 +113,7 @@ class Continuity:
             self._settle(now_ns)
 
     def count_lost(self, count: int) -> None:
-        """The device's counter says that so many were sent and did not come; below 0 takes some back."""
+        """The device's counter shows this number of sent and missing readings; below 0 takes some back."""
         self._got += count
 
     def lose_link(self, now_ns: int) -> None:

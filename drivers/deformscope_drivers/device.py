@@ -1,4 +1,5 @@
-"""What every device is: opened and closed, with three reads, reconnected by itself, and open about its health.
+"""Parts that every device has: opening and closing, three ways to read, automatic reconnection, and a report of its
+health.
 
 One thread owns the link, from opening to closing: it alone reads and writes. What another thread asks for is handed
 to it (`_do`). So no lock guards a port, no reading is torn, and a cable that was pulled out is noticed in one place.
@@ -62,8 +63,8 @@ RECONNECT = Reconnect()
 
 
 class EndOfReadings(Exception):
-    """For a `_receive` that has nothing more to give, as at the end of a file: readers come to their end, as if the
-    device had been closed. Its words become the reason in `health()`."""
+    """For a `_receive` at the end of its data, such as a file: readers end, as after closing the device. Its words
+    become the reason in `health()`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +85,9 @@ class Device(ABC, Generic[MeasurementT]):
 
     name: for messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly the
     same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
-    late_ns: set before opening, how late the device is by calibration [ns]: the stamps in all queues are put back by it
-    A subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread; one whose readings
-    are large gives `queue_readings` too: how many wait for a slow reader where it does not say; one that a moving robot
-    waits for says that it is `prompt`.
+    late_ns: set before opening, the device's calibrated delay [ns]: the stamps in all queues are earlier by it A
+    subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread. One with large readings
+    gives `queue_readings` too, the default queue length of a slow reader; one in a robot's control loop sets `prompt`.
     """
 
     queue_readings: ClassVar[int] = QUEUE_READINGS
@@ -132,7 +132,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     @abstractmethod
     def _receive(self, timeout_s: float) -> Iterable[MeasurementT]:
-        """Wait up to `timeout_s` for readings and give what came. Raises LinkLost, or EndOfReadings."""
+        """Wait up to `timeout_s` for readings and return them. Raises LinkLost, or EndOfReadings."""
 
     @abstractmethod
     def _disconnect(self) -> None:
@@ -152,9 +152,9 @@ class Device(ABC, Generic[MeasurementT]):
     # Lifecycle -------------------------------------------------------------------------------------------------------
 
     def open(self, *, own_thread: bool = True) -> Self:
-        """Connect. Raises NotConnected, or what else keeps the device from working as configured.
+        """Connect. Raises NotConnected, or another error that prevents the configured operation.
 
-        own_thread: False = nothing runs by itself; `poll` does one round (a simulated laboratory on its own clock)
+        own_thread: False = no thread; `poll` does one round (a simulated laboratory on its own clock)
         """
         if self.is_open:
             raise DeviceError("a device that is closed", "one that is open", "close() first", self.name)
@@ -270,7 +270,7 @@ class Device(ABC, Generic[MeasurementT]):
             raise Stale(f"a reading of the last {max_age_s:g} s", self._silence(), where=self.name)
         if self._stuck():
             same_s = (self._clock() - self._same_since_ns) / 1e9
-            raise Stale("readings that change", f"the same one for {same_s:.3g} s", "look at the sensor", self.name)
+            raise Stale("readings that change", f"the same reading for {same_s:.3g} s", "check the sensor", self.name)
         return last
 
     def poll(self, timeout_s: float = 0.0) -> list[MeasurementT]:
@@ -297,7 +297,7 @@ class Device(ABC, Generic[MeasurementT]):
         return self._subscribe(self._chunks, capacity)
 
     def events(self, capacity: int = QUEUE_EVENTS) -> Subscription[LinkEvent]:
-        """A queue of what happens to the link from now on: where the gaps in the readings are."""
+        """A queue of the link's events from now on: the places of gaps in the readings."""
         return self._subscribe(self._events, capacity)
 
     def health(self) -> Health:
@@ -332,13 +332,13 @@ class Device(ABC, Generic[MeasurementT]):
         return Identity()
 
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know of the device as it is connected, though it works; each in words."""
+        """Remarks for a user on the connected device, though it works; each as text."""
         return ()
 
     # For subclasses --------------------------------------------------------------------------------------------------
 
     def _do(self, action: Callable[[], ResultT], timeout_s: float) -> ResultT:
-        """Have the device's thread do something between two rounds, and return what it returns."""
+        """Have the device's thread call a function between two rounds, and return its result."""
         self._require_open()
         if threading.current_thread() is self._thread:
             return action()
@@ -373,7 +373,8 @@ class Device(ABC, Generic[MeasurementT]):
             self._changed.notify_all()
 
     def _wanted(self) -> bool:
-        """Whether someone waits for a reading and nobody would lose one, for a device that can wait for its readers."""
+        """Whether a caller waits for a reading and no reader would lose one, for a device that can wait for its
+        readers."""
         with self._changed:
             if not self._own_thread:
                 return True
@@ -382,8 +383,8 @@ class Device(ABC, Generic[MeasurementT]):
             )
 
     def _expect(self, rate_hz: float | None) -> None:
-        """What should come from now on, so that silence is counted. rate_hz: as the device was set, 0 = not known (as
-        for a device that never says); None = no readings by themselves: it was stopped, or gives them when asked"""
+        """What should come from now on, so that silence is counted. rate_hz: as the device was set, 0 = unknown (as for
+        a device that never reports it); None = no readings without request: it was stopped, or gives them on request"""
         with self._changed:
             self._tally.continuity.expect(self._clock(), rate_hz)
 
@@ -563,8 +564,8 @@ def _put_back(reading: MeasurementT, late_ns: int) -> MeasurementT:
 class StreamDevice(Device[MeasurementT]):
     """A device that speaks in bytes over a transport.
 
-    A subclass gives `_start` (what is said after opening), `_make_decoder`, and `_measure` (an event of the decoder
-    that is no measurement gives none). `_ask` sends a command and waits for its reply.
+    A subclass gives `_start` (its first commands), `_make_decoder`, and `_measure` (an event of the decoder that is no
+    measurement gives none). `_ask` sends a command and waits for its reply.
     silence_s: a device that should send and sent nothing for this long is lost (a bus does not show it); None = it may
     """
 
@@ -598,7 +599,7 @@ class StreamDevice(Device[MeasurementT]):
         """The readings in one event of the decoder (most often one, or none for a reply)."""
 
     def _stop(self) -> None:
-        """Say what the device should hear before the link is closed; errors are ignored."""
+        """Send the device's last commands before the link is closed; errors are ignored."""
 
     def _connect(self) -> None:
         self._transport.open()
@@ -677,4 +678,4 @@ class StreamDevice(Device[MeasurementT]):
                 if self._closing.is_set():
                     break
         waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
-        raise NoReply(f"{what} within {waited}", "none", "look at power, cable and baud rate", self.name)
+        raise NoReply(f"{what} within {waited}", "none", "check power, cable and baud rate", self.name)

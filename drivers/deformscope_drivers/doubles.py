@@ -21,19 +21,19 @@ class Double(Protocol):
         """Take bytes that the host sent, in pieces of any size."""
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the device by now and was not handed out before."""
+        """Bytes that have left the device by now and were not handed out before."""
 
     def next_ns(self, now_ns: int) -> int | None:
         """When `due` has something next, without any bytes from the host; None = only bytes from the host matter."""
 
     def power_up(self, now_ns: int) -> None:
-        """Start as after switching on: settings that are not kept are gone, and nothing is left to send."""
+        """Start as after power-on: settings that are not stored are lost, and nothing is left to send."""
 
 
 class Line:
     """A transmitter that sends whole messages, one after the other, at a line's rate.
 
-    bytes_per_s: 11 520 for 115 200 baud 8N1; None = at once (USB and TCP, beside 1 kHz of 16 bytes)
+    bytes_per_s: 11 520 for 115 200 baud 8N1; None = unlimited (USB and TCP, for 1 kHz of 16 bytes)
     """
 
     def __init__(self, bytes_per_s: float | None = None) -> None:

@@ -1,4 +1,5 @@
-"""What can go wrong with a device. Each message says what was expected, what came, what to try; the port comes last.
+"""What can go wrong with a device. Each message has the expectation, the actual value, and what to try; the port comes
+last.
 
 DeviceError
  +- NotConnected       it is not there, or cannot be opened
@@ -7,9 +8,9 @@ DeviceError
  +- NoReply            it is there, and did not answer in time
  +- ProtocolViolation  it answered what its protocol does not allow
  +- CommandRefused     it answered with an error code
- +- SettingsRefused    it runs with other settings than those asked for
+ +- SettingsRefused it runs with other settings than the requested ones
  +- OutOfLimits        a command that would leave the limits; nothing was sent
- +- Stale              there is no reading as fresh as was asked for
+ +- Stale there is no reading of the requested age
  +- LibraryMissing     software of the vendor's, or an optional package, is not installed
 """
 
@@ -75,7 +76,7 @@ class CommandRefused(DeviceError):
 
 
 class SettingsRefused(DeviceError):
-    """The device runs with other settings than those asked for."""
+    """The device runs with other settings than the requested ones."""
 
 
 class OutOfLimits(DeviceError):
@@ -83,7 +84,7 @@ class OutOfLimits(DeviceError):
 
 
 class Stale(DeviceError):
-    """There is no reading as fresh as was asked for."""
+    """There is no reading of the requested age."""
 
 
 class LibraryMissing(DeviceError):

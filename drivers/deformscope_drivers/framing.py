@@ -22,7 +22,7 @@ class Skipped:
 
     count: how many, 1 or more
     reason: `noise` where nothing looked like a frame; else why the frame that seemed to start there was refused
-    ("checksum", "length"...). However the bytes were cut into pieces, there is one event with a reason other than
+    ("checksum", "length"...). For any division of the bytes into pieces, there is one event with a reason other than
     `noise` for every refused frame, and the counts of all events sum up to the refused bytes.
     """
 
@@ -32,7 +32,7 @@ class Skipped:
 
 @dataclass(frozen=True, slots=True)
 class GoodFrame(Generic[EventT]):
-    """A good frame: what it says, and its length in bytes."""
+    """A good frame: its content, and its length in bytes."""
 
     event: EventT
     length: int
@@ -48,8 +48,8 @@ class Refused:
 class FrameDecoder(ABC, Generic[EventT]):
     """Feed any slice of a stream; get every whole frame in it, and the bytes that fit none.
 
-    After a frame that is refused the search goes on one byte behind its start, so that a good frame that lies within
-    a bad one is found. What is kept between calls is shorter than the longest frame.
+    After a refused frame the search continues one byte behind its start, so that a good frame within a bad one is
+    found. The buffer between calls is shorter than the longest frame.
     """
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class FrameDecoder(ABC, Generic[EventT]):
 
     @property
     def pending(self) -> int:
-        """How many bytes are kept until the rest of their frame comes."""
+        """Number of buffered bytes of an incomplete frame."""
         return len(self._kept)
 
     def feed(self, data: bytes) -> Iterator[EventT | Skipped]:
@@ -75,8 +75,8 @@ class FrameDecoder(ABC, Generic[EventT]):
 
     @abstractmethod
     def _find(self, buffer: bytes, start: int) -> int:
-        """The first place at or behind `start` where a frame may start, perhaps cut off by the end of the buffer; the
-        buffer's length where there is none."""
+        """The first place at or behind `start` where a frame may start, perhaps truncated by the end of the buffer; the
+        buffer's length if there is none."""
 
     @abstractmethod
     def _parse(self, buffer: bytes, start: int) -> GoodFrame[EventT] | Refused | None:
@@ -105,7 +105,7 @@ class FrameDecoder(ABC, Generic[EventT]):
 
 
 def find_start(buffer: bytes, start: int, header: bytes) -> int:
-    """Where `header`, or as much of it as the buffer's end has room for, first stands at or behind `start`."""
+    """First position of `header`, or as much of it as fits before the buffer's end, at or behind `start`."""
     found = buffer.find(header, start)
     if found >= 0:
         return found

@@ -1,4 +1,4 @@
-"""The health of a device: what came, what was lost and why, how often, how old."""
+"""The health of a device: its readings, its losses with reasons, its rate and age."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LinkEvent:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """One look at a device.
+    """The health of a device at one time.
 
     link: the state of the connection; reason: why it is so, in words
     received: readings since it was opened
@@ -47,13 +47,13 @@ class Health:
     resyncs: stretches of skipped bytes; reconnects: links made again
     rate_hz: readings a second lately, 0 where none; age_s: since the last reading, None before the first
     stuck: the same reading came again and again, as from a sensor that has died behind a link that lives
-    clock: how the device's clock runs beside the host's, None where it has none
+    clock: relation of the device's clock to the host's, None without one
     extra: what only this kind of device counts
-    lost_by_time: how many of the lost ones are counted at the device's rate, for the time of a lost link or of silence,
-    where its counter does not show it; silent_s: how long that was [s]
+    lost_by_time: how many of the lost ones are estimated from the device's rate and the time of a lost link or of
+    silence, where its counter does not show them; silent_s: how long that was [s]
     jitter_s: standard deviation of the time from one reading to the next, lately, as the host stamps them [s]
-    alarms: what its readings themselves show, each in words that begin with `stuck` or `saturated`; filled in by who
-    looks at the readings
+    alarms: of its readings, each as text that begins with `stuck` or `saturated`; set by the code that checks the
+    readings
     """
 
     link: Link
@@ -78,7 +78,7 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """What a device says of itself once it is connected; empty where it says nothing."""
+    """Identity that a connected device reports; empty fields if it reports none."""
 
     model: str = ""
     serial: str = ""

@@ -1,10 +1,10 @@
 """A driver in a process of its own: how it is started, what is sent both ways, and how it ends.
 
 `HostedProcess` is the end of the program that uses the device. It starts `python -m deformscope_drivers.hosted FD` and
-gives it one end of a socket pair and, as the first message, a function of the driver's package with its settings. The
+gives it one end of a socket pair. The first message is a function of the driver's package with its settings. The
 function runs there with a `Channel`, the other end, as its first argument. Messages are pickled tuples that begin with
-their kind: `("opened", report)` when the device is open, `("failed", error)` for a DeviceError that ends the process,
-and what else the driver and the device that uses it agree on.
+their kind: `("opened", report)` when the device is open, and `("failed", error)` for a DeviceError that ends the
+process. Drivers and their devices may add others.
 
 When the program ends, whatever ended it, the socket closes: the function sees that in `Channel.poll` and
 `Channel.receive`, and ends. When the process ends, hangs or crashes, the program gets `ProcessEnded`, or kills it after
@@ -38,8 +38,8 @@ class ProcessEnded(LinkLost):
 class HostedProcess:
     """The program's end of a process that hosts a driver. Messages may be sent from any thread.
 
-    expected, where: for the words of the error that says that the process has ended; status_s: for so long its exit
-    status is waited for then [s], None = not at all, where no time may be lost
+    expected, where: for the words of the error that says that the process has ended; status_s: time to wait for its
+    exit status then [s], None = not at all, for urgent calls
     """
 
     def __init__(self, expected: str, where: str, status_s: float | None) -> None:
@@ -135,8 +135,8 @@ class Channel:
         self._connection, self._sending = connection, threading.Lock()
 
     def send(self, *message: object) -> None:
-        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that has no
-        name there arrives in the words of this one, as a DeviceError: it must not end what moves an arm."""
+        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that is
+        unknown there arrives with its text, as a DeviceError: it must not end the process that moves an arm."""
         with self._sending, contextlib.suppress(OSError):
             try:
                 self._connection.send(message)
@@ -162,7 +162,7 @@ def hosted_command(descriptor: str) -> list[str]:
 
 
 def hosted_environment() -> dict[str, str]:
-    """The process finds packages where this one does, and looks for no others (-S)."""
+    """The process finds packages where this one does, and nowhere else (-S)."""
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 

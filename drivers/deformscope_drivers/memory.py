@@ -8,7 +8,7 @@ from deformscope_drivers.transport import Transport
 
 
 class SimulatedClock:
-    """A clock that goes on by command: `clock()` is its present moment [ns]."""
+    """A clock that advances by command: `clock()` is its present moment [ns]."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns

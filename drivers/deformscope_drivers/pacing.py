@@ -11,7 +11,7 @@ from deformscope_drivers.memory import SimulatedClock
 class Pacer:
     """For devices that make their readings themselves, at a rate.
 
-    clock: the device's; a simulated one goes on as far as it is waited for
+    clock: the device's; a simulated one advances during the wait
     """
 
     def __init__(self, clock: Clock) -> None:

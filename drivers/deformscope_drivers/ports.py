@@ -77,7 +77,7 @@ def find_can(network: Path = NETWORK) -> list[FoundDevice]:
 
 
 def _stable_name(device: Path, folders: Iterable[str] = ("/dev/serial/by-id",)) -> str:
-    """A name that stays when ports are numbered anew, where the system keeps one."""
+    """A name that is stable when ports are renumbered, if the system has one."""
     for folder in folders:
         links = Path(folder)
         for link in sorted(links.iterdir()) if links.is_dir() else []:

@@ -7,13 +7,13 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 STEERING, READING, SENDING = 10, 11, 12
-"""Of who moves an arm or a hand, of who hears its devices, and of a simulated device, which shares the machine with
-them; of 1 to 99, below the system's own (interrupts have 50). Chosen."""
+"""Priorities of threads that move an arm or a hand, that read its devices, and of a simulated device, which shares the
+machine with them; of 1 to 99, below the system's own (interrupts have 50). Chosen."""
 
 
 def be_prompt(priority: int) -> bool:
-    """Have the calling thread run as soon as it has something to do, whatever else the machine computes (SCHED_RR);
-    whether the system allows this user to. Elsewhere the thread stays as it is. What it begins is ordinary, at nice 0.
+    """Have the calling thread run as soon as it is ready, under any load of the machine (SCHED_RR). Returns whether the
+    system allows this user to. Elsewhere the thread is unchanged. Its child processes are ordinary, at nice 0.
 
     It should mostly wait. Another thread of the same program that holds Python's lock still holds it up.
     """

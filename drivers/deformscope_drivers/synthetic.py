@@ -18,7 +18,7 @@ from deformscope_drivers.images import QUEUE_IMAGES
 from deformscope_drivers.pacing import Pacer
 
 BUFFERS = 4
-"""Pictures that wait in the camera's driver while nobody fetches them, as with V4L2; older ones are lost."""
+"""Pictures that wait in the camera's driver without a reader, as with V4L2; older ones are lost."""
 PUSHED = 64
 """Views that wait to be taken; more than are taken in time are lost."""
 
@@ -41,11 +41,11 @@ class SyntheticConfig:
 
 
 class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
-    """A camera on a program's scene: `scene(time_s)` is asked at `rate_hz`, or views come through `push`.
+    """A camera on a program's scene: `scene(time_s)` is called at `rate_hz`, or views come through `push`.
 
-    scene: what there is to see at a time since opening [s]; None = only what is pushed
-    A picture's device_ticks are the camera's own time since opening [us]. Everything that is random comes from `seed`.
-    It runs in real time with a thread of its own, or on a simulated clock with open(own_thread=False) and poll().
+    scene: the visible scene at a time since opening [s]; None = only pushed pictures A picture's device_ticks are the
+    camera's own time since opening [us]. Everything that is random comes from `seed`. It runs in real time with a
+    thread of its own, or on a simulated clock with open(own_thread=False) and poll().
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES

@@ -1,8 +1,8 @@
 """Transports to a device: serial ports, sockets and CAN buses.
 
 A transport carries bytes. It decodes nothing; it says at once when the link is gone.
-Ports and buses are named by rig files, which come from anywhere: pyserial and python-can know more kinds than are
-accepted here, some of which write files (`spy://`) or load classes (`alt://`).
+Rig files, which may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted
+here, some of which write files (`spy://`) or load classes (`alt://`).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Transport(ABC):
 
     @abstractmethod
     def read(self, timeout_s: float) -> bytes:
-        """What has come, at once when there is something; empty after the time, or when woken. Raises LinkLost."""
+        """Received bytes, immediately if there are any; empty after the time, or when woken. Raises LinkLost."""
 
     @abstractmethod
     def write(self, data: bytes) -> None:
@@ -71,7 +71,7 @@ class Transport(ABC):
         """End a `read` that waits, where the transport can."""
 
     def drain(self, first_s: float, quiet_s: float, limit_bytes: int = 1 << 20) -> bytes:
-        """Read what comes: wait `first_s` for the first byte, then go on until nothing came for `quiet_s`, or until
+        """Read incoming bytes: wait `first_s` for the first one, then continue until none came for `quiet_s`, or until
         that many bytes have come."""
         found = self.read(first_s)
         while found and len(found) < limit_bytes and (more := self.read(quiet_s)):
@@ -179,7 +179,7 @@ class SerialTransport(Transport):
         try:
             return action(*arguments)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkLost("a port that works", _format_error(error), "look at the cable", self.name) from error
+            raise LinkLost("a port that works", _format_error(error), "check the cable", self.name) from error
 
 
 class CanTransport(Transport):
@@ -236,7 +236,7 @@ class CanTransport(Transport):
         try:
             return action(*arguments)
         except (can.CanError, OSError, ValueError) as error:
-            advice = "look at cable, termination and bit rate"
+            advice = "check cable, termination and bit rate"
             raise LinkLost("a bus that works", _format_error(error), advice, self.name) from error
 
 
@@ -311,7 +311,7 @@ def _not_opened(error: Exception, port: str) -> DeviceError:
     if number == errno.EACCES:
         return NotConnected("a port that may be opened", "permission denied", "sudo usermod -aG dialout $USER", port)
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "No such file" in text:
-        return NotConnected("a port that is there", "none", "look at the cable; deformscope devices", port)
+        return NotConnected("a port that is there", "none", "check the cable; deformscope devices", port)
     return NotConnected("a port that can be opened", text, "deformscope devices", port)
 
 

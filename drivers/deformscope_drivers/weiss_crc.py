@@ -1,7 +1,7 @@
 """The checksum of the SDH's tactile controller (Weiss DSACON32m) and of the hand's binary protocol on RS-232.
 
 No named standard: the table is that of CRC-16/CCITT (polynomial 0x1021, most significant bit first), and the update
-shifts the other way, as reflected CRCs do. Over the ASCII digits "123456789" it gives 0x6EB4, where CRC-16/CCITT-FALSE
+shifts the other way, as in reflected CRCs. Over the ASCII digits "123456789" it gives 0x6EB4, where CRC-16/CCITT-FALSE
 gives 0x29B1 and CRC-16/MCRF4XX 0x6F91; a CRC library does not have it. It is no true cyclic code: every flipped bit
 changes it, and some pairs of flipped bits do not. Source: ipab-slmc/SDHLibrary-CPP, sdh/crc.h (facts, not code).
 """
@@ -31,7 +31,7 @@ _PAIR_TABLE = tuple((low >> 8) ^ _TABLE[high ^ (low & 0xFF)] for high in range(2
 
 
 def crc16(data: bytes, crc: int = START) -> int:
-    """The checksum of `data`; `crc` is that of what came before it, to go on from. Sent low byte first."""
+    """The checksum of `data`; `crc` is that of the bytes before it, to continue from. Sent low byte first."""
     for pair in struct.unpack_from(f"<{len(data) // 2}H", data):
         crc = _PAIR_TABLE[crc ^ pair]
     if len(data) % 2:

@@ -27,7 +27,7 @@ class Wire(ABC):
     """`with PtyWire(OptoforceDouble()) as wire: Optoforce(port=wire.port)`.
 
     port: what a device's configuration names to come to the other end
-    lost_bytes: what the double sent while nobody took it off the wire
+    lost_bytes: bytes that the double sent without a reader on the wire
     """
 
     port: str
@@ -102,9 +102,9 @@ class Wire(ABC):
 class PtyWire(Wire):
     """A pseudo terminal; `port` stays the same when the cable is pulled out and put back.
 
-    The port is a descriptor of this process under /proc, which other processes of the same user can open: the kernel
-    takes it away with the process, however that ends, while a link in a folder would stay behind.
-    It has no baud rate: a double that should be slow paces itself (`doubles.Line`).
+    The port is a descriptor of this process under /proc, which other processes of the same user can open. The kernel
+    removes it with the process in any case, while a link in a folder would remain. It has no baud rate: a double that
+    should be slow paces itself (`doubles.Line`).
     """
 
     def __init__(self, double: Double) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 Case = Literal["told", "untold", "untold-random", "copies"]
-"""Groups told; not told; not told, and labels that have nothing to do with the features; every trial copied with noise
-of 1e-6 into another group, groups told."""
+"""Groups given; not given; not given, and labels independent of the features; every trial copied with noise of 1e-6
+into another group, groups given."""
 CASES: tuple[Case, ...] = ("told", "untold", "untold-random", "copies")
 CLASSES, CONTAINERS, EACH, COLUMNS = 4, 6, 5, 5
 """Contents, containers of each, trials of each of these, features."""

@@ -29,10 +29,10 @@ Motion = Literal["stretch", "press", "shear"]
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """tool: how all that moved is off, by `tool_size` [m]: along the push, in any direction, turned by so much at its
-    ends, or in proportion to the place along it
+    """tool: displacement of all moved particles, by `tool_size` [m]: along the push, in any direction, turned by this
+    at its ends, or in proportion to the place along it
     camera: what is wrong with all deformed positions: scale off by a share `camera_size`, of both axes or one; drift,
-    largest at one end [m]; lens: radial, or a wave as long as the body, at most so much [m]
+    largest at one end [m]; lens: radial, or a wave as long as the body, at most this [m]
     cells: over how many spacings neighbours share noise, 0 for none; smooth: nu of the Matern kernel, inf for Gaussian
     held: whether held positions have noise too; told: whether that is stated
     """
@@ -138,7 +138,7 @@ def field(rng: np.random.Generator, rest: Floats, cells: float, smooth: float) -
 
 
 def _tool(rng: np.random.Generator, errors: Errors, rest: Floats, push: Floats) -> Floats:
-    """(n, d) by how much what is said of the tool's particles is off."""
+    """(n, d) error of the given positions of the tool's particles."""
     dim, sign = rest.shape[1], rng.choice([-1.0, 1.0])
     way = sign * push / np.linalg.norm(push)
     drawn = rng.standard_normal(dim)

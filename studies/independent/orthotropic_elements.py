@@ -1,5 +1,6 @@
-"""Plates in plane stress whose material may be stiffer along a direction, and whose stiffness may differ from place to
-place, clamped at both ends and stretched or sheared: bilinear elements on a mesh of its own, and errors of its own.
+"""Plates in plane stress, clamped at both ends and stretched or sheared. Their material may be stiffer along a
+direction, and their stiffness may differ from place to place: bilinear elements on their own mesh, and their own
+errors.
 """
 
 from __future__ import annotations
@@ -123,8 +124,8 @@ def plate_noise(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
 
 
 def camera_error(rest: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """(K, 2) [m] that a camera is off by between the two states: a scale along each axis and a slant, up to a mm at the
-    ends, and a lens's change, up to a third of one."""
+    """(K, 2) [m] error of a camera between the two states: a scale along each axis and a slant, up to a mm at the ends,
+    and a lens's change, up to a third of one."""
     x = (rest - rest.mean(axis=0)) / np.ptp(rest, axis=0).max() * 2.0
     linear = rng.uniform(-1e-3, 1e-3, (2, 2))
     return np.asarray(x @ linear + (x**2).sum(axis=1, keepdims=True) * x * rng.uniform(-3e-4, 3e-4))

@@ -32,8 +32,8 @@ def stiffness(ratio: float, nu: float, shear: float | None = None, *, strain: bo
 
 
 def deform(shape: tuple[int, int], spacing: float, material: Floats, held: Ints, moved: Floats) -> Floats:
-    """(K, 2) displacements of the particles of a full lattice (last axis fastest), one element a cell, while held
-    ones (n,) are displaced by (n, 2), and the nodes between neighbours that are held on a straight line with them."""
+    """(K, 2) displacements of the particles of a full lattice (last axis fastest), one element per cell. Held ones (n,)
+    are displaced by (n, 2), and the nodes between neighbouring held ones lie on a straight line with them."""
     nx, ny = 2 * shape[0] - 1, 2 * shape[1] - 1
     number = np.arange(nx * ny).reshape(nx, ny)
     particle = number[::2, ::2].ravel()

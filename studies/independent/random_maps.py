@@ -1,7 +1,7 @@
-"""Surfaces of one to five materials, or of a gradual change, and what contacts on them feel.
+"""Surfaces of one to five materials, or of a gradual change, and the stiffness of contacts on them.
 
-Borders are straight or wavy stripes, Voronoi cells, crossed lines or patches of any smooth outline. A contact feels the
-mean stiffness over a disc; foam scatters as a sum of random waves.
+Borders are straight or wavy stripes, Voronoi cells, crossed lines or patches of any smooth outline. A contact averages
+stiffness over a disc; foam scatters as a sum of random waves.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LEAST_SHARE = 0.08
 LEVEL_N_PER_MM, LEAST_FACTOR = (0.25, 2.5), 1.25
 """Stiffness of materials, even in its logarithm; the least ratio of two."""
 CONTACT_M = (0.010, 0.016)
-"""Radius of the disc that a contact feels."""
+"""Radius of a contact's disc."""
 SCATTER, SCATTER_LENGTH_M = (0.02, 0.06), (0.03, 0.08)
 WAVES = 60
 RINGS = ((0.0, 1), (0.5, 6), (0.9, 12))
@@ -31,7 +31,8 @@ Labels = Callable[[FloatArray], IntArray]
 @dataclass(frozen=True, slots=True)
 class RandomSurface:
     """count: of materials, 0 where stiffness changes gradually; labels: (n,) of places (n, 2) [m]; level: (count,) log
-    stiffness [N/mm]; log_stiffness: (n,) of places, without scatter; scatter: (n,) of places; contact_m: felt"""
+    stiffness [N/mm]; log_stiffness: (n,) of places, without scatter; scatter: (n,) of places; contact_m: radius of a
+    contact's disc"""
 
     count: int
     kind: str
@@ -43,7 +44,7 @@ class RandomSurface:
     scatter_sd: float
 
     def felt(self, xy_m: FloatArray) -> FloatArray:
-        """(n,) log stiffness that contacts at places (n, 2) feel: forces add over a disc."""
+        """(n,) log stiffness of contacts at places (n, 2): forces add over a disc."""
         total, number = np.zeros(len(xy_m)), 0
         for share, around in RINGS:
             for angle in 2.0 * np.pi * np.arange(around) / around:
@@ -54,7 +55,7 @@ class RandomSurface:
 
 
 def random_surface(count: int, seed: int) -> RandomSurface:
-    """A surface of so many materials, 0 = a gradual change."""
+    """A surface with a number of materials, 0 = a gradual change."""
     rng = np.random.default_rng([seed, count, 0x3A9])
     labels, kind = _random_labels(rng, count) if count else (_nowhere, "gradual")
     level = _random_levels(rng, max(count, 1))

@@ -75,7 +75,8 @@ def stretched_mean_s(time_s: float, order: float) -> float:
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """time_s, place_m, force_n: (n,) as recorded, along the normal; loading: samples up to the set force
-    at_once_n_per_mm: force over depth at SET_N without memory; relaxed_n_per_mm: of `left`, what is left of the modulus
+    at_once_n_per_mm: force over depth at SET_N without memory; relaxed_n_per_mm: of `left`, the remaining share of the
+    modulus
     kept: (T,) share of the force at the end of the approach that is left `kept_s` (T,) after it, held in place"""
 
     time_s: FloatArray
@@ -166,6 +167,6 @@ def _step_means(modulus: Modulus, steps: int) -> FloatArray:
 
 
 def _relaxed(modulus: Modulus, growth: FloatArray, gone_s: float) -> float:
-    """The force so long after the last of these steps, held in place."""
+    """The force at a time after the last of these steps, held in place."""
     since = gone_s + (np.arange(len(growth), 0, -1) - 0.5) * STEP_S
     return float(np.dot(growth, modulus(since)))

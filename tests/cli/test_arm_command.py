@@ -142,7 +142,7 @@ def test_a_jog_that_is_stopped_is_recorded_whole(
 
     keys = interrupted()
     assert main(command) == 128 + signal.SIGINT
-    assert f"the recording is whole: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err
+    assert f"the recording is complete: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err
     assert main(["verify", str(tmp_path / "jog.rrd")]) in (0, EXIT_LOSSES)
     assert "ended a person asked: Ctrl-C" in capsys.readouterr().out
 

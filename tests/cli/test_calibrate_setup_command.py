@@ -188,7 +188,7 @@ def test_without_a_terminal_nobody_is_asked(rig: Path, capsys: pytest.CaptureFix
     rig.write_text(RIG.replace('driver = "jaco"', 'driver = "jaco"\ndouble = true'))
 
     assert main(["calibrate", "tip", str(rig)]) == 2
-    assert "no terminal to ask at" in capsys.readouterr().err
+    assert "no terminal for questions" in capsys.readouterr().err
 
 
 def test_the_first_day_in_its_order() -> None:

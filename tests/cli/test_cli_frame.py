@@ -336,7 +336,7 @@ def test_an_input_error_is_status_2(command: Callable[..., list[str]], capsys: p
 
 def test_an_unexpected_error_is_named(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
     status, told = fail(ZeroDivisionError("a\nb"), command, capsys)
-    assert (status, told) == (1, "unexpected ZeroDivisionError: a b | set DEFORMSCOPE_TRACEBACK=1 to see where")
+    assert (status, told) == (1, "unexpected ZeroDivisionError: a b | set DEFORMSCOPE_TRACEBACK=1 for the traceback")
     status, told = fail(RuntimeError("x" * 9999), command, capsys)
     assert (status, len(told) < 700) == (1, True)
 
@@ -378,7 +378,7 @@ def test_a_missing_package_and_a_refusing_system(
 ) -> None:
     assert "expected the Python package rerun" in fail(ModuleNotFoundError("no", name="rerun"), command, capsys)[1]
     error = OSError(28, "No space left on device", "/data/run.npz")
-    assert fail(error, command, capsys) == (1, "the system refused: No space left on device | /data/run.npz")
+    assert fail(error, command, capsys) == (2, "the system refused: No space left on device | /data/run.npz")
     assert "enough memory" in fail(MemoryError(), command, capsys)[1]
 
 
@@ -438,10 +438,10 @@ def nothing(_: config.FlowConfig) -> None:
 @pytest.mark.parametrize(
     ("flags", "says"),
     [
-        (["--out", "nowhere/f.npz"], "expected a folder to hold the file of --out; got none | try: mkdir -p "),
+        (["--out", "nowhere/f.npz"], "expected a folder for the file of --out; got none | try: mkdir -p "),
         (["--out", "taken.npz/f.npz"], "got something else"),
         (["--out", "folder.npz"], "expected a file after --out; got a folder | folder.npz"),
-        (["--out", "f.npz", "--json", "nowhere/f.json"], "expected a folder to hold the file of --json"),
+        (["--out", "f.npz", "--json", "nowhere/f.json"], "expected a folder for the file of --json"),
         (["--out", "f.npz", "--json", "./f.npz"], "expected different files after --out and --json"),
         (["--out", "f.npz", "--picture", "a.png"], "expected a file after --picture that is no input"),
     ],
@@ -461,7 +461,7 @@ def test_a_folder_that_refuses_is_found(monkeypatch: pytest.MonkeyPatch, tmp_pat
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(InputError, match="--json that can be written; got Permission denied"):
+    with pytest.raises(InputError, match="a writable file after --json; got Permission denied"):
         common.check_writable(tmp_path / "x.json", "--json")
 
 

@@ -154,7 +154,7 @@ def test_doubles_of_the_example_run_for_others(
     assert [line for line in said.out.splitlines() if line.startswith("[")] == [
         f"[devices.{name}]" for name in ("tip", "pads", "hand")
     ]
-    assert "arm, camera, depth: doubled only within a command" in said.err
+    assert "arm, camera, depth: simulated only within a command" in said.err
 
 
 def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

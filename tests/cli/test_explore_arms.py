@@ -168,7 +168,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     assert found["fault"] is None
     assert found["max_force_n"] == 0.0
     assert found["arm_stands"]
-    assert "dry run: the first touch, 10 cm above (35, 15) cm, met nothing; the tip stayed 9." in said
+    assert "dry run: the first touch, 10 cm above (35, 15) cm, made no contact; the tip stayed 9." in said
     assert main(["verify", str(record)]) == 0, capsys.readouterr().err
 
 
@@ -176,7 +176,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     ("kind", "more", "words"),
     [
         ("kuka", ["--first", "0.9,0.1"], "--first on the surface: between 0,0 and 0.6,0.4 m"),
-        ("placed", ["--dry-run"], "an arm that moves by itself"),
+        ("placed", ["--dry-run"], "an arm that moves on commands"),
     ],
 )
 def test_what_makes_no_sense_is_refused(

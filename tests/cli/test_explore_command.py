@@ -94,7 +94,7 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
         True,
         explored.touches > 1,
     ]
-    assert "no further touch: all touches that were allowed are made" in explored.err
+    assert "no further touch: the allowed number of touches is reached" in explored.err
     assert found["seconds"]["session"] > 10.0
     if explored.touches == 2:
         assert 0.5 < found["truth"]["iou"] <= 1.0
@@ -242,7 +242,7 @@ class Terminal(io.StringIO):
     [
         pytest.param("force-silent@1", "force sensor silent", 0.05, "deformscope doctor RIG", marks=pytest.mark.slow),
         pytest.param("arm-cable@1", "link lost", 0.1, "THE ARM COULD NOT BE STOPPED", marks=pytest.mark.slow),
-        pytest.param("push@1", "force above the soft stop", 0.05, "it has backed away", marks=pytest.mark.slow),
+        pytest.param("push@1", "force above the soft stop", 0.05, "the tip has backed away", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_stops_it_and_the_recording_is_whole(
@@ -360,7 +360,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
 
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
     said = terminal.getvalue()
-    assert "Ctrl-C again to leave at once" in said
+    assert "Ctrl-C again to leave immediately" in said
     assert "the arm stands" in said
     assert "Traceback" not in said
     assert re.search(r"\r\x1b\[Ktouch 1: press \d\.\d N \d+\.\d mm", said)
@@ -427,7 +427,7 @@ def test_a_full_disk_halts_the_arm_first(
     last = shown.err.strip().splitlines()[-1]
     assert "MiB free on the disk" in last
     assert Phase.PRESS not in began
-    assert stopped == ["what watches it failed: RecordingError"]
+    assert stopped == ["its monitor failed: RecordingError"]
     assert re.search(r"^  touches +0, ", shown.out, re.MULTILINE)  # what is known, and that the arm is at rest
     assert re.search(r"^  arm +at rest$", shown.out, re.MULTILINE)
     assert list(tmp_path.glob("*.part.rrd"))

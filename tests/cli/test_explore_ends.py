@@ -430,5 +430,5 @@ def test_what_devices_lost_is_named_and_a_whole_recording_with_losses_ends_with_
     shown = capsys.readouterr()
     assert "lost" in shown.out
     assert "tip: 12 readings lost, 1 reconnects" in shown.out
-    assert ("the recording is whole, with losses: tip: 12 readings lost" in shown.err) == recorded
+    assert ("the recording is complete, with losses: tip: 12 readings lost" in shown.err) == recorded
     assert json.loads((tmp_path / "e.json").read_text())["losses"] == lost

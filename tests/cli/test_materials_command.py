@@ -113,7 +113,7 @@ def test_yield_says_where_nothing_yielded(tmp_path: Path, capsys: pytest.Capture
     assert main(["calibrate", "yield", str(path), "--beta", str(BETA)]) == 0
     shown = capsys.readouterr().out
     assert "yield strain               above 0." in shown
-    assert "unidentified: nothing that yielded is sure" in shown
+    assert "unidentified: no yield is identified" in shown
 
 
 def test_what_cannot_be_used_is_refused_in_a_line(

@@ -30,7 +30,7 @@ ONE = ["reproduce", "table41", "--workers", "1"]
         (["--planners", "luck"], "planners out of"),
         (["--seeds", "0"], "1 or more"),
         (["--workers", "0"], "1 or more"),
-        (["--closed-form", "--pace", "quick"], "which travels nowhere"),
+        (["--closed-form", "--pace", "quick"], "which has no travel"),
     ],
 )
 def test_what_cannot_be_explored_is_said_in_one_line(

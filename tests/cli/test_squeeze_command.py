@@ -322,5 +322,5 @@ def test_a_real_hand_waits_for_somebody_who_says_yes(
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
 
     assert squeeze(tmp_path, "--content", "rice")[0] == 2
-    assert "somebody who says yes" in capsys.readouterr().err
+    assert "a person who confirms" in capsys.readouterr().err
     assert LABS[-1].hand_double.motion.axes[0].position_deg == 60.0  # nothing has moved

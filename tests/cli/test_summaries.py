@@ -144,7 +144,7 @@ def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[st
     [
         ("--picture", "p.jpg", "ends in .png after --picture"),
         ("--report", "r.pdf", "ends in .html after --report"),
-        ("--report", "missing/r.html", "a folder to hold the file of --report"),
+        ("--report", "missing/r.html", "a folder for the file of --report"),
     ],
 )
 def test_what_cannot_be_written_is_refused_at_once(

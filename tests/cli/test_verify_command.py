@@ -76,7 +76,7 @@ def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: pytest.
     ledger_path(whole).unlink()
     status, found, said = verified(whole, capsys)
     assert (status, found["ok"], found["checked"], found["problems"]) == (3, None, False, [])
-    assert "it has no ledger: whether its bytes are as they were recorded is not known" in said
+    assert "it has no ledger: changed bytes cannot be detected" in said
 
 
 @pytest.mark.parametrize(("content", "came"), [(b"of another kind", "a file that is none"), (b"", "an empty file")])
@@ -96,7 +96,7 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     before = killed.read_bytes()
     status, found, said = verified(killed, capsys)
     assert (status, found["ok"], found["finished"], found["problems"]) == (2, False, False, [])
-    assert "one of a run cut short; everything until 1.1 s is there" in said
+    assert "one of an interrupted run; everything until 1.1 s is there" in said
     assert f"deformscope recover {killed}" in said
     assert "Verification failed" not in said
 
@@ -116,7 +116,7 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
 
     status, found, said = verified(out, capsys)
     assert (status, found["ok"], found["finished"]) == (3, True, True)
-    assert "recovered until 1.1 s: what came after is lost" in said
+    assert "recovered until 1.1 s: later data are lost" in said
 
 
 @pytest.mark.slow
@@ -156,7 +156,7 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
         recorder.write(InputFile("a", b"1"))
         refused = {
             text: "a file that is none",
-            noise: "of which something can be read",
+            noise: "with readable parts",
             whole: "a finished one",
             tmp_path / "now.part.rrd": "one that a run is writing",
             tmp_path / "none.rrd": "nothing there",

@@ -284,7 +284,7 @@ def test_a_place_without_a_way_is_left_out_before_it_is_tried(monkeypatch: pytes
         refused = len(tried) < 2
         tried.append((float(xy_m[0]), refused))
         if refused:
-            raise NotThere("a way that the arm can follow", "one out of the box", "another place")
+            raise NotThere("a path that the arm can follow", "one out of the box", "another place")
         return approach(self, xy_m, *others)  # type: ignore[arg-type]
 
     monkeypatch.setattr(AsMeasured, "approach", no_way_at_first)
@@ -492,7 +492,7 @@ def test_a_person_decides_and_a_replay_decides_the_same() -> None:
     results = [result for _, some in moments for result in some]
 
     assert person.refusals == [
-        "it is beside the surface, which has 60 by 40 cm",
+        "it is outside the surface, which has 60 by 40 cm",
         "it is within 2 cm of the surface's edge",
     ]
     assert [one.kind for one in results if isinstance(one, SteeringDecision)] == ["touch", "held", "veto", "touch"]
@@ -537,7 +537,7 @@ def test_what_the_camera_has_not_seen_is_not_touched() -> None:
     stages = ExplorationStages(UnseenSurface((0.6, 0.4), options, ArmCompliance()), AsMeasured((0.6, 0.4), grid_left))
     places = np.random.default_rng(0).uniform((0.0, 0.0), (0.4, 0.4), (2000, 2))
     stages.look(SurfaceMeasurement(np.column_stack([places, np.full(2000, 0.05)]), np.full(2000, 1e-3)))
-    for place, reason in (((0.5, 0.2), "not seen"), ((0.35, 0.2), "cannot be led there")):
+    for place, reason in (((0.5, 0.2), "not seen"), ((0.35, 0.2), "cannot reach it")):
         refused = stages.aim(np.array(place))
         assert reason in refused.refused
         assert refused.touch is None

@@ -107,7 +107,7 @@ def test_the_lump_is_found_and_it_stops_by_itself(first: tuple[BumpRobot, Explor
     (last,) = [one for one in results if isinstance(one, MapEstimate)][-1:]
     assert (last.region_count, last.labels.max()) == (2, 1)
     plans = [one for one in results if isinstance(one, PlannedTouch)]
-    assert any("shows best where a lump lies" in one.reason for one in plans)
+    assert any("locates an inclusion best" in one.reason for one in plans)
 
 
 def test_the_recorded_touches_give_the_same_to_the_last_bit(first: tuple[BumpRobot, Exploration, list[object]]) -> None:

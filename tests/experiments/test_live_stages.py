@@ -399,7 +399,7 @@ def test_a_pose_that_cannot_be_fitted_has_particles_and_a_reason() -> None:
     found: Any = compute(Stage("beta", LiveOptions(("beta",), color="camera", particles=particles)), (foam(), hidden))
 
     assert found.verdict == "unidentified"
-    assert "held particles of 'contact' that can be followed" in found.verdict_text
+    assert "held particles of 'contact' that can be tracked" in found.verdict_text
     assert math.isnan(found.value)
     assert 0 < found.seen.sum() < len(found.seen)
 
@@ -510,7 +510,7 @@ def test_a_force_without_an_arm_that_moves_is_refused() -> None:
     ]
     stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
 
-    with pytest.raises(InputError, match="an arm that moves into what it presses"):
+    with pytest.raises(InputError, match="an arm that moves into the surface"):
         compute(stage, stage.packed(still))
 
 
@@ -521,7 +521,7 @@ def test_a_force_across_the_way_of_the_arm_is_refused() -> None:
     ]
     stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
 
-    with pytest.raises(InputError, match=r"an arm that presses along its way; got -?0% of the force"):
+    with pytest.raises(InputError, match=r"an arm that presses along its direction of motion; got -?0% of the force"):
         compute(stage, stage.packed(aside))
 
 
@@ -555,7 +555,9 @@ def test_a_camera_that_is_not_calibrated_is_refused_and_the_bench_is() -> None:
 
 @pytest.mark.parametrize("name", ["tracking", "depth-change", "posterior"])
 def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
-    with pytest.raises(InputError, match=f"a squeeze for --stage {name}: .*; got a rig that is watched .*squeeze RIG"):
+    with pytest.raises(
+        InputError, match=f"a squeeze for --stage {name}: .*; got a rig that is recorded or shown .*squeeze RIG"
+    ):
         for_rig(LiveOptions((name,)), load_rig("lab:bench"))
 
 

@@ -304,7 +304,7 @@ def test_an_arm_that_drifts_slowly_ends_the_squeeze_before_the_hand_has_gone_far
     found = trial.go()
     assert found.stop is not None
     assert found.stop.kind == "arm that carries the hand"
-    assert "from where it placed the hand" in found.stop.reason
+    assert "from the hand's first pose" in found.stop.reason
     off_mm = float(found.stop.reason.split(" mm")[0])
     assert 5.0 <= off_mm <= 7.0
     assert "open" not in trial.phases
@@ -448,7 +448,7 @@ def test_fingers_that_are_pressed_do_not_set_out_and_the_words_are_of_a_hand() -
     assert found.stop is not None
     assert found.stop.kind == "checks before motion"
     assert "fingers: tare: 1.0" in found.stop.reason
-    assert found.stop.advice == "let nothing touch the fingers, and start again"
+    assert found.stop.advice == "keep the fingers free of contact, and start again"
 
 
 def test_an_arm_that_begins_at_the_container_says_so(good: PlacedTrial) -> None:

@@ -87,7 +87,7 @@ def test_the_loss_is_mapped_in_place_of_stiffness_where_the_way_back_says_it() -
 
     assert np.exp(quantity.sample(FELT, CREEP).log_stiffness) == pytest.approx(0.25)
     assert np.exp(quantity.sample(RIGID, None).log_stiffness) == pytest.approx(LEAST_LOSS)
-    with pytest.raises(InputError, match="force came back"):
+    with pytest.raises(InputError, match="force returned"):
         quantity.sample(FELT, dataclasses.replace(CREEP, loss=None))
     assert ApparentStiffness().sample(FELT, CREEP) is FELT
 

@@ -58,7 +58,7 @@ def test_views_turned_about_one_axis_alone_are_followed_by_more(monkeypatch: pyt
     assert len(views.seen) > VIEWS
     assert turned_about(views.T_base_ee) >= LEAST_SPREAD_RAD
     assert any("about its own y axis" in words or "about its own z axis" in words for words in asked)
-    assert any(words.strip().startswith("turned about one axis alone") for words in asked)
+    assert any(words.strip().startswith("turned about one axis only") for words in asked)
 
 
 def test_an_arm_that_is_never_turned_about_a_second_axis_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

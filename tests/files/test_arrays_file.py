@@ -46,7 +46,7 @@ def refusal(raw: bytes) -> str:
 def test_a_renamed_single_array_is_named() -> None:
     file = io.BytesIO()
     np.save(file, REST)
-    assert "one array by itself (.npy)" in refusal(file.getvalue())
+    assert "a single array (.npy)" in refusal(file.getvalue())
 
 
 def test_a_damaged_byte_in_the_compressed_arrays_is_refused() -> None:
@@ -130,7 +130,7 @@ def test_a_model_whose_text_is_nonsense_is_refused(told: str, tmp_path: Path) ->
     path = tmp_path / "m.npz"
     arrays = dict.fromkeys(("rest", "toward", "fixed", "places", "stiffness", "left_out", "rival_stiffness"), REST)
     path.write_bytes(npz(format=np.array("deformscope model 1"), told=np.array(told), **arrays))
-    with pytest.raises(InputError, match="a whole model file"):
+    with pytest.raises(InputError, match="a complete model file"):
         load_model(path)
 
 

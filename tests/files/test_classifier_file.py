@@ -126,8 +126,8 @@ def test_arrays_that_do_not_fit_together_are_refused(tmp_path: Path, model: Cont
         ("s0.1.weight", -good["s0.1.weight"]),
     ):
         assert name in good
-        assert "a whole classifier file" in refusal(path, good | {name: value}), name
-        assert "a whole classifier file" in refusal(path, {key: one for key, one in good.items() if key != name})
+        assert "a complete classifier file" in refusal(path, good | {name: value}), name
+        assert "a complete classifier file" in refusal(path, {key: one for key, one in good.items() if key != name})
     for change in (
         {"labels": ["a", "a", "b", "c"]},
         {"labels": ["a"]},
@@ -135,5 +135,7 @@ def test_arrays_that_do_not_fit_together_are_refused(tmp_path: Path, model: Cont
         {"step_s": 0},
         {"steps": 1},
     ):
-        assert "a whole classifier file" in refusal(path, good | {"told": np.array(json.dumps(told | change))}), change
-    assert "a whole classifier file" in refusal(path, good | {"told": np.array("{")})
+        assert "a complete classifier file" in refusal(path, good | {"told": np.array(json.dumps(told | change))}), (
+            change
+        )
+    assert "a complete classifier file" in refusal(path, good | {"told": np.array("{")})

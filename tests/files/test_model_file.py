@@ -95,5 +95,5 @@ def test_what_is_no_model_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="format 'deformscope model 1'"):
         load_model(tmp_path / "other.npz")
     np.savez(tmp_path / "less.npz", format=np.array("deformscope model 1"), told=np.array("{}"))
-    with pytest.raises(InputError, match="whole model file"):
+    with pytest.raises(InputError, match="complete model file"):
         load_model(tmp_path / "less.npz")

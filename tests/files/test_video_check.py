@@ -79,7 +79,7 @@ def test_a_cut_matroska_is_shorter_than_it_says(tmp_path: Path) -> None:
     path.write_bytes(whole[: round(0.6 * len(whole))])
     _, found = problems(path)
     assert len(found) == 1
-    assert found[0].startswith("it should last 1.33 s")
+    assert found[0].startswith("its stated duration is 1.33 s")
     # With sound beside it, the duration may be that of the sound.
     path.write_bytes(path.read_bytes().replace(b"\x86\x8fV_MPEG4/ISO/ASP", b"\x86\x8fA_MPEG4/ISO/ASP"))
     check = VideoCheck(path, COUNT, 30.0)
@@ -124,7 +124,7 @@ EVEN = [index / 30 for index in range(60)]
         (movie(shown=1200), 60, EVEN[:36], "lists 60 frames, 36"),
         (movie(shown=720), 60, EVEN[:36], ""),  # trimmed in a phone to 1.2 s
         (movie(fragments=True), 75, EVEN, ""),  # the count is an estimate
-        (movie(cut=True), 60, EVEN, "the file is cut off"),
+        (movie(cut=True), 60, EVEN, "the file is truncated"),
         (movie(), 60, list(np.cumsum([1 / 30, 1 / 15, 1 / 10] * 20)), ""),  # a rate that varies
         (movie(), 60, EVEN[:30] + [time_s + 0.5 for time_s in EVEN[30:]], ""),  # a pause that the container knows of
         (b"\x1a\x45\xdf\xa3", 90, list(np.cumsum([0.02, 0.05, 0.09] * 20)), ""),  # a screen, filmed as it changes

@@ -68,5 +68,5 @@ def test_what_makes_no_sense_is_refused() -> None:
     for shares, times_s in (((0.3,), ()), ((0.6, 0.5), (1.0, 1.0)), ((0.3,), (0.0,)), ((-0.1,), (1.0,))):
         with pytest.raises(InputError, match="shares above 0"):
             Relaxation(shares, times_s)
-    with pytest.raises(InputError, match="a share of a dent"):
+    with pytest.raises(InputError, match="a permanent share of a dent"):
         Relaxation(keeps=1.0)

@@ -210,7 +210,7 @@ def test_what_cannot_be_solved_is_refused() -> None:
         ElasticBox(axis, axis, axis, young=1e4, poisson=0.5)
     with pytest.raises(InputError, match="rising"):
         ElasticBox(axis, axis[::-1], axis, young=1e4, poisson=0.3)
-    with pytest.raises(InputError, match="one an element"):
+    with pytest.raises(InputError, match="one per element"):
         ElasticBox(axis, axis, axis, young=np.ones(3), poisson=0.3)
     with pytest.raises(InputError, match="points within"):
         box.sample(np.zeros(box.nodes.shape), np.array([[0.0, 0.0, 0.2]]))

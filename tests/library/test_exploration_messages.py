@@ -71,13 +71,13 @@ def test_every_number_has_its_meaning() -> None:
     rows = dict(found_with().rows())
     assert rows["verdict"] == "2 regions (probability 0.60, 3 regions 0.31)"
     assert rows["region 1"] == "0.5 N/mm (0.45 to 0.55) at 3 N; modulus about 50 kPa if linear"
-    assert rows["modulus"] == "no interval: foam that yields may have up to 2.8 times as much"
+    assert rows["modulus"] == "no interval: foam on its plateau may have up to 2.8 times as much"
     assert rows["region 2"] == "> 8.57 N/mm (a lower bound: hardly dented)"
     assert rows["truth"] == "3 regions; IoU of the map's with them 0.513, border 4.6 cm off"
-    assert rows["ended"] == "all touches that were allowed are made"
+    assert rows["ended"] == "the allowed number of touches is reached"
     assert rows["contact force"] == (
-        "set to 3 N (5 N where that dents less than 2 mm); "
-        "largest: measured 4.99 N, true 5.37 N (known in the simulation alone)"
+        "set to 3 N (5 N if the dent is below 2 mm); "
+        "largest: measured 4.99 N, true 5.37 N (available in simulation only)"
     )
     assert rows["safety checks"] == "every 10 ms; 99.9 % within 10 ms, all within 31 ms"
     assert rows["time"] == "42 s by the robot's clock, 26 s on this computer"
@@ -120,14 +120,14 @@ def test_the_thesiss_rule_has_no_probability_of_its_own() -> None:
     [
         ((0.0, 0.0), "thesis: swept", "0.00 in 2 touches, the end of its range: beta does not distinguish"),
         ((0.95, 0.95), "at-bound", "0.95 in 2 touches, the end of its range: beta does not distinguish"),
-        ((0.93, 0.95), "at-bound", "0.93 to 0.95 in 2 touches; in 2 its interval reaches the end of its range: linear"),
+        ((0.93, 0.95), "at-bound", "0.93 to 0.95 in 2 touches, as expected of linear foam, whose"),
         ((0.3, 0.7), "identified", "0.30 to 0.70 in 2 touches"),
     ],
 )
 def test_what_beta_says_follows_its_values(betas: tuple[float, ...], verdict: str, words: str) -> None:
     said = format_betas([dataclasses.replace(touch(0), beta=beta, beta_verdict=verdict) for beta in betas])
     assert said.startswith(words)
-    assert ("stiffness decides" in said) == (betas == (0.93, 0.95))
+    assert said.endswith("by stiffness (interval at the end of its range: 2 touches)") == (betas == (0.93, 0.95))
 
 
 def test_every_reason_of_a_plan_has_words() -> None:
@@ -145,8 +145,8 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "touch 1 of at most 12, at (15, 20) cm: because"
     assert said[2].startswith("touch 2 of at most 12, at (15, 20) cm: because; some ")
-    assert said[2].endswith(" s to go for all 12")
-    assert said[-1] == "no further touch: all touches that were allowed are made"
+    assert said[2].endswith(" s left for all 12")
+    assert said[-1] == "no further touch: the allowed number of touches is reached"
 
 
 def test_touches_stand_in_a_table_of_what_was_measured_of_any() -> None:

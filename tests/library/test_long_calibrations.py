@@ -85,12 +85,12 @@ def test_a_long_sequence_is_thinned_and_the_estimate_is_that_of_all_frames(
     words = caplog.text
     fine = ds.calibrate_beta(images, fine=True, **options)  # type: ignore[arg-type]
 
-    assert f"{KEPT} of {COUNT} frames are followed" in words
-    assert "--fine follows all of them" in words
+    assert f"{KEPT} of {COUNT} frames are tracked" in words
+    assert "--fine tracks all" in words
     assert (quick.estimate.settings["frames"], quick.estimate.settings["frames_of"]) == (KEPT, COUNT)
     assert fine.estimate.settings["frames"] == COUNT
     assert "frames_of" not in fine.estimate.settings
-    assert f"{COUNT} frames are followed, which takes about" in caplog.text.removeprefix(words)
+    assert f"{COUNT} frames are tracked, in about" in caplog.text.removeprefix(words)
     assert [(done, total) for what, done, total in seen if what == "frames"] == [
         *((done, KEPT) for done in range(1, KEPT + 1)),
         *((done, COUNT) for done in range(1, COUNT + 1)),
@@ -106,11 +106,11 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     caplog.set_level(logging.INFO)
     few = ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12)
     assert few.estimate.settings["frames"] == KEPT
-    assert "frames are followed" not in caplog.text
+    assert "frames are tracked" not in caplog.text
     monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)
     assert own.estimate.settings["frames"] == (COUNT + 1) // 2
-    assert f"{(COUNT + 1) // 2} frames are followed, which takes about" in caplog.text
+    assert f"{(COUNT + 1) // 2} frames are tracked, in about" in caplog.text
 
 
 def test_what_was_thinned_replays_to_the_same_numbers(
@@ -120,7 +120,7 @@ def test_what_was_thinned_replays_to_the_same_numbers(
     flags = ["--grid", "8x6", "--candidates", "12", "--viewer", "none"]
     assert main(["calibrate", "beta", str(folder), *flags, "--record", str(record)]) == 0
     said = capsys.readouterr()
-    assert f"{KEPT} of {COUNT} frames are followed" in said.out + said.err
+    assert f"{KEPT} of {COUNT} frames are tracked" in said.out + said.err
     assert main(["replay", str(record), "--viewer", "none"]) == 0
 
 
@@ -151,7 +151,7 @@ def test_a_coarser_lattice_says_so_counts_its_steps_to_one_end_and_replays(
     assert main(["calibrate", "beta", str(pair), *flags, "--record", str(record)]) == 0
     said = capsys.readouterr()
     assert "the fit takes about" in said.out + said.err
-    assert "--fine sets them 5 mm apart" in said.out + said.err
+    assert "--fine spaces them 5 mm apart" in said.out + said.err
     assert main(["replay", str(record), "--viewer", "none"]) == 0
     with np.load(pair) as arrays:
         found = ds.calibrate_beta(

@@ -211,7 +211,7 @@ def test_pictures_that_cannot_be_kept_are_said(tmp_path: Path) -> None:
         one.until(lambda fit: fit.aee is not None)
         one.fitting.handle(HoldPicture(0))
         shown = one.until(lambda fit: fit.problem)
-        assert "cannot be kept" in shown.problem
+        assert "cannot be stored" in shown.problem
         assert shown.following
     with pytest.raises(InputError, match="that are kept"):
         _ = one.fitting.result_config

@@ -215,7 +215,7 @@ def test_a_confirm_expires() -> None:
     moves = Moves()
     moves.now_s += CONFIRM_S
     moves.session.beat("a", visible=True)
-    assert moves.say("a", 1) == ("refused", "it was to be confirmed within 10 s: nothing moves")
+    assert moves.say("a", 1) == ("refused", "not confirmed within 10 s: nothing moves")
     assert moves.happened == ["not confirmed within 10 s: nothing moved"]
 
 
@@ -265,7 +265,7 @@ def test_nothing_else_moves_by_a_confirm() -> None:
     moves.session.command("b", TakeControls(1))
     assert moves.say("b", 3)[0] == "refused"
     assert moves.happened == [
-        "another move was asked for",
+        "another move was requested",
         "cancelled: nothing moved",
         "another page took the controls over",
     ]

@@ -197,7 +197,7 @@ def test_the_last_seconds_are_kept_by_a_button(rig: Path, tmp_path: Path) -> Non
     assert main(["verify", str(path)]) in WHOLE
     indices = [frame.index for frame in frames(path)]
     assert indices == list(range(indices[0], indices[-1] + 1))
-    assert OpenRecording(path).outcome["stopped"].startswith("kept from the page: the last")
+    assert OpenRecording(path).outcome["stopped"].startswith("stored from the page: the last")
     assert json.loads(OpenRecording(path).outcome["counts"])["tip/frames"] == len(indices)
 
 

@@ -117,7 +117,7 @@ def test_a_real_arm_begins_once_somebody_confirms_it_on_the_page(monkeypatch: py
     assert steered.say(StartExploring)[0] == "begun"
     next(question)
     assert steered.session.state.pending is not None
-    assert steered.session.state.pending.what == "arm goes on by itself: up to 8 touches of 3 N"
+    assert steered.session.state.pending.what == "arm continues: up to 8 touches of 3 N"
     assert steered.confirm() == "done"
     with pytest.raises(StopIteration) as answered:
         next(question)
@@ -327,15 +327,15 @@ def test_exploring_pauses_and_goes_on_after_a_confirm() -> None:
     assert steered.say(TouchAt, 0.3, 0.2)[0] == "refused"
     assert steered.say(PauseExploring) == ("done", "no further touch begins")
     assert steered.session.state.commands == ("stop", "explore")  # the touch under way is ended first
-    assert steered.say(StartExploring) == ("begun", "waits for a confirm")
+    assert steered.say(StartExploring) == ("begun", "waits for a confirmation")
     assert steered.session.state.phase == "paused"
     waits = steered.steering.choose(planned(), 1)
     assert "touch-next" in steered.session.state.commands
     assert steered.session.state.next_place is not None
-    assert steered.say(StartExploring) == ("begun", "waits for a confirm")
+    assert steered.say(StartExploring) == ("begun", "waits for a confirmation")
     assert not waits.done()
     assert steered.session.state.pending is not None
-    assert steered.session.state.pending.what == "arm goes on touching by itself, 7 times more at most, with 3 N"
+    assert steered.session.state.pending.what == "arm continues to touch on its own, 7 times more at most, with 3 N"
     assert steered.confirm() == "done"
     assert waits.result(0).kind == "go on"
     assert steered.session.state.phase == "exploring"

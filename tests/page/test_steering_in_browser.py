@@ -98,7 +98,7 @@ def test_confirms_and_places(shown: Any) -> None:
                 pass
             case other:
                 raise AssertionError(other)
-        page.session.remark("no touch there: the arm cannot be led there from above", bad=True)
+        page.session.remark("no touch there: the arm cannot reach it from above", bad=True)
         until(shown, lambda: "cannot be led" in shown.inner_text("#place-words"))
 
         # what is expected, and what was felt

@@ -168,7 +168,7 @@ def test_lumps_are_drawn_where_they_are_and_said_in_words(monkeypatch: pytest.Mo
     assert words["inclusion 1"].startswith("stiff, its middle at (20.0, 10.0) cm")
     assert "deeper than 1.25 cm" in words["inclusion 1"]
     assert words["inclusion 2"].startswith("soft")
-    assert "cannot be told" in words["inclusion 2"]
+    assert "cannot be determined" in words["inclusion 2"]
     assert "found, 0.0 cm off" in words["true inclusion"]
     assert "0.5 before any touch" in dict(none.rows)["an inclusion missed"]
 

@@ -273,8 +273,8 @@ def test_at_a_terminal_a_page_stays_until_ctrl_c() -> None:
                 said += os.read(ours, 10_000).decode()
             return words in said
 
-        until(lambda: hears("stays until Ctrl-C: http://127.0.0.1:"))
-        assert said.index("expected more") < said.index("stays until Ctrl-C")  # what came of it is said first
+        until(lambda: hears("stays open until Ctrl-C: http://127.0.0.1:"))
+        assert said.index("expected more") < said.index("stays open until Ctrl-C")  # what came of it is said first
         with urllib.request.urlopen(said.split()[0], timeout=PATIENCE_S) as answer:
             assert b"deformscope" in answer.read()
         assert process.poll() is None

@@ -28,7 +28,7 @@ def test_they_are_whole_and_decoded_again_identically(
     recording = str(OLD / f"format-{number}.rrd")
 
     assert main(["verify", recording]) == 0
-    assert "every byte is as it was recorded" in capsys.readouterr().out
+    assert "all bytes are as recorded" in capsys.readouterr().out
     assert main(["replay", recording]) == 0
     printed = capsys.readouterr().out
     assert f"{pads} of {pads} frames decoded again, identical" in printed

@@ -14,7 +14,7 @@ ROOT = Path(deformscope.__file__).parent
 SAYS = sorted({*ROOT.glob("reproduce/*.py"), *ROOT.glob("cli/reproduce_*.py"), *ROOT.parent.glob("studies/*.py")})
 QUOTED = "FindingComparison"
 """Its first argument is the thesis's statement; the second is computed."""
-METHOD = ("The thesis squeezed real cartons; these are simulated ones",)
+METHOD = ("The thesis squeezed real cartons. These are simulated ones",)
 """How sentences begin that say what was done, whatever came of it."""
 
 
@@ -64,7 +64,7 @@ def test_chapter_4_in_words_follows_its_numbers() -> None:
     assert "falls with firmness at 5 of 5 cluster sizes" in of_hold[0]
     assert "rises with firmness at 5 of 5 cluster sizes" in of_hold[1]
     assert "is the same for all at 5 of 5 cluster sizes" in of_hold[2]
-    assert "Figure 4.5 has 1 foam: how beta changes with hardness takes two." in one
+    assert "Figure 4.5 has 1 foam: a trend of beta with hardness needs two." in one
     assert not any("firmness" in line for line in one)
 
 
@@ -72,7 +72,7 @@ def test_chapter_4_says_where_betas_are_at_the_sweeps_end() -> None:
     found = made_scenario("two-150-rigid", 4)
     apart, ended = to_text([], [found]), to_text([], [with_field_betas(found, (0.0, 0.0, 0.0, 0.0), 1)])
     assert "As many touches as in the thesis in 1 of 1 explorations." in apart
-    assert "With layers, 1 of 1 explorations have as many regions as there are; beta is 0.00 to 0.70." in apart
+    assert "With layers, 1 of 1 explorations find the true number of regions; beta is 0.00 to 0.70." in apart
     (layers,) = [line for line in ended if line.startswith("With layers")]
     assert "0 of 1 explorations" in layers
     assert "the end of the sweep for all touches" in layers

@@ -97,7 +97,7 @@ def test_many_are_summed_up_and_drawn(rice: Numbers) -> None:
     late = {**rice, "first": 5.0, "shift_mm": 4.0}
     rows = dict(truth_rows([rice, late, {"trial": "x", "content": "rice", "stopped": "saturated"}]))
 
-    assert rows["squeezes"] == "3, 1 of them stopped before their time"
+    assert rows["squeezes"] == "3, 1 of them stopped early"
     assert rows["first contact, all frames"].startswith("50.0% within 2 sample periods")
     assert rows["off by 5 times the stated noise"].startswith("0 of ")
     assert rows["pose"].startswith("50.0% within 2 mm and 1 deg")

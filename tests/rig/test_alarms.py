@@ -121,7 +121,7 @@ def test_pictures_that_show_nothing() -> None:
         [],
         [
             "camera: saturated: 100 % of the picture at its brightest",
-            "above: saturated: nothing is seen within its range",
+            "above: saturated: no pixel within its range",
         ],
         [],
         [],
@@ -150,7 +150,7 @@ def test_an_alarm_goes_on_where_its_device_falls_silent() -> None:
         assert alarms.look([HealthReport(at_s * 10**9, (("tip", silent), ("above", silent)))]) == []
         assert alarms.look([ColorFrame(Stamp(at_s * 10**9), at_s, np.full((64, 64, 3), 90, np.uint8), "above")]) == []
     assert alarms.of("tip") == ("saturated: fz at the end of its range",)
-    assert alarms.of("above") == ("saturated: nothing is seen within its range",)
+    assert alarms.of("above") == ("saturated: no pixel within its range",)
     # it comes back after 10.7 s, well: cleared as any other alarm, and not at once
     found = said(alarms, iter(batches[120:140]))
     assert [about for about, _, _ in found] == ["alarm-over"]

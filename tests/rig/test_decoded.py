@@ -159,7 +159,7 @@ def test_a_frame_that_is_missing_or_came_of_nothing_is_found(recorded: Recorded)
     first = of(items, RawBytes, "hand")
     bytes_lost = [item for at, item in enumerate(items) if not (at > first and isinstance(item, RawBytes))]
     found = {one.device: one.difference for one in compare_with_bytes(rig, streams, bytes_lost)}
-    assert all("which its bytes do not give" in found[device] for device in ("tip", "pads", "hand"))
+    assert all("which its bytes do not contain" in found[device] for device in ("tip", "pads", "hand"))
 
 
 def test_replay_of_a_rigs_recording(recorded: Recorded, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

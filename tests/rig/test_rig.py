@@ -72,7 +72,7 @@ def test_a_misspelt_key_is_an_error_that_names_the_right_one() -> None:
         (TIP + "[workspace]\nforce_silent_s = 3", "force_silent_s between 0.01 and 0.5"),
         (
             TIP + "[touch]\ntangential = 'loose'",
-            "[touch] as its keys want it; got tangential: invalid enum value 'loose'",
+            "[touch] with valid keys; got tangential: invalid enum value 'loose'",
         ),
         (TIP + "[camera]\ndevice = 'top'", "[camera] device out of tip; got 'top'"),
         (TIP + "[camera]\nT_arm_camera = [[1,0,0,0],[0,1,0,0],[0,0,1,0]]", "4 rows of 4"),

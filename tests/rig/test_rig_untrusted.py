@@ -398,14 +398,14 @@ def test_a_library_that_others_could_have_put_there_is_refused(writable: str, sy
     changed = path if writable == "x.so" else path.parent / writable
     changed.chmod(changed.stat().st_mode | 0o002)
 
-    with pytest.raises(InputError, match="the administrator alone can change"):
+    with pytest.raises(InputError, match="only the administrator can change"):
         system_library(path)
 
 
 def test_a_library_of_another_users_is_refused(system: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = library_in(system)
     monkeypatch.setattr("deformscope.rig.vendor_library.ADMINISTRATOR", os.getuid() + 1)
-    with pytest.raises(InputError, match="the administrator alone can change"):
+    with pytest.raises(InputError, match="only the administrator can change"):
         system_library(path)
 
 

@@ -103,7 +103,7 @@ def test_calibrate_force_and_the_force_at_contact_are_looked_at_where_nothing_el
     assert missing.hint == "deformscope calibrate force RIG"
     contact = found["tip: force at contact"]
     assert contact.passed
-    assert contact.came.startswith("9.0 N, by 100 N/mm and 48 ms until the arm stands; 509 N where the sensor fails")
+    assert contact.came.startswith("9.0 N, by 100 N/mm and 48 ms until the arm rests; 509 N if the sensor fails")
 
     scene = quick_scene(12)
     guarded = check(scene.robot, [scene.plan], calibrated={FORCE_TURNED: False})

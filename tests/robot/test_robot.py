@@ -138,7 +138,7 @@ def test_halting_says_whether_the_arm_was_reached() -> None:
 def test_an_arm_that_its_driver_has_stopped_stops_the_robot() -> None:
     """As after a cycle that came too late: no command goes through any more, and nobody tries for ever."""
     scene = moving()
-    scene.lab.arm.halt("the cycle came 244 ms late")
+    scene.lab.arm.halt("the cycle was 244 ms late")
 
     with pytest.raises(RobotStopped, match=r"takes no commands.*244 ms late"):
         scene.robot.cycle(UP)

@@ -244,7 +244,7 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
 
     assert before.passed
     assert {one.name for one in report.checks if not one.passed} == {"camera: alive"}
-    assert "camera: alive: plug the camera" in report.table()
+    assert "camera: alive: reconnect the camera" in report.table()
 
 
 @pytest.mark.slow  # whole touches; the jaco device's own tests have the rates of its states

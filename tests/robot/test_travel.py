@@ -116,7 +116,7 @@ def test_joints_that_would_sink_on_their_way_are_not_turned(scene: FaultScene, m
     monkeypatch.setattr(travel, "best_joints", lambda *_: low)
     across = scene.robot.center_m[:2]
 
-    with pytest.raises(NotThere, match="a way that the arm can follow"):
+    with pytest.raises(NotThere, match="a path that the arm can follow"):
         to_above(scene.robot, normal=normal, **way)
 
     assert np.linalg.norm(scene.robot.center_m[:2] - across) < 2 * PASSED_M

@@ -1,1 +1,1 @@
-"""How an exploration is recorded and shown: `layout` is what it brings to its recorder."""
+"""The recording and views of an exploration: `layout` is its part of the recorder."""

@@ -1,4 +1,4 @@
-"""What a person sees of an exploration in one window: the robot at the left, what it knows at the right."""
+"""The view of an exploration in one window: the robot at the left, its estimates at the right."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COMPARED_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
     "stiffness": "display/beside/stiffness",
     "beta": "display/beside/beta",
 }
-"""What other settings give beside what was recorded (`deformscope.log.exploration.compare`)."""
+"""Results of other settings with the recorded ones (`deformscope.log.exploration.compare`)."""
 TITLES = {
     "stiffness": "{} field",
     "stiffness_deviation": "{} field: deviation",
@@ -52,17 +52,17 @@ def exploration_blueprint(
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
-    size_m: of the surface along x and y; truth: whether it is known: else the surface's height stands in its place
-    inclusions: whether they are sought: they stand in the place of beta
+    size_m: of the surface along x and y; truth: whether it is known: else the surface's height replaces it
+    inclusions: whether they are sought: they replace beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
-    compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: by what regions are
-    told apart; full: also what lies between frames and estimates, as tabs
+    compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: the quantity that
+    distinguishes regions; full: also what lies between frames and estimates, as tabs
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
     if inclusions:
         maps |= {"beta": _picture(LUMPS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
-    gain, force = _picture(GAIN, "Why the next touch goes there"), _picture(FORCE, "Force over depth")
+    gain, force = _picture(GAIN, "Gain of each place for the next touch"), _picture(FORCE, "Force over depth")
     truly = maps["truth"] if truth else _picture(HEIGHT, "Surface")
     words = INCLUSIONS_SUMMARY if inclusions else SUMMARY
     summary = rrb.TextDocumentView(contents=[f"+ /{words}"], origin=words, name="What is known")

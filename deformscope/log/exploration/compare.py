@@ -1,4 +1,4 @@
-"""What other settings make of a recorded exploration, as a layer over it: in the recording's views, in two colours.
+"""Other settings' results for a recorded exploration, as a layer over it: in the recording's views, in two colours.
 
 display/scene/beside   where the regions end, on the surface in space: recorded, and with the other settings
 display/beside/...     the same as a picture, and what each touch gave

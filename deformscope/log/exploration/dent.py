@@ -15,17 +15,17 @@ from deformscope.stages.see.triangulation import triangulate
 
 DENT = "display/dent"
 MOST_DRAWN_OUT, SHARE = 8.0, 0.5
-"""Heights are drawn out until the dent is this share of the half width, and at most so many times."""
+"""Heights are magnified until the dent is this share of the half width, up to this factor."""
 HALF_M, CELL_M = 0.05, 0.0035
 """Half the side of what is shown, and of cells whose mean height stands for the points observed in them."""
 NEIGHBOURS = 1.3
-"""Lines are drawn to particles that are at most so many times as far as is usual."""
+"""Lines are drawn to particles up to this multiple of the usual distance."""
 STEPS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 FRAME: Rgb = (150, 155, 165)
 
 
 def log_dent(now: ResultBatch, touch: TouchEstimate) -> None:
-    """Around the contact; half the width is 1, heights drawn out. The values themselves stand in the result."""
+    """Around the contact; half the width is 1, heights drawn out. The values themselves are in the result."""
     observed, simulated = (_near(one - touch.xyz_m) for one in (touch.observed_m, touch.simulated_m))
     if len(observed):
         observed = reduce_to_grid(observed, CELL_M)[0]

@@ -4,7 +4,7 @@ display/perception/frames/...    world, surface, camera, arm_base, tool: a trans
 display/perception/pixels        labels of the newest depth image that something was computed from
 display/perception/surface/...   the surface under the newest touch, coloured by its deviation, and tactile points
 display/perception/error         error over beta
-display/perception/maps/...      each map as an image on the surface, with what it shows as `value`
+display/perception/maps/... each map as an image on the surface, with its values as `value`
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ TOUCH = "touch"
 def log_frames(
     rec: rr.RecordingStream, base_from_surface: FloatArray | None, T_surface_camera: FloatArray | None
 ) -> None:
-    """Log the frames that stand still, and the names of what is logged later. base_from_surface: (4, 4), None = the
-    same; T_surface_camera: (4, 4), None = not known"""
+    """Log the constant frames, and the names of later entities. base_from_surface: (4, 4), None = the same;
+    T_surface_camera: (4, 4), None = not known"""
     none: FloatArray = np.eye(4)
     base = none if base_from_surface is None else np.linalg.inv(base_from_surface)
     known = {"arm_base": base, "camera": T_surface_camera}
@@ -65,7 +65,7 @@ def log_frames(
 
 
 def log_no_touch(now: ResultBatch) -> None:
-    """What a view of the surface under a touch stands in, before any."""
+    """Placeholder of a view of the surface under a touch, before any."""
     now.show(f"{FRAMES}/{TOUCH}", rr.Transform3D(parent_frame="surface", child_frame=TOUCH))
     now.show_png(ERROR, pictures.text_png, "no touch yet")
 
@@ -77,7 +77,7 @@ def log_pixels(now: ResultBatch, perception: LookPerception | TouchPerception) -
 
 
 def log_under_touch(now: ResultBatch, perception: TouchPerception) -> None:
-    """The surface under the touch, and the error over beta; of what there is none, nothing."""
+    """The surface under the touch, and the error over beta; missing ones are left out."""
     now.show_png(ERROR, pictures.error_png, perception)
     if (under := perception.surface) is None:
         now.show(UNDER, rr.Clear(recursive=True))
@@ -123,7 +123,7 @@ def log_ground(now: ResultBatch, surface: SurfaceEstimate) -> None:
 
 
 def log_on_surface(now: ResultBatch, name: str, drawn: pictures.DrawnMap) -> None:
-    """A map as its picture has it, on the surface, and its values (rows, columns) beside it."""
+    """A map with its picture, on the surface, and its values (rows, columns)."""
     rows, columns, _ = drawn.colors.shape
     form = rr.components.ImageFormat(
         width=columns, height=rows, color_model="RGB", channel_datatype=rr.ChannelDatatype.U8

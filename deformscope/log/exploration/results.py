@@ -1,15 +1,15 @@
-"""How an exploration is recorded and shown: every result without loss, and beside it what a person looks at.
+"""The recording and views of an exploration: every result without loss, and views for people.
 
-Every row is at `session`, the time since the recording's start; at `frame`, the depth camera's newest picture then; and
-at `touch`: 0 before the first touch, then the number of the touch that it belongs to, from 1, the way there among it.
-What a touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
+Every row has three times. `session` is the time since the recording's start; `frame` is the depth camera's newest
+picture then. `touch` is 0 before the first touch, then the number of its touch from 1, with the travel to it. What a
+touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
-    exploration/forecast|decision         likewise: what a person asked for on the page, and decided
+    exploration/forecast|decision likewise: a person's requests on the page, and decisions
     exploration/input/...                 which frames they are computed from, or measurements where there are none
     exploration/phase                     likewise, and the state that a timeline shows
     exploration/failed|stopped            likewise, and why as a line of text
-    display/scene/...                     the surface in space, the contacts, the next touch; the arm stands in it
+    display/scene/... the surface in space, the contacts, the next touch; with the arm
     display/dent/...                      close up: observed points and simulated particles around the last touch
     display/maps/...                      pictures of the maps with their axes and colour bars
     display/plan/gain                     why the next touch goes where it goes
@@ -18,7 +18,7 @@ What a touch measured is at the frame of its dent. `deformscope.recording.items`
     exploration/perception/look|touch     with --detail full: what lies between frames and estimates
     exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
-    display/lumps/map|missed|summary      where inclusions are sought: which were found, what may be missed, in words
+    display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ from deformscope.stages.map.perception import LookPerception, TouchPerception
 SURFACE = ShownStage("surface", 4, "its height and deviation (eq. 4.3, 4.4)", costs=("look",))
 PLAN = ShownStage("plan", 4, "where to touch next, and the gain of each place", costs=("veto",))
 CONTACT = ShownStage("contact", 4, "force over depth, and the stiffness of its law", costs=("touch",))
-DENT = ShownStage("dent", 4, "points seen around the tip while it pressed", field="observed_m")
+DENT = ShownStage("dent", 4, "points measured around the tip during the press", field="observed_m")
 BETA = ShownStage(
     "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
 )
@@ -97,16 +97,16 @@ REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", c
 BETA_FIELD = ShownStage("beta field", 4, "over the surface, with deviation", field="beta", when="explore.beta_model")
 LOSS = ShownStage("loss", 4, "of a touch's energy, over the surface", field="loss", when="explore.feel=loss")
 INCLUSIONS = ShownStage(
-    "inclusions", 4, "found, and what may be missed", costs=("lumps",), when="explore.goal=inclusions"
+    "inclusions", 4, "found inclusions, and the detection limit", costs=("lumps",), when="explore.goal=inclusions"
 )
 AIM, DECISION, PHASE, FAILED, STOPPED, INPUT = (
     ShownStage(name, 0, gives, when="" if name == "phase" else SOMETIMES)
     for name, gives in (
-        ("aim", "what a person's touch would feel"),
-        ("decision", "of a person, about the next touch"),
-        ("phase", "what the robot does"),
+        ("aim", "forecast of a touch that a person chose"),
+        ("decision", "requests of a person about the next touch"),
+        ("phase", "state of the robot"),
         ("failed", "a stage that failed"),
-        ("stopped", "why it ended before its plan"),
+        ("stopped", "reason for the early end"),
         ("input", "frames or measurements that results are computed from"),
     )
 )
@@ -124,8 +124,8 @@ def log_exploration_start(
     *,
     full: bool = False,
 ) -> None:
-    """What holds throughout: the phases' colours, and where each arm's base stands in the surface frame; and, at the
-    start, that nothing is known yet.
+    """Log constants: the phases' colours, the pose of each arm's base in the surface frame; and empty results at the
+    start.
 
     base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same
     """
@@ -157,10 +157,10 @@ def prepare_results(
 ) -> Batch:
     """Make results ready for one stream or several, pictures drawn: some 0.1 s a picture, six of them for the maps.
 
-    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, where
-    no map beside it says; full: the maps also on the surface
-    failed: takes what could not be shown: every result is recorded all the same, and that with them
-    A plan that comes with maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
+    session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, without
+    a map of the same time; full: the maps also on the surface
+    failed: receives errors of views: every result is recorded nevertheless, and the error with them A plan that has
+    maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
     """
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)
@@ -205,7 +205,7 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, fu
 
 
 def _log_no_forecast(now: ResultBatch, result: object) -> None:
-    """Nothing is asked for any more."""
+    """No forecast is requested any more."""
     log_forecast(now, None)
 
 

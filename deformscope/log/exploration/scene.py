@@ -1,7 +1,7 @@
 """The surface in space, in its own frame, and the arm over it.
 
-The surface frame is the root of all frames, `tf#/`: entities need no transform of their own, and an arm's base stands
-in it by the one transform that the scene gives.
+The surface frame is the root of all frames, `tf#/`. Entities need no transform of their own, and the scene's one
+transform places an arm's base in it.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
 
 
 def log_forecast(now: ResultBatch, forecast: TouchForecast | None) -> None:
-    """The touch that was asked for: its way down, an arrow as long as its force, what is expected; None = none."""
+    """The requested touch: its path down, an arrow as long as its force, the forecast; None = none."""
     if forecast is None:
         now.show(f"{ASKED}/way", rr.LineStrips3D([]))
         now.show(f"{ASKED}/normal", rr.Arrows3D(vectors=[]))

@@ -1,7 +1,7 @@
-"""How a rig is recorded and shown: every item without loss, in batches, and beside them what a person looks at.
+"""The recording and views of a rig: every item without loss, in batches, and views for people.
 
-What is measured stands at `KIND/DEVICE`, one row a frame, each field of it a component (`deformscope.rows`);
-`deformscope.recording.items` reads it back. Every row is at `session`, the time since the recording's start, and frames
+Measurements are at `KIND/DEVICE`, one row per frame, each field of it a component (`deformscope.rows`);
+`deformscope.recording.items` reads them. Every row is at `session`, the time since the recording's start, and frames
 also at `frame`, their place in the device's own stream. In an exploration's recording that place is on `index`, and
 `frame` is the depth camera's for all.
 
@@ -105,11 +105,11 @@ def prepare_items(
 ) -> Batch:
     """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
 
-    start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are kept as PNG
-    rather than JPEG, because something is computed from them (some 9 ms for 640 x 480 instead of 1 ms, and ten times
+    start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are stored as PNG
+    rather than JPEG, because something is computed from them (about 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes); place: in an exploration
-    shown: what a viewer has already, kept from call to call: it is not sent again and again
-    changes_only: of a device's health, only changes of its state, as `shown` knows it
+    shown: data that a viewer has already, reused from call to call: they are not sent again
+    changes_only: of a device's health, only changes of its state relative to `shown`
     """
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}

@@ -15,7 +15,8 @@ from deformscope.frames import ArmFrame, Stream
 from deformscope.log.rig.columns import Batch, moments, root
 
 POSE_NS = 40_000_000
-"""The shape moves at most so often: a pose has nine rows of names and numbers, all of them made of the joint angles."""
+"""Shortest period of the shape's motion: a pose has nine rows of names and numbers, all of them from the joint
+angles."""
 MOVABLE = ("revolute", "continuous", "prismatic")
 
 SOLID = {

@@ -23,17 +23,17 @@ AGAIN_NS = 10_000_000_000
 """What does not change is sent again after this, for viewers that missed it."""
 
 Shown = dict[str, tuple[object, int]]
-"""What a viewer was sent last of a thing that seldom changes, and when on the host's clock [ns]: the scale beside each
-device's picture, the state of each device."""
+"""Data that seldom change, with the host time when a viewer received them [ns]: the scale next to each device's
+picture, the state of each device."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where rows stand on an exploration's timelines, beside `session`.
+    """Place of rows on an exploration's timelines, in addition to `session`.
 
-    touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]: on `frame` a
-    row is at the picture that was newest then, so that all devices scrub together, and at its place in its own device's
-    stream on `index`; frame: at this picture instead, None = by the time; start_ns: the host's clock at `session` 0
+    touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]. On `frame` a
+    row is at the picture that was newest then, so that all devices scrub together, and on `index` at its index in its
+    own device's stream; frame: at this picture instead, None = by the time; start_ns: the host's clock at `session` 0
     """
 
     touch: int
@@ -63,7 +63,7 @@ class Place:
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    place: of an exploration: where rows stand on its timelines
+    place: of an exploration: where rows are on its timelines
     """
 
     def __init__(self, place: Place | None = None) -> None:
@@ -109,7 +109,7 @@ Sink = rr.RecordingStream | Batch
 
 
 def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
-    """Whether what stands beside a device's picture has to be sent: it has changed, or viewers may have missed it."""
+    """Whether the scale next to a device's picture has to be sent: it has changed, or viewers may have missed it."""
     before, since_ns = (None, 0) if shown is None else shown.get(device, (None, 0))
     if what == before and now_ns - since_ns < AGAIN_NS:
         return False

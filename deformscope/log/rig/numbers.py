@@ -16,7 +16,7 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
     "arm": ("joint_deg", "joint_torque_nm", "force_n"),
     "hand": ("position_deg", "velocity_deg_s", "temperature_c"),
 }
-"""Fields of each kind's frames that are series beside the frames themselves."""
+"""Fields of each kind's frames that are series in addition to the frames."""
 
 
 def log_numbers_stream(rec: rr.RecordingStream, stream: Stream) -> None:
@@ -42,7 +42,7 @@ def _series(stream: Stream) -> Iterator[tuple[str, list[str], Sequence[Rgb]]]:
 
 
 def _channels(stream: Stream) -> list[tuple[str, ...]]:
-    """What follows a quantity in the path: a force sensor has one series a channel."""
+    """Suffix of a quantity in the path: a force sensor has one series per channel."""
     return [(str(channel),) for channel in range(stream.channels)] if stream.kind == "wrench" else [()]
 
 

@@ -111,7 +111,7 @@ class Hand:
         ]
 
     def names(self) -> list[tuple[float, float, str]]:
-        """(x, y, text) [mm]: the fingers' names over them and the parts' beside them, else each pad's over it."""
+        """(x, y, text) [mm]: the fingers' names over them and the parts' next to them, else each pad's over it."""
         (x, y), placed = self.texel_mm, list(zip(self.pads, self.corners, strict=True))
         over = [((left + pad.columns / 2) * x, (top - OVER) * y) for pad, (top, left) in placed]
         split = [pad.name.rpartition("_") for pad in self.pads]

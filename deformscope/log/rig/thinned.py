@@ -1,6 +1,6 @@
-"""What a person can see of a rig's items: few enough for a page that a slow machine draws.
+"""Visible part of a rig's items: few enough for a page that a slow machine draws.
 
-A recording keeps every item; a viewer that is fed while it goes on gets these.
+A recording keeps every item; a live viewer receives these.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ FrameT = TypeVar("FrameT")
 
 
 def thinned(items: Sequence[Item]) -> list[Item]:
-    """What one portion of a live view shows of these, which may be any number, in order of time: the newest picture of
-    each camera, made smaller; the extremes of what is plotted; the newest pose; no bytes of the wire."""
+    """The live view of one portion of these, which may be any number, in order of time. It has the newest picture of
+    each camera, made smaller, the extremes of plots, and the newest pose, but no bytes of the wire."""
     groups: dict[tuple[type, str], list[Item]] = {}
     for item in items:
         if not isinstance(item, RawBytes):
@@ -61,8 +61,8 @@ def _count(frames: Sequence[Any], rate_hz: float) -> int:
 
 
 def extremes(frames: Sequence[FrameT], most: int, value: Callable[[FrameT], float]) -> list[FrameT]:
-    """At most so many, in order: the least and the greatest value of each of `most // 2` stretches of equal length, so
-    that no peak is left out."""
+    """A limited number of them, in order: the least and the greatest value of each of `most // 2` stretches of equal
+    length, so that no peak is left out."""
     if len(frames) <= most:
         return list(frames)
     values = np.nan_to_num([value(frame) for frame in frames])

@@ -1,1 +1,1 @@
-"""How a squeeze is recorded and shown: `layout` is what it brings to its recorder."""
+"""The recording and views of a squeeze: `layout` is its part of the recorder."""

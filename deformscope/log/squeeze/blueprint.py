@@ -1,4 +1,4 @@
-"""What a person sees of a squeeze in one window: the pads and the container, what changed, and what is in it."""
+"""The view of a squeeze in one window: the pads and the container, changes, and the classification of its content."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def squeeze_blueprint(
         plots.append(
             plot_view(CONTENT, "probability of each content, by touch and vision", window_s=WINDOW_S, axis_y=share)
         )
-        below.append(rrb.TextDocumentView(origin=NAMED, name="what is in it"))
+        below.append(rrb.TextDocumentView(origin=NAMED, name="content of the container"))
     numbers = rrb.Horizontal(
         rrb.Vertical(rrb.Horizontal(*plots), lanes, row_shares=[3.0, 1.0]),
         *below,

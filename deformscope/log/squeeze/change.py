@@ -13,7 +13,7 @@ CHANGE = "display/squeeze/change"
 
 
 def log_container_change(now: ResultBatch, change: ContainerChange) -> None:
-    """As it happens; what is refused stands in words and leaves the last picture."""
+    """During the squeeze; a refused image is reported as text and leaves the last picture."""
     _show(now, change.change_m, change.width_m, change.missing, change.reason)
 
 

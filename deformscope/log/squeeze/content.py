@@ -14,12 +14,12 @@ NAMED = "display/squeeze/named"
 
 
 def log_not_named(now: ResultBatch) -> None:
-    text = "*Named from the first contact on.*"
+    text = "*Classified from the first contact on.*"
     now.show(NAMED, rr.TextDocument(text, media_type="text/markdown"))
 
 
 def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
-    """A line for each content while it is squeezed; what all features together say stands in words alone."""
+    """A line for each content during the squeeze; the posterior of all features together is text alone."""
     if posterior.index >= 0:
         tints = [JOINTS[at % len(JOINTS)] for at in range(len(posterior.labels))]
         lines = rr.SeriesLines(names=list(posterior.labels), colors=tints, widths=[2.0] * len(tints))

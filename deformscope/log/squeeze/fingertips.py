@@ -1,4 +1,5 @@
-"""What the squeezing fingertips feel, on the picture of the hand: centre of pressure and principal axis (fig. 2.4)."""
+"""Pressures on the squeezing fingertips, on the picture of the hand: centre of pressure and principal axis (fig.
+2.4)."""
 
 from __future__ import annotations
 

@@ -26,14 +26,14 @@ FLOOR: Rgb = (52, 56, 64)
 
 
 def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: FloatArray | None) -> None:
-    """Where the arm stands in the table's frame."""
+    """Pose of the arm in the table's frame."""
     for stream in streams:
         if stream.kind == "arm" and stream.urdf is not None and base_from_table is not None:
             log_base(rec, stream, base_from_table)
 
 
 def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
-    """The container where it was found, in space and over the image; what became of it in words."""
+    """The container at its measured place, in space and over the image; its change as text."""
     changed = seen.change is not None and seen.change.changed
     color = BAD if changed else LOOKS[seen.when]
     level = "WARN" if changed or seen.fit is None else "INFO"
@@ -63,7 +63,7 @@ def log_placement(now: ResultBatch, placed: HandPlacement) -> None:
 
 
 def place_views(streams: Sequence[Stream], camera: str) -> rrb.Container:
-    """The arm, the container and the grasps in space; the container over the image; what happened in words."""
+    """The arm, the container and the grasps in space; the container over the image; events as text."""
     arms = [stream for stream in streams if stream.kind == "arm"]
     simulated = " (SIMULATED)" if any(arm.simulated for arm in arms) else ""
     shown = [f"+ /{root('display/arm', arm.device)}/**" for arm in arms if arm.urdf is not None]

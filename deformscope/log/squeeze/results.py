@@ -1,5 +1,5 @@
-"""How a squeeze is recorded and shown: its devices as those of any rig, and every result without loss beside what a
-person looks at.
+"""The recording and views of a squeeze: its devices as those of any rig, and every result without loss, with views for
+people.
 
     squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
     squeeze/fingertips|container|change|content    likewise, at the time of the frame that it is of
@@ -9,7 +9,7 @@ person looks at.
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
     display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
     display/squeeze/change                  the depth change around the fingertip, data minus model (fig. 2.6)
-    display/squeeze/measured|named          what was measured, and what the content is taken for, in words
+    display/squeeze/measured|named measurements, and the classification of the content, as text
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from deformscope.stages.squeeze.trial import (
 )
 
 CAMERA = "squeezed.names.camera"
-PHASE, STOPPED = ShownStage("phase", 0, "what the hand does"), ShownStage("stopped", 0, "why", when=SOMETIMES)
+PHASE, STOPPED = ShownStage("phase", 0, "state of the hand"), ShownStage("stopped", 0, "why", when=SOMETIMES)
 SIGHTING = ShownStage("sighting", 2, "the container in the depth image", when=SOMETIMES)
-PLACEMENT = ShownStage("placement", 2, "the grasp drawn, and the arm's way there", when=SOMETIMES)
+PLACEMENT = ShownStage("placement", 2, "the drawn grasp, and the arm's path to it", when=SOMETIMES)
 FINGERTIPS = ShownStage("fingertips", 2, "force, area, centre and axis of pressure (fig. 2.4)")
 EVENTS = ShownStage("events", 2, "first contact and steady state")
 TRACK = ShownStage("track", 2, "pose of the rigid model in a depth image (fig. 2.8)", when=CAMERA)
@@ -84,7 +84,7 @@ def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingerti
 
 
 def squeeze_views(fingertips: Fingertips | None) -> Views[ResultBatch]:
-    """What shows each result; events stand in the table of `log_measured`."""
+    """The view of each result; events are in the table of `log_measured`."""
     return {
         SqueezePhase: (PHASE, log_squeeze_phase),
         SqueezeStop: (STOPPED, log_squeeze_stop),

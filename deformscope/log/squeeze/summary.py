@@ -15,7 +15,7 @@ MEASURED = "display/squeeze/measured"
 
 
 def log_not_measured(now: ResultBatch) -> None:
-    text = "*Numbers follow once the fingers stand still.*"
+    text = "*Numbers follow once the fingers are at rest.*"
     now.show(MEASURED, rr.TextDocument(text, media_type="text/markdown"))
 
 

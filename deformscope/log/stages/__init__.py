@@ -1,9 +1,9 @@
-"""How the results of stages that run while devices do are recorded and shown, beside the frames they rest on.
+"""The recording and views of stages that run with the devices, and their frames.
 
-A result stands at the time, and at the place on `frame`, of the newest frame that it was computed from.
+A result is at the time, and at the place on `frame`, of the newest frame that it was computed from.
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
-    display/stage/NAME/...       what a person looks at: marks over the image, pictures, the verdict in words
+    display/stage/NAME/... views: marks over the image, pictures, the verdict as text
     display/stage/plot/...       numbers over time: lag [ms], beta, theta, force [N], area [cm2]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
     display/stage/summary        a table: newest results, how many, how far behind
@@ -53,7 +53,7 @@ def prepare_stage_results(
 ) -> Batch:
     """Make results ready for one stream or several: the cost is by stage, little by result, but for drawn pictures.
 
-    start_ns: host time at which `session` is 0 [ns]; latest: of every stage, kept from call to call
+    start_ns: host time at which `session` is 0 [ns]; latest: of every stage, reused from call to call
     newest_pictures: draw and mark only what is newest of each stage
     """
     batch = Batch()
@@ -109,7 +109,7 @@ FLOW, PARTICLES, BETA, THETA, FIELD, TACTILE, SURFACE, CONTACT = (
         ("particles", 3, "where the flow moves particles", "rest_px"),
         ("beta", 3, "observed and simulated particles (eq. 3.13)", "rest_px"),
         ("theta", 3, "observed and simulated particles (eq. 3.17)", "rest_px"),
-        ("field", 3, "how stiff each place is against the others", "place_px"),
+        ("field", 3, "relative stiffness of each place", "place_px"),
         ("tactile", 2, "force, area and centre of pressure of each pad", "force_n"),
         ("surface", 4, "its height and deviation (eq. 4.3, 4.4)", "height_m"),
         ("contact", 4, "force over depth of an approach", "approach_m"),
@@ -125,7 +125,7 @@ STAGE_VIEWS: Views[Batch] = {
     TouchEstimate: (CONTACT, _log_contacts),
     StageFailure: (ShownStage("failed", 0, "a stage that failed", entity="stage", field="reason", when=SOMETIMES),),
 }
-"""What shows the results of each type, those of one device together (`StageGroup`); a failure stands in the table."""
+"""The view of the results of each type, those of one device together (`StageGroup`); a failure is in the table."""
 
 
 def _by_kind(results: Sequence[StageResult]) -> dict[tuple[str, str, type], list[StageResult]]:

@@ -53,4 +53,4 @@ def format_result(result: object) -> str:
             return f"median height {middle_mm:.4g} mm, deviation {deviation_mm:.2g} mm, {len(result.points_m)} points"
         case TouchEstimate():
             return result.stiffness_text
-    raise TypeError(f"no words for a {type(result).__name__}")
+    raise TypeError(f"no text for a {type(result).__name__}")

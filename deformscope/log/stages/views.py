@@ -1,4 +1,4 @@
-"""What a person sees of stages: what each makes of its frames, on them; numbers over time; lag and words."""
+"""The views of stages: each result on its frames; numbers over time; lag and text."""
 
 from __future__ import annotations
 

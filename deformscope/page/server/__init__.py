@@ -1,1 +1,1 @@
-"""The live page: one server on loopback, of the viewer, of what goes on, and of commands to it."""
+"""The live page: one server on loopback, with the viewer, the state of the run, and commands to it."""

@@ -36,8 +36,8 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FitResult(msgspec.Struct, frozen=True):
-    """A whole fit. command: what gives it; value, low, high: of the parameter, at this level; aee_free: average error
-    of the free particles there; verdict: in words"""
+    """A whole fit. command: the command line of the result; value, low, high: of the parameter, at this level;
+    aee_free: average error of the free particles there; verdict: in words"""
 
     command: str
     value: float
@@ -53,14 +53,14 @@ class FitState(msgspec.Struct, frozen=True):
 
     kind: of what; parameter: that is fitted; size_px: of the picture [px]; pictures: file names, rest and deformed
     settings: that are shown; number: of the `SetFit` that brought them, 0 = none yet; command: gives the same numbers
-    problem: why they cannot be simulated, in words; what else is here is then of those before
+    problem: why they cannot be simulated, as text; the other fields are then of the earlier ones
     grid: rows, columns; spacing_px: between neighbours [px]
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
     held: which are; aee_free: average error of the free particles [unit]; the average of all that were seen is `aee`
     values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
     busy: what is being computed, in words; found: the last whole fit; picture: the file that shows it, empty = none
     camera: that is followed, empty = none; following: its newest picture is shown, which has no command line yet
-    cameras: that can be, while something else goes on beside the fit
+    cameras: possible ones, besides the running fit
     """
 
     kind: Literal["images", "pair"]

@@ -1,7 +1,7 @@
 """Who may ask this server anything: the page that it served itself, in a browser that reached it by a loopback name.
 
-Other programs of this machine and other sites in its browsers lack the token of the address. A site that gets its own
-name resolved to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin.
+Other programs of this machine and other sites in its browsers lack the token of the address. A site whose own name
+resolves to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ HEADERS = {
 }
 MOST_STRANGERS = 64
 REQUEST_S = 1.0
-"""A connection that has not asked for what it may have by then is closed."""
+"""Time limit for a connection's valid request."""
 READ_ROUNDS = 4
 """Rounds of the event loop after which a new connection has been read, and may be closed in favour of later ones."""
 
 
 class Guard:
-    """Passes on what may ask, with a path below the token; answers all else with 403, and a wrong method with 405.
+    """Passes on valid requests, with a path below the token; answers all others with 403, and a wrong method with 405.
 
-    Connections that have not asked for what they may are strangers: closed after `REQUEST_S`, and the oldest earlier
-    where there are more than `MOST_STRANGERS`. So they take no connection from a page.
+    Connections without a valid request are strangers: closed after `REQUEST_S`, and the oldest earlier if there are
+    more than `MOST_STRANGERS`. So they take no connection from a page.
     """
 
     def __init__(self, app: ASGIApp, token: str) -> None:

@@ -32,14 +32,14 @@ class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 
 
 class Hello(FromPage, frozen=True, tag="hello"):
-    """The first message. version: of the page's script; page: a name of its own, kept when it connects again"""
+    """The first message. version: of the page's script; page: its unique name, reused after reconnection"""
 
     version: int
     page: Name
 
 
 class Beat(FromPage, frozen=True, tag="beat"):
-    """The page is there, ten times a second. visible: whether somebody can see it"""
+    """The page is there, ten times a second. visible: whether the page is visible"""
 
     visible: bool
 
@@ -87,7 +87,7 @@ class TareDevice(FromPage, frozen=True, tag="tare"):
 
 
 class StopRun(FromPage, frozen=True, tag="stop"):
-    """End what goes on. From any page, whoever has the controls."""
+    """End the run. From any page, whoever has the controls."""
 
 
 class ConfirmMove(FromPage, frozen=True, tag="confirm"):
@@ -109,7 +109,7 @@ class CancelMove(FromPage, frozen=True, tag="cancel"):
 
 
 class StartExploring(FromPage, frozen=True, tag="explore"):
-    """Begin to touch where the plan says, or go on with it. Waits for a confirm."""
+    """Begin the planned touches, or continue them. Waits for a confirm."""
 
 
 class PauseExploring(FromPage, frozen=True, tag="pause"):
@@ -117,7 +117,7 @@ class PauseExploring(FromPage, frozen=True, tag="pause"):
 
 
 class StartSqueezing(FromPage, frozen=True, tag="squeeze"):
-    """Let the hand do what it waits for. Waits for a confirm."""
+    """Permit the hand's waiting motion. Waits for a confirm."""
 
 
 class VetoTouch(FromPage, frozen=True, tag="veto"):
@@ -143,14 +143,15 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
 
 
 class OpenFit(FromPage, frozen=True, tag="open-fit"):
-    """Show the model of what a camera sees, beside what goes on. camera: None = the one before, or the first"""
+    """Show the model of a camera's images, in addition to the main session. camera: None = the one before, or the
+    first"""
 
     parameter: Literal["beta", "theta"]
     camera: Name | None = None
 
 
 class CloseFit(FromPage, frozen=True, tag="close-fit"):
-    """Show what goes on again."""
+    """Show the main session again."""
 
 
 class SetFit(FromPage, frozen=True, tag="set-fit"):
@@ -220,7 +221,7 @@ class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
 
 
 class CommandReply(ToPage, frozen=True, tag="reply"):
-    """To the command of this id. begun: what comes of it will be in the remarks of a later state; words: for people"""
+    """To the command of this id. begun: the outcome will be in the remarks of a later state; words: for people"""
 
     id: int
     outcome: Outcome
@@ -283,7 +284,7 @@ class PendingMove(msgspec.Struct, frozen=True):
 
 
 class NextPlace(msgspec.Struct, frozen=True):
-    """Where the plan wants to touch next [m], and why."""
+    """The planned next touch [m], and its reason."""
 
     x_m: float
     y_m: float
@@ -291,7 +292,7 @@ class NextPlace(msgspec.Struct, frozen=True):
 
 
 class ForceCurve(msgspec.Struct, frozen=True):
-    """What a touch is expected to be felt as, and beside it what was.
+    """The forecast of a touch's force curve, and the measured one.
 
     x_m, y_m: where; known: in words, what the expectation rests on; force_n: forces; depth_mm, depth_low_mm,
     depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: as measured, empty before; words: how
@@ -334,15 +335,15 @@ class Playback(msgspec.Struct, frozen=True):
 
 
 class PageState(ToPage, frozen=True, tag="state"):
-    """All that a page shows beside the viewer.
+    """All that a page shows around the viewer.
 
     now_s: since the server began [s]; title: what is watched; reason: why it stopped
     recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
-    present pace; episode: label of the one that goes on; held_s: of the last seconds so many can still be recorded
-    commands: what can be asked for at present, by kind; tares: devices that can be tared
+    present pace; episode: label of the present one; held_s: number of last seconds that can still be recorded
+    commands: requests that are possible at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
-    pending: waits for a confirm; next_place, curve: of an exploration; beat_s: so long without a `Beat`, and what moves
-    by a page's confirm stops [s]; playback: of a page that shows a recording; fit: that is set on the page
+    pending: waits for a confirm; next_place, curve: of an exploration; beat_s: time without a `Beat` after which
+    motions stop that a page confirmed [s]; playback: of a page that shows a recording; fit: that is set on the page
     """
 
     version: int = VERSION

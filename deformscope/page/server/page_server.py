@@ -45,9 +45,9 @@ TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".s
 RECORDING = "recording.rrd"
 MOST_PAGES = 8
 VIEWER_KEPT = "private, max-age=3600, immutable"
-"""A page that is loaded again has the viewer, 43 MB, and what the browser made of it."""
+"""A reloaded page has the viewer, 43 MB, and its compiled form in the browser."""
 STATE_EVERY_S = 0.1
-"""A page gets the state at most so often."""
+"""Shortest period of the state's messages to a page."""
 HELLO_S = 10.0
 STOP_S = 5.0
 BAD_MESSAGE, TOO_MANY, OTHER_VERSION = 1008, 1013, 4000
@@ -96,7 +96,7 @@ class PageServer:
         self.close()
 
     def open(self) -> None:
-        """Listen, and return once the page can be asked for. It is served until `close`, or the end of the process."""
+        """Listen, and return once the page answers. It is served until `close`, or the end of the process."""
         listening = socket.create_server((LOOPBACK, 0))
         self.address = f"http://{LOOPBACK}:{listening.getsockname()[1]}/{self._token}/"
         guard = Guard(self.routes(), self._token)
@@ -288,7 +288,7 @@ async def _take_drawn(websocket: WebSocket, drawn: asyncio.Queue[int]) -> None:
 
 @asynccontextmanager
 async def _served(websocket: WebSocket, among: set[WebSocket]) -> AsyncIterator[None]:
-    """Accepted until it is gone, says what it should not, or the server ends."""
+    """Accepted until it is gone, sends an invalid message, or the server ends."""
     among.add(websocket)
     try:
         await websocket.accept()
@@ -319,7 +319,7 @@ def _news(watch: Callable[[Callable[[], None]], Callable[[], None]]) -> Iterator
 
 
 async def _first_of(*works: Coroutine[Any, Any, None]) -> None:
-    """Run them side by side until one ends, and raise what it raised; the others are cancelled."""
+    """Run them side by side until one ends, and raise its error; the others are cancelled."""
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

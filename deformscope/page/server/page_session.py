@@ -34,24 +34,24 @@ NEXT: dict[Phase, frozenset[Phase]] = {
     "adjusting": frozenset({"stopped"}),
     "stopped": frozenset(),
 }
-"""What may follow each phase."""
+"""The possible next phases of each."""
 REMARKS = 50
-"""The newest remarks are kept."""
+"""Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
 """What waits for a confirm waits no longer, once the page has drawn it."""
 UNSEEN_S = 30.0
 """A page that is busy draws it that late at most."""
 BEAT_S = 0.3
-"""What moves by a page's confirm stops so long after the page's last heartbeat, unless it is set otherwise."""
+"""Default time after a page's last heartbeat at which motions stop that it confirmed."""
 
-GONE = "nothing waits for this confirm: it has expired, or something else was asked for"
+GONE = "no motion waits for this confirmation: it has expired, or another was requested"
 
 
 class PageRun(Protocol):
     """What carries out the commands of pages."""
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """Carry it out, or begin with it, at once; what came of it, in words. From the server's thread, which must not
+        """Carry it out, or begin with it, immediately; the outcome, as text. From the server's thread, which must not
         wait: what takes longer than some milliseconds has begun, and its end becomes a remark."""
 
 
@@ -96,7 +96,7 @@ class PageSession:
         self._secondary = run
 
     def show_secondary(self, commands: tuple[str, ...], **changes: Any) -> None:
-        """Beside those of what goes on, these can be asked for until it has stopped. changes: as `show`"""
+        """In addition to those of the main session, these are possible until it has stopped. changes: as `show`"""
         with self._lock:
             if self._state.phase != "stopped":
                 self._secondary_commands = commands
@@ -146,9 +146,9 @@ class PageSession:
 
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
-        the reason where it is cancelled, or not confirmed in CONFIRM_S from when the page has drawn it, and from now on
-        where it does not say. What waited before is let be."""
-        self._drop("another move was asked for")
+        the reason if it is cancelled, or not confirmed within CONFIRM_S after the page has drawn it, and from now on if
+        the page does not report that. What waited before is let be."""
+        self._drop("another move was requested")
         with self._lock:
             self._moves += 1
             self._answers = confirmed, let_be
@@ -157,7 +157,7 @@ class PageSession:
         self._drop_after(UNSEEN_S, number, seen=False)
 
     def _drop_after(self, wait_s: float, number: int, *, seen: bool) -> None:
-        """Let it be where nobody has answered by then. seen: as it is to be at that time, else another waits for it"""
+        """Cancel it without an answer by then. seen: as it is to be at that time, else another waits for it"""
 
         def expire() -> None:
             pending = self._state.pending
@@ -179,8 +179,8 @@ class PageSession:
         return True
 
     def absent(self) -> str:
-        """Why nobody steers at this moment: empty while the page that does is there, can be seen, and says so often
-        enough. From any thread, and at once: asked in each control period."""
+        """Why no page steers at this moment: empty while the controlling page is connected and visible, and reports
+        often enough. From any thread, and immediately: called in each control period."""
         state = self._state
         if not state.controls:
             return "no page has the controls"
@@ -266,7 +266,7 @@ class PageSession:
                 self.show(pending=None)
         if late:
             self._drop(_expired(), command.number)
-            return "refused", f"it was to be confirmed within {CONFIRM_S:g} s: nothing moves"
+            return "refused", f"not confirmed within {CONFIRM_S:g} s: nothing moves"
         if absent:
             return "refused", absent
         confirmed()

@@ -1,8 +1,8 @@
-"""The recording's data on its way to pages: pieces of encoded rerun data, kept for a while, dropped when too old.
+"""The recording's data on its way to pages: pieces of encoded rerun data, stored for a while, dropped when too old.
 
-Whoever makes pieces never waits. A page is sent what is new when it has drawn what it got before, and that is made
-then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen holds nothing back, and no
-memory grows: what it did not take in time is skipped and counted.
+Whoever makes pieces never waits. A page is sent new data when it has drawn the earlier ones, and these are made
+then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen delays nothing, and no
+memory grows: data that it did not take in time are skipped and counted.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ from dataclasses import dataclass
 RECENT_S, RECENT_BYTES = 30.0, 16 << 20
 """What a page that comes gets of the data that pass."""
 FIRST_BYTES, LASTING_BYTES = 4 << 20, 64 << 20
-"""Of what lasts (views, descriptions, results): the first so many bytes are kept, and the newest so many."""
+"""Limits of lasting data (views, descriptions, results): this number of first bytes is stored, and this number of the
+newest."""
 STALE_S = 1.0
 """A page that is there is not sent what is older than this, once something newer is there."""
 FASTEST_S, SLOWEST_S = 0.1, 1.0
-"""Pieces are made at least and at most so often."""
+"""Shortest and longest period of making pieces."""
 REST, MOST_REST_S = 0.25, 0.25
-"""Of the time that it took to draw, and at most so long, a page is left alone: it has other things to do."""
+"""Pause for a page's other tasks, as a share of its drawing time, and its limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class ViewerPiece:
-    """One whole stream of rerun data. number: from 1; lasting: what comes later rests on it; made_s: when [s]
+    """One whole stream of rerun data. number: from 1; lasting: later pieces depend on it; made_s: when [s]
 
     until_ns: session time of the newest that it or an earlier one holds [ns], 0 = not known
     """
@@ -46,7 +47,7 @@ class PageReader:
     last: the newest piece it was sent; skipped: pieces that were too old for it
     sent_s, newest_s: when its last batch was sent, and when the newest piece of that was made; drawing: it is not drawn
     shown_s: when the newest piece was made of the batch before, which it shows until then
-    needs_s: how long it took to draw the last that it has drawn; behind_s: age of what it showed until then
+    needs_s: how long it took to draw the last that it has drawn; behind_s: age of its view until then
     wants_s: when it is to get more: it has other things to do than to draw
     """
 
@@ -100,7 +101,7 @@ class Pieces:
 
     @property
     def held_bytes(self) -> int:
-        """What is kept for pages to come."""
+        """Bytes stored for later pages."""
         return sum(self._bytes.values())
 
     # Of one page -----------------------------------------------------------------------------------------------------
@@ -137,7 +138,7 @@ class Pieces:
             return shown
 
     def drawn(self, reader: PageReader) -> float:
-        """The page has drawn what it took last; for how long a newer piece is worth waiting for [s]."""
+        """The page has drawn its last piece; how long to wait for a newer piece [s]."""
         with self._lock:
             now_s = self._clock()
             reader.needs_s, reader.drawing = now_s - reader.sent_s, False

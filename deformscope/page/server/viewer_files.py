@@ -48,10 +48,10 @@ def viewer_environment() -> dict[str, str]:
 
 
 class ViewerFiles:
-    """Both files of the web viewer, 43 MB that no memory holds. Found when the first is asked for.
+    """Both files of the web viewer, 43 MB that no memory holds. Found at the first request.
 
-    They are read from the executable itself. rerun would also serve them, but on a port that another user of this
-    machine may take first, to give files of his own.
+    They are read from the executable itself. rerun would also serve them, but another user of this machine may take
+    that port first and serve other files.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class ViewerFiles:
             at, left = at + len(part), left - len(part)
 
     def close(self) -> None:
-        """Forget them, until one is asked for again."""
+        """Forget them, until the next request."""
         with self._lock:
             if self._file is not None:
                 self._file.close()

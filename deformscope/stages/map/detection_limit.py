@@ -1,10 +1,11 @@
 """What touches may have missed: the largest circle without a touch, and inclusions that the map does not show.
 
-An inclusion is a disc of some radius, twice as stiff or twice as soft as what is around it, whose centre may be
-anywhere on the surface as long as all of it lies there, each place as likely. The touches are taken to read as the map
+An inclusion is a disc of some radius, twice as stiff or twice as soft as its surroundings. Its centre may be anywhere
+on the surface if all of it lies there, each place with equal probability. The touches are taken to read as the map
 explains
-them: against an inclusion at a place then speaks what they would have felt of it (its share under a contact, as of any
-region), in deviations of theirs. So a touch inside excludes it, and one at its rim leaves it open. What is rigid has no
+them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as of any
+region), in standard deviations of them. So a touch inside excludes it, and one at its rim leaves it open. What is rigid
+has no
 inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
@@ -30,7 +31,7 @@ INCLUSION_CONTRAST = 2.0
 """How many times the apparent stiffness of what is around it, or how many times less."""
 
 INCLUSION_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
-"""Radii for which it is reported what may have been missed."""
+"""Radii of the reported detection limit."""
 
 CENTRE_CELL_M = 0.02
 
@@ -73,7 +74,7 @@ class UnseenInclusions:
 def detection_limit(
     posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = INCLUSION_RADII_M
 ) -> DetectionLimit:
-    """What may have been missed. made_m: (n, 2) where it was touched, also where that gave nothing [m]"""
+    """Computes the detection limit. made_m: (n, 2) where it was touched, also where that gave nothing [m]"""
     size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
     circle = np.minimum(centres, size - centres).min(axis=1)
     if len(made_m):

@@ -29,8 +29,8 @@ class SurfaceEstimate:
     """The surface as the camera saw it, and as the world Gaussian process has it (Thesis eq. 4.3, 4.4).
 
     points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: of the grid
-    layer_m, layer_sd_m: thickness that a level layer of this foam is taken for, and its deviation [m]: as stated, or as
-    seen over the table beside it; None = not known
+    layer_m, layer_sd_m: assumed thickness of a level layer of this foam, and its deviation [m]: as stated, or as
+    measured over the table around it; None = unknown
     """
 
     points_m: FloatArray
@@ -51,14 +51,14 @@ class TouchEstimate:
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
     modulus_pa, modulus_interval_pa: corrected for the tip and the layer, None = rigid, or thickness not known
     depth_m, peak_force_n: of the dent
-    peak_rate_n_per_s, peak_rate_interval_n_per_s: at which the force rose fastest on the way in (`contact.peak_rate`),
-    None where too few samples say so
+    peak_rate_n_per_s, peak_rate_interval_n_per_s: greatest rate of the force on the approach (`contact.peak_rate`),
+    None with too few samples
     beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     speed_m_s: at which the tip came down in contact, None = not known: foam that creeps is the stiffer the faster
-    creep: what its hold and its way back say of the foam's creep, None = not asked for, or not fitted
-    thickness_m: of the foam there, as it was seen; level_n_per_mm: its stiffness were the foam level and as thick as
-    stated, which is what is mapped; both None where it was taken for that
+    creep: the foam's creep by the touch's hold and retract, None = not requested, or not fitted
+    thickness_m: of the foam there, as it was seen; level_n_per_mm: its stiffness on level foam of the stated thickness,
+    which is mapped; both None if the foam is assumed to be that
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
@@ -138,7 +138,7 @@ class TouchEstimate:
     @property
     @derived("force, held in place", key=None, caption="{}")
     def force_kept_text(self) -> str:
-        """The reasons to doubt the creep, and the force that is kept to the end of the hold; empty without a hold."""
+        """The reasons to doubt the creep, and the remaining force at the end of the hold; empty without a hold."""
         if self.creep is None or not self.creep.force_kept:
             return ""
         return ", ".join([*(one.code for one in self.creep.reasons), str(self.creep.force_kept[-1])])
@@ -176,9 +176,9 @@ class MapRegion:
     """A region of a map: a place where all is alike.
 
     stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) of 90 %; rigid: the former is a lower bound
-    modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam that would feel so; shown without the interval,
-    which does not know of foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times stiffer; None where the
-    thickness is not known, the interval where it is a bound too
+    modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam with this stiffness. It is shown without the
+    interval, which does not cover foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times stiffer. None
+    with an unknown thickness, the interval also for a bound
     loss, loss_interval: (2,) share of a touch's energy; None where it is not mapped
     """
 
@@ -203,17 +203,18 @@ class MapRegion:
 
     @property
     def loss_text(self) -> str:
-        """What it loses of a touch's energy; empty where it was not mapped."""
+        """Its energy loss in a touch; empty if it was not mapped."""
         return "" if self.loss is None else f"loses {format_value(self, 'loss')}"
 
     @property
     def modulus_text(self) -> str:
-        """Its modulus; empty where it was not told apart from stiffness, or is a bound."""
+        """Its modulus; empty if it was not separated from stiffness, or is a bound."""
         return "" if self.modulus_pa is None or self.rigid else f"about {self.modulus_pa / 1e3:.3g} kPa"
 
 
 PLATEAU_FACTOR = 2.8
-"""Modulus of foam that yields over that of linear foam that feels the same at 3 N, at most (docs/exploring.md)."""
+"""Largest ratio of the modulus of foam on its plateau to that of linear foam with the same stiffness at 3 N
+(docs/results/maps.md)."""
 
 REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no regions"
 
@@ -227,7 +228,7 @@ class MapEstimate:
     beta, beta_sd: (rows, columns), None before two touches gave one
     labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
     label_probability: of that label, the doubt about the number of regions and about `gradual` included
-    region_count: 0 without regions; at_least: there may be more, it is the most that are told apart
+    region_count: 0 without regions; at_least: there may be more, it is the largest number that is distinguished
     verdict: "regions" or "gradual"; probability: of verdict and region_count
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
@@ -237,10 +238,10 @@ class MapEstimate:
     its 90 %, a lower bound of what is rigid; None where the thickness is not known
     levelled_m: all stiffness is as on a level layer so thick [m], None = apparent
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
-    level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless
-    the regions are those of the loss, 0 the one that loses least: stiffness is then a field through the touches, the
-    levels its means, none of them a bound
-    isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability:
+    level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless the
+    regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the touches, the levels
+    its means, none of them a bound
+    isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
     `probability` is then that of as many regions by stiffness; None = the regions are of stiffness, or of the loss
     truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
     """
@@ -277,7 +278,7 @@ class MapEstimate:
 
     @property
     def mapped(self) -> str:
-        """By what the regions are told apart."""
+        """The quantity that distinguishes the regions."""
         if self.isopleths is not None:
             return "beta"
         return "stiffness" if self.loss is None else "energy loss"
@@ -319,9 +320,9 @@ class DetectionLimit:
     """What the touches so far may have missed.
 
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
-    lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that there is one of
-    these which no touch has felt; it was `prior` before any touch
-    contrast: they are so many times as stiff, or as soft, as what is around them
+    lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of these
+    exists, undetected by the touches; it was `prior` before any touch
+    contrast: ratio of their stiffness to that of their surroundings, or the inverse
     deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
     """
 
@@ -346,16 +347,16 @@ class DetectionLimit:
 
 @dataclass(frozen=True, slots=True)
 class InclusionsResult:
-    """What the touches so far say of inclusions below a surface that shows nothing (`stages.map.inclusion_posterior`).
+    """Posterior of inclusions below a homogeneous surface, by the touches so far (`stages.map.inclusion_posterior`).
 
     centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
     radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) of each
-    depth: of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty where it cannot be told
+    depth: of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty if it is not identified
     covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: of that map
     size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found, were
     inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
-    prior, contrast, deepest_m: what is taken for granted: an inclusion is there with `prior` before any touch,
-    `contrast` times as stiff or as soft as the foam or more, and its uppermost point at most so deep [m]
+    prior, contrast, deepest_m: assumptions. An inclusion exists with `prior` before any touch, is `contrast` times as
+    stiff or as soft as the foam or more, and has its uppermost point at most so deep [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
     truth_m: (m, 4) where it is known: x, y, radius, depth of each [m]
     """
@@ -405,7 +406,7 @@ class InclusionsResult:
     @property
     @derived(key="words")
     def rows(self) -> list[tuple[str, str]]:
-        """Every inclusion that was found, and what may be missed, as names and values."""
+        """Every found inclusion, and the detection limit, as names and values."""
         rows = []
         for number in range(len(self)):
             x, y = 100.0 * self.centre_m[number]
@@ -414,7 +415,7 @@ class InclusionsResult:
                 f"{'stiff' if self.stiff[number] else 'soft'}, its middle at ({x:.1f}, {y:.1f}) cm"
                 f" (90 % within {100.0 * self.within_m[number]:.1f} cm)",
                 f"radius about {100.0 * self.radius_m[number]:.1f} cm",
-                "its depth cannot be told" if depth is None else depth.format(100.0 * self.deep_m),
+                "its depth cannot be determined" if depth is None else depth.format(100.0 * self.deep_m),
                 f"probability {self.probability[number]:.2f}",
             ]
             rows.append((f"inclusion {number + 1}", ", ".join(parts)))
@@ -459,9 +460,9 @@ class PlannedTouch:
 
 @dataclass(frozen=True, slots=True)
 class TouchForecast:
-    """A touch that a person asks for, as it would be, and what is expected to be felt.
+    """The plan of a touch that a person requests, and its forecast.
 
-    xyz_m: (3,) where the surface is believed to be; normal: (3,) along which it is touched; way_m: (k, 3) of the tip's
+    xyz_m: (3,) estimated place of the surface; normal: (3,) along which it is touched; way_m: (k, 3) of the tip's
     lowest point, down to it [m]; set_force_n: pressed with
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force, as one touch is expected to measure it in 90 %
     force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) of the dent at each, and its interval [m]
@@ -483,7 +484,7 @@ class TouchForecast:
 
 @dataclass(frozen=True, slots=True)
 class SteeringDecision:
-    """What a person decided about the next touch, where it was not left to the plan.
+    """A person's decision about the next touch, if it was not left to the plan.
 
     kind: veto = not at xy_m, touch = at xy_m instead, held = it was broken off before it measured anything
     xy_m: (2,) [m]; touch: how many were made before; reason: in words
@@ -497,7 +498,7 @@ class SteeringDecision:
 
 @dataclass(frozen=True, slots=True)
 class StageFailure:
-    """A stage failed on one touch: the exploration goes on without what it would have given.
+    """A stage failed on one touch: the exploration continues without its result.
 
     stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: from 1, 0 = before the first
@@ -528,10 +529,10 @@ class PhaseStart:
 
 @dataclass(frozen=True, slots=True)
 class ExplorationStop:
-    """The exploration ended before its plan said so.
+    """The exploration ended before the end of its plan.
 
     kind: what was wrong, in the supervisor's words or the touch's; reason: what was seen of it; advice: what to do
-    action: stop = the arm stands and its FIFO is erased, back off = it went away first
+    action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first
     touch: as in PhaseStart
     """
 

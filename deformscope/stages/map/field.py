@@ -4,8 +4,8 @@
     found = field.on(grid)                 # mean and deviation on cells of 0.5 cm
 
 Each touch comes with its own variance; what touches at one place scatter beyond that is the *nugget*, the same for all.
-A few touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`), and what they may be is
-averaged over, not only the likeliest: a map of three touches then knows how little it knows.
+A few touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`). The prediction averages over
+their posterior, not only its mode, so that a map of three touches has its full uncertainty.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ class FieldPrior:
     """Log-normal priors of the hyper-parameters: a median, and a spread in natural logarithms.
 
     sigma_e: deviation of the field [its unit]; length_m [m]; nugget: deviation from touch to touch at one place
-    level_sd: deviation of the constant mean around that of the touches; large, so that touches alone determine it
-    The defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and touches
-    that scatter as `stages.regions.touch_error` says. For beta, 0 to 1, `BETA_PRIOR`.
+    level_sd: deviation of the constant mean around that of the touches; large, so that touches alone determine it The
+    defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and the scatter
+    of touches in `stages.regions.touch_error`. For beta, 0 to 1, `BETA_PRIOR`.
     """
 
     sigma_e: float = 0.5
@@ -162,8 +162,8 @@ def fit_field(
 ) -> Field:
     """The field through touches at places (n, 2) [m] with values (n,) and their deviations (n,).
 
-    kernel, nugget: kept where given, else learned by marginal likelihood under `prior`; several touches at one place
-    are replicates and identify the nugget
+    kernel, nugget: used if given, else estimated by marginal likelihood under `prior`; several touches at one place are
+    replicates and identify the nugget
     average: over what the hyper-parameters may be; else the likeliest are taken as known
     Raises InputError for no touch, and values that are not finite.
     """
@@ -267,9 +267,9 @@ class _Fit:
     def _around(
         self, at: FloatArray, free: BoolArray, low: FloatArray, high: FloatArray, cost: Cost
     ) -> list[tuple[FloatArray, float]]:
-        """Hyper-parameters (3,) to average over and their shares: the likeliest, and points around it on a sphere of
-        the posterior's deviations, weighed as for a Gaussian and then by what the posterior is there (Rue et al. 2009,
-        6.5: a central composite design)."""
+        """Hyper-parameters (3,) to average over and their shares: the mode, and points around it on a sphere of the
+        posterior's deviations, with Gaussian weights corrected by the posterior (Rue et al. 2009, 6.5: a central
+        composite design)."""
         which = np.flatnonzero(free)
         size = len(which)
         curvature = np.empty((size, size))

@@ -29,7 +29,7 @@ def force_pose(host_ns: IntArray, force_n: FloatArray, state_ns: IntArray, T_sur
     """Forces (n, 3) [N] with the pose at their times: positions linearly, rotations along the shortest turn (slerp).
 
     state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation vector may be a whole turn from the one of at
-    most half a turn: it is the one nearest to the first, so that rows do not jump.
+    most half a turn. The one nearest to the first is returned, so that rows do not jump.
     """
     from scipy.spatial.transform import Rotation, Slerp
 

@@ -1,9 +1,9 @@
 """The marginal likelihood of a Gaussian process by all of its points, in a basis of sines (Solin and Särkkä 2020).
 
 On a box around the data the kernel is nearly a sum over sines, each weighed by the kernel's spectral density at its
-frequency. Only these weights depend on the kernel, so that what the points say is summed up once, and each trial of the
-hyper-parameters costs as much for a million points as for a thousand. For products of sines even that sum is cheap:
-sin a sin b = (cos(a - b) - cos(a + b)) / 2, so that sums of cosines at every point give all products of two sines.
+frequency. Only these weights depend on the kernel. So the sums over points are computed once, and each trial of the
+hyper-parameters costs as much for a million points as for a thousand. For products of sines even that sum is cheap: sin
+a sin b = (cos(a - b) - cos(a + b)) / 2. So sums of cosines at every point give all products of two sines.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from scipy.linalg.lapack import dpotrf, dtrtri
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 EDGE = 2.5
-"""The box goes this many lengths beyond the data on each side (for data 2.5 to 5 lengths wide, the c = 2 to 3 of the
-literature): the mirror images at its walls, five lengths away, then weigh 4e-6."""
+"""Number of lengths by which the box extends beyond the data on each side (for data 2.5 to 5 lengths wide, the c = 2 to
+3 of the literature). The mirror images at its walls, five lengths away, then have a weight of 4e-6."""
 
 HIGHEST = 4.0
-"""Frequencies are kept up to this one over the shortest length, where the spectral density is 3e-4 of its highest."""
+"""The largest frequency, as a multiple of one over the shortest length, where the spectral density is 3e-4 of its
+highest."""
 
 MOST_SINES = 1600
 """Products of sines at most: one trial then takes 0.2 s. It bounds the length from below."""
@@ -94,7 +95,7 @@ class HilbertBasis:
         )
 
     def list(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> ListedPoints:
-        """Points (k, 2) as they are, with values (k,) and noise (k,)."""
+        """Points (k, 2), with values (k,) and noise (k,)."""
         angle = 0.5 * np.pi * (places - self.middle + self.wall) / self.wall
         sine = np.prod(np.sin(angle[:, None] * self.number), axis=2) / np.sqrt(np.prod(self.wall))
         return ListedPoints(sine / noise[:, None], value / noise, float(2.0 * np.log(noise).sum()))

@@ -1,10 +1,9 @@
 """Where to touch next for inclusions, and when enough is known: `explore --goal inclusions`.
 
-While nothing is felt: the place whose touch most lowers the probability that an inclusion is missed, for the second: of
-every inclusion that is still thought of, how far apart its reading there and that of the foam alone are expected to be,
-in deviations of what the other touches leave open. Where one is felt: the place that says most about which inclusion it
-is. It stops where an inclusion of the smallest size, and of any larger one, is missed with less than
-`PlanOptions.missed`.
+While no inclusion is detected: the place whose touch most lowers the miss probability per second. For every remaining
+hypothesis, it compares the expected reading there with that of the foam alone, in standard deviations given the other
+touches. With a detected one: the place with the most information about which inclusion it is. It stops where an
+inclusion of the smallest size, and of any larger one, is missed with less than `PlanOptions.missed`.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from deformscope.stages.map.plan import ALLOWED, PlanOptions, StopReason, TouchC
 from deformscope.stages.regions.touches import MapGrid
 
 FELT = 0.6
-"""From this probability of an inclusion on, the next touch is to tell which it is."""
+"""From this probability of an inclusion on, the next touch is to identify it."""
 FEWEST = 3
 """Touches before it stops."""
 AT_ONCE = 64
@@ -88,8 +87,8 @@ def plan_inclusion_touch(
 
 
 def detection_probability(posterior: InclusionPosterior, places_m: FloatArray) -> FloatArray:
-    """(p,) probability that touches at places (p, 2) are the first to show an inclusion of the size that is missed most
-    probably, of those that must not be."""
+    """(p,) probability that touches at places (p, 2) are the first to show an inclusion of the size that is most likely
+    missed."""
     radii = np.array(posterior.radii_m)
     worst = radii[int(np.where(radii >= posterior.prior.smallest_m, posterior.missed, -1.0).argmax())]
     weight = np.where(posterior.hypotheses.radius_m == worst, posterior.state.posterior, 0.0)
@@ -107,8 +106,8 @@ def information_gain(posterior: InclusionPosterior, places_m: FloatArray) -> Flo
 
 
 def _readings(posterior: InclusionPosterior, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(p, j), (p, j) by how much each inclusion is expected to change stiffness and exponent of a touch at places (p,
-    2), beyond what it changed of the earlier ones, in deviations of theirs."""
+    """(p, j), (p, j) expected change of stiffness and exponent of a touch at places (p, 2) by each inclusion, beyond
+    its effect on the earlier ones, in standard deviations."""
     weights, variance = posterior.kriging(places_m)
     felt, left = posterior.hypotheses.shifts(places_m, posterior.contact_m), posterior.state.left
     apart = (felt.log - weights @ posterior.felt.log) / np.sqrt(variance + LEAST_VARIANCE)[:, None]
@@ -146,9 +145,9 @@ def _detection_limit(posterior: InclusionPosterior, made_m: FloatArray) -> Detec
 
 def _why(posterior: InclusionPosterior, felt: bool, gain: float, cost_s: float) -> str:
     """Why here, in words."""
-    smallest = f"a lump of {100 * posterior.prior.smallest_m:g} cm radius or more"
+    smallest = f"an inclusion of {100 * posterior.prior.smallest_m:g} cm radius or more"
     unseen = f"{smallest} is missed with a probability of {posterior.missed_smallest:.0%}"
     if felt:
         there = f"probability that there is one more: {posterior.state.exists:.0%}"
-        return f"shows best where a lump lies (by {gain:.2g} nat), takes {cost_s:.0f} s; {there}"
-    return f"shows a lump with a probability of {gain:.1%}, takes {cost_s:.0f} s; {unseen}"
+        return f"locates an inclusion best (by {gain:.2g} nat), takes {cost_s:.0f} s; {there}"
+    return f"shows an inclusion with a probability of {gain:.1%}, takes {cost_s:.0f} s; {unseen}"

@@ -1,16 +1,17 @@
-"""What touches say of inclusions below a surface that shows nothing: where they are, how large, and what may be missed.
+"""Posterior of inclusions below a homogeneous surface, given touches: their places and sizes, and the miss probability.
 
-A touch's log stiffness is one level, plus what the inclusions add to it (`stages.poke.inclusion_footprint`), plus what
-the foam varies by: a Gaussian field whose deviation, length and share of each touch's own are not known (`Background`).
-Its exponent shows more: what lies below is felt the more the wider the contact grows (`stages.poke.law_response`),
-while foam whose modulus varies from place to place has the same exponent everywhere. An inclusion is one of a grid of
-hypotheses: its middle, its radius, its depth and its contrast, each as likely as another before any touch; the level is
-flat, and backgrounds are summed over. Where the touches say that there is one, and where, it counts as found; the next
-is sought in what is left, with the doubt about the first.
+A touch's log stiffness is one level, plus the effect of the inclusions (`stages.poke.inclusion_footprint`), plus the
+variation of the foam. The latter is a Gaussian field with unknown deviation, length and share of each touch
+(`Background`). Its exponent shows more: the wider the contact grows, the more it depends on deeper material
+(`stages.poke.law_response`). Foam whose modulus varies from place to place has the same exponent everywhere. An
+inclusion is one of a grid of
+hypotheses: its middle, its radius, its depth and its contrast, each with equal probability before any touch; the level
+has a flat prior, and backgrounds are summed over. An inclusion counts as found when the touches determine that there is
+one, and its place. The next is sought in the remaining readings, with the uncertainty of the first.
 
-What is taken for granted, and stated with every result: before any touch an inclusion is as likely as not; inclusions
-are balls 4 times as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, all of each
-within the field. What is weaker or deeper may be there at any probability.
+Assumptions, reported with every result: before any touch an inclusion has probability .5. Inclusions are balls 4 times
+as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, entirely within the field. What is
+weaker or deeper may be there at any probability.
 """
 
 from __future__ import annotations
@@ -55,13 +56,13 @@ FOOTPRINT_DOUBT = 0.15
 LEVEL_SD, LEAST_SD = 3.0, 0.002
 HERTZ = EXPONENT["sphere"]
 STIFFER, STIFFER_SD = 0.16, 0.03
-"""By how much the exponent of a ball is larger on foam whose log stiffness is larger by 1, where it sinks less, and the
-deviation of that."""
+"""Increase of a ball's exponent with the foam's log stiffness, because the ball sinks less, and its standard
+deviation."""
 BENT = 0.62
 """What finite elements' exponents rise by over an inclusion, over what `law_response` says: their foam is a layer."""
 EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.005, 1.0, 0.025, 10.0
-"""Deviations of exponents: of a touch, however well it is fitted; of the foam's; of a touch before any was made; of one
-that was not fitted."""
+"""Standard deviations of exponents: of a touch with an exact fit, of the foam's, of a touch before any was made, and of
+one that was not fitted."""
 DRIFT_SD = 0.001
 """Of log stiffness, from touch to touch, evenly, in the same direction: a force sensor's gain drifts by some 1 % in ten
 touches."""
@@ -201,8 +202,8 @@ class InclusionHypotheses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InclusionShifts:
-    """What inclusions do to touches: log, exponent: (p, j) what each adds to the log stiffness of a touch, and to its
-    exponent beyond what that of any foam as stiff is"""
+    """Effect of inclusions on touches: log, exponent: (p, j) the change of a touch's log stiffness by each, and of its
+    exponent relative to foam of the same stiffness"""
 
     log: FloatArray
     exponent: FloatArray
@@ -214,7 +215,7 @@ class FoundInclusion:
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: of
     90 % [m]; stiff: rather than soft; probability: that there is one
-    deep: that it is (DEEP_M); log_shift: what it adds to log stiffness right above it
+    deep: that it is (DEEP_M); log_shift: its effect on log stiffness right above it
     posterior: (j,) over the guesses
     """
 
@@ -230,7 +231,7 @@ class FoundInclusion:
 
     @property
     def depth(self) -> str:
-        """In a word; empty where it cannot be told."""
+        """In a word; empty if it is not identified."""
         return "deep" if self.deep >= SURE_DEPTH else "shallow" if self.deep <= 1.0 - SURE_DEPTH else ""
 
 
@@ -350,9 +351,9 @@ class InclusionState:
 
 
 class InclusionPosterior:
-    """What touches of a surface say of inclusions in it; each touch makes another one.
+    """Posterior of inclusions given touches of a surface; each touch makes a new posterior.
 
-    touches; found: inclusions, in the order in which they explain most; state: of what is left
+    touches; found: inclusions, in the order in which they explain most; state: of the remaining part
     """
 
     def __init__(self, grid: MapGrid, prior: InclusionPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
@@ -555,8 +556,8 @@ class InclusionPosterior:
         return weights @ self.state.left.read, spare
 
     def kriging(self, places_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p, t) weights that touches have for one at places (p, 2), and (p,) variance of what is left: of a scatter
-        as it is known."""
+        """(p, t) weights of touches for one at places (p, 2), and (p,) remaining variance: of a scatter with known
+        parameters."""
         background, places = self.state.background, self.places_m
         scatter2 = background.scatter**2
         if not len(places):
@@ -569,8 +570,9 @@ class InclusionPosterior:
 
 
 def _doubted(with_read: FloatArray, own: FloatArray) -> FloatArray:
-    """(s, j) log likelihood ratio of inclusions to none, whose effect is off by a factor, of deviation FOOTPRINT_DOUBT
-    about 1. with_read, own: (s, j) products of their effects with the readings and with themselves, in deviations"""
+    """(s, j) log likelihood ratio of inclusions to none. The factor of an inclusion's effect has the standard deviation
+    FOOTPRINT_DOUBT about 1. with_read, own: (s, j) products of their effects with the readings and with themselves, in
+    standard deviations"""
     sure = FOOTPRINT_DOUBT**-2
     return np.asarray(0.5 * ((with_read + sure) ** 2 / (own + sure) - sure - np.log1p(own / sure)))
 

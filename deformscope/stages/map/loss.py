@@ -1,10 +1,9 @@
 """Maps by the share of its energy that a touch loses, in place of stiffness: foams that are equally stiff may differ.
 
-The share has a logarithm as stiffness has one, in which regions differ and touches are off by shares of it; from
-LEAST_LOSS down it counts as that, so that what loses nothing, something rigid among it, is one material. It is of the
-touch as it was made: its speed and how long it was held, which are the same for all touches of an exploration. The gain
-of the force does not enter, and neither does the shape of the surface, which moves what goes in and what comes back
-alike.
+The share is used by its logarithm, as stiffness is, in which regions differ and touches have relative errors. Shares
+below LEAST_LOSS count as it, so that elastic and rigid parts are one material. It is of the touch as made: its speed
+and the duration of its hold, which are the same for all touches of an exploration. The gain of the force has no effect,
+and neither has the shape of the surface, which changes stored and returned energy alike.
 """
 
 from __future__ import annotations
@@ -29,21 +28,21 @@ RIGID_LOSS_SD = 0.25
 
 
 def loss_sample(xy_m: FloatArray, creep: CreepFit | None, *, rigid: bool) -> StiffnessSample:
-    """What a touch at a place (2,) [m] says of the loss there, its logarithm in place of that of stiffness.
+    """The sample of the loss by a touch at a place (2,) [m], with its logarithm in place of that of stiffness.
 
     Raises InputError where its way back does not say it.
     """
     if rigid:
         return StiffnessSample(xy_m, float(np.log(LEAST_LOSS)), RIGID_LOSS_SD)
     if creep is None or creep.loss is None or creep.loss_interval is None:
-        raise InputError("a touch whose force came back to nothing", "one without", "look at its creep")
+        raise InputError("a touch whose force returned to zero", "one without", "check its creep")
     low, high = creep.loss_interval
     loss = max(creep.loss, LEAST_LOSS)
     return StiffnessSample(xy_m, float(np.log(loss)), max((high - low) / (2.0 * Z_90 * loss), 1e-3))
 
 
 def by_loss(maps: MapEstimate, felt: Sequence[StiffnessSample]) -> MapEstimate:
-    """Maps of the log loss, named as what they are; and stiffness beside it, as a field through what was felt."""
+    """Maps of the log loss, with its names; and stiffness, as a field through the touches."""
     rows, columns = maps.labels.shape
     grid = MapGrid((columns * maps.cell_m, rows * maps.cell_m), maps.cell_m)
     places, log_stiffness, sd = (

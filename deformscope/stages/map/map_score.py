@@ -12,7 +12,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.regions.posterior import RegionMap
 
 Z_90 = 1.6449
-"""Of a normal distribution, 90 % lies within so many deviations."""
+"""Half width in standard deviations that contains 90 % of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +44,14 @@ class TrueMap:
 
 @dataclass(frozen=True, slots=True)
 class MapScore:
-    """A map against the truth. What there is no truth for is None; shares are from 0 to 1.
+    """A map against the truth. Without a truth it is None; shares are from 0 to 1.
 
     region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are
-    iou: `match_regions`; least_iou: of the smallest true region with what it is matched to; boundary_m:
-    `boundary_distance`
-    ordered: the matched regions' levels stand in the true order
+    iou: `match_regions`; least_iou: of the smallest true region with its match; boundary_m: `boundary_distance`
+    ordered: the matched regions' levels have the true order
     rigid_found: most of what is rigid is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
-    to; None where the number of regions is wrong
+    to; None with a wrong number of regions
     wrong, wrong_claimed: share of the surface whose label is not that of the region it is matched to, and what the map
     expects of it
     field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both over

@@ -1,8 +1,8 @@
 """Hyper-parameters of a surface's Gaussian process by the marginal likelihood of all its points.
 
-A rough look at a few lengths, from long to short, gives the start; then L-BFGS-B climbs, in a basis of sines that
-is laid out anew wherever the length leaves what it is good for. The priors are so wide (a factor of 4.5 up or down)
-that a hundred points overrule them; they keep a handful of points from running off.
+The start is the best of a few lengths, from long to short. L-BFGS-B then maximizes, in a basis of sines that is renewed
+wherever the length leaves its range. The priors are so wide (a factor of 4.5 up or down) that a hundred points overrule
+them; they bound the estimates of a handful of points.
 """
 
 from __future__ import annotations
@@ -97,9 +97,9 @@ def learn(
 ) -> Hyperparameters:
     """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known.
 
-    start: what was learned of nearly the same points, if anything; else a few lengths are looked at first
-    Where all are given nothing is tried, and the likelihood is NaN.
-    Raises InputError where a given sigma_w is too short for the others to be learned.
+    start: estimates from nearly the same points, if any; else a few lengths are tried first If all are given nothing is
+    fitted, and the likelihood is NaN. Raises InputError where a given sigma_w is too short for the others to be
+    learned.
     """
     if not len(free.value):
         given = dataclasses.replace(given, noise_scale=1.0)
@@ -135,7 +135,7 @@ class _Search:
         length = None if given.sigma_w is None else Kernel(1.0, given.sigma_w).length_m
         if length is not None and HilbertBasis.size(self.half, length / RANGE[0], length * RANGE[1]) > 4 * MOST_SINES:
             raise InputError(
-                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to learn the rest",
+                f"a sigma_w of {0.5 * np.sqrt(2.0) * self.limits[0]:.2g} m or more on this box, to fit the rest",
                 f"{given.sigma_w:.3g} m",
                 "give sigma_e and the noise too, or a smaller box",
             )
@@ -177,8 +177,8 @@ class _Search:
         )
 
     def _first(self, start: FloatArray, free_noise: bool) -> FloatArray:
-        """(3,) logarithms to start from: the best of a few lengths, from long to short, each with the noise that
-        neighbours show, and with less, since a surface that is rough between neighbours looks like noise."""
+        """(3,) logarithms to start from: the best of a few lengths, from long to short. Each has the noise between
+        neighbours, and less, because a surface that is rough between neighbours resembles noise."""
         length, best, at = 0.5 * self.limits[1] / LONGEST, -np.inf, start
         while True:
             length = max(length, self.limits[0])

@@ -17,8 +17,8 @@ from deformscope.stages.see.pixel_labels import SeenPixels
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
     """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
-    noise_m: (n,) deviation of each height [m]; table: beside it, None = not seen, or not looked for
-    pixels: that they are of, None = not asked for, or no images"""
+    noise_m: (n,) deviation of each height [m]; table: around it, None = not visible, or not sought
+    pixels: of the points, None = not requested, or no images"""
 
     points_m: FloatArray
     noise_m: FloatArray
@@ -34,9 +34,9 @@ class TouchMeasurement:
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame
     after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
     seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
-    loading, held: how many samples lead up to the set force, and how many were taken until the way back; None where its
-    creep was not asked for: then all samples lead up to the set force
-    pixels: that after_m is of; force_pose: at the force's rate; None = not asked for, or not measured so
+    loading, held: number of samples up to the set force, and up to the retract; None without a creep measurement: then
+    all samples are up to the set force
+    pixels: that after_m is of; force_pose: at the force's rate; None = not requested, or not measured at it
     """
 
     xy_m: FloatArray
@@ -63,7 +63,7 @@ class TouchMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class LookFrames:
-    """Which frames a look at the surface is computed from.
+    """The frames from which a look at the surface is computed.
 
     camera, depth_ns (k,): depth images; arm, arm_ns: the arm's state in all of them, and before the first touch
     arm_model: as the vendor calls it; focal_px, center_px: (x, y) of the camera
@@ -85,10 +85,10 @@ class TouchFrames:
     xy_m: (2,) where it was to be; normal: (3,) that it went along; reached: the set force, rather than the depth
     arm, arm_ns (n,): states from the approach until the force was reached
     wrench, wrench_ns, wrench_ticks (m,): usable readings; pose_ns (m,): the newest state of the arm then
-    tare_n: (3,) what they read in free air before [N]
+    tare_n: (3,) their readings in free air before [N]
     camera, depth_ns (k,): images of the dent; depth_arm_ns: (k,) the arm's state in each
     seen_ns: until when it pressed still; end_ns: the arm's state after it
-    held_ns: (h,) states from the set force until the tip was back, None where its creep was not asked for
+    held_ns: (h,) states from the set force until the tip was back, None without a creep measurement
     """
 
     xy_m: FloatArray

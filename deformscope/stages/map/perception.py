@@ -1,5 +1,5 @@
-"""What lies between the frames of an exploration and its estimates (Thesis chapter 4): which pixels were used, the
-surface under a touch, the error over beta, and what the fields were trained with."""
+"""Results between the frames of an exploration and its estimates (Thesis chapter 4): the pixels used, the surface under
+a touch, the error over beta, and the training data of the fields."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deformscope.stages.see.pixel_labels import PixelMasks
 class TrainedField:
     """What a field of beta was trained with.
 
-    kernel: the likeliest, where several are averaged over; noise: deviation of a value beside its own
+    kernel: the likeliest, where several are averaged over; noise: standard deviation of a value in addition to its own
     place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
     """
 
@@ -47,7 +47,7 @@ class TouchSurface:
 @dataclass(frozen=True, slots=True)
 class LookPerception:
     """What the surface before any touch was computed from. masks: None of a robot that gives points, not images
-    learned: by its process, from so many points without outliers"""
+    learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None
     learned: Hyperparameters
@@ -56,7 +56,7 @@ class LookPerception:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchPerception:
-    """What the estimate of a touch was computed from, and what it taught; each None where there is none.
+    """Input of a touch's estimate, and its training data; each None if missing.
 
     number: from 0; masks: of its depth images, but for those that showed nothing of the surface; surface: under it
     error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
@@ -82,4 +82,4 @@ class TouchPerception:
 
 
 Perception = LookPerception | TouchPerception | ForcePose
-"""What `--detail full` records beside estimates and maps."""
+"""Content of `--detail full` besides estimates and maps."""

@@ -1,11 +1,11 @@
 """Where to touch next, and why: the expected information of each place, what going there costs, and where not to go.
 
-`random-above`: any place whose field variance is above a threshold (Thesis 4.2); `thesis`: the same of the thesis's
-field of beta, whose variance alone ends it (`thesis_field`); `max-variance`: the largest variance;
-`integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996); `regions`, the default:
-touches that fill the space first; then those that are expected to put most of the map's labels right, by showing where
-the regions' borders run, or an inclusion that the map does not show (`detection_limit`), or by repeating a touch that
-may be off. All of these per second.
+`random-above`: any place whose field variance is above a threshold (Thesis 4.2). `thesis`: the same of the thesis's
+field of beta, whose variance alone ends it (`thesis_field`). `max-variance`: the largest variance.
+`integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996). `regions`, the default:
+touches that fill the space first, then those that are expected to correct most of the map's labels. They show the
+course of borders, or an inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. All of these
+per second.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ CONTENDERS = 100
 """Places, those most informative about the map per second, for which the gain in labels is worked out."""
 
 INCLUSION_M = 0.06
-"""Radius of the smallest inclusions that are sought unless others are asked for."""
+"""Default radius of the smallest inclusions that are sought."""
 
 LARGER = (1.0, 1.4, 2.0)
 """Inclusions that are sought, in units of the smallest."""
 
 INCLUSION_WORTH = 0.5
-"""Share of the labels that are put right where an inclusion is found: without it, the number of regions is wrong."""
+"""Share of the labels that are corrected when an inclusion is found: without it, the number of regions is wrong."""
 
 LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
-"""What a nat about the levels counts beside the share of cells with the right label."""
+"""Weight of a nat about the levels relative to the share of cells with the right label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +70,15 @@ class FieldKernel:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """planner; fill: touches that fill the space before regions are asked for; cell_m: of the places considered
-    border_m, apart_m: kept from the border and from earlier touches, but for `regions`, which may repeat one
+    """planner; fill: touches that fill the space before regions are planned; cell_m: of the places considered
+    border_m, apart_m: least distance from the border and from earlier touches, except for `regions`, which may repeat
+    one
     touch_s, speed_m_s: costs of touch and route
     threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: touches in all
-    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability that one is there unseen, from
-    which on enough is known of them. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
+    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected one below which
+    the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     missed: where inclusions alone are sought: probability of a missed one, below which enough is known
     (`inclusion_plan`)
     """
@@ -108,7 +109,7 @@ class PlanOptions:
 class TouchChoice:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
-    target_m: (2,) the best place [m], None if there is none; stop: why no touch is worth it any more, None to go on
+    target_m: (2,) the best place [m], None if there is none; stop: why no further touch is useful, None to continue
     gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right label)
     missed: what the touches so far may have missed
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
@@ -240,8 +241,8 @@ def level_information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: fl
 def _expected(
     hypotheses: RegionHypotheses, touches: Repeats, blur_m: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and variance (h, p) of what touches read under each hypothesis, and its weight (h,): a repeat is expected to
-    read a part of what was read there before."""
+    """Mean and variance (h, p) of touches' readings under each hypothesis, and its weight (h,): a repeat is expected to
+    share a part of the earlier reading there."""
     mean, variance, weight = hypotheses.predict(touches.at_m, blur_m)
     return mean + touches.share * (touches.value - mean), variance * (1.0 - touches.share) ** 2, weight
 
@@ -343,8 +344,8 @@ def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: Float
 
 
 def _region_gain(posterior: RegionPosterior, touches: Repeats, cost: FloatArray) -> FloatArray:
-    """(p,) what a touch is expected to add to the labels, and to levels that are hardly known; for all but the places
-    that are most informative, as far as the latter go."""
+    """(p,) expected gain of a touch in labels, and in uncertain levels; the labels' part only at the places that
+    are most informative of levels."""
     hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
     gain = LEVEL_WORTH * level_information(hypotheses, touches, blur, posterior.prior.rigid_sd)
     learned = LEVEL_WORTH * information(hypotheses, touches, blur)
@@ -386,13 +387,13 @@ def _stop(
 def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, cost_s: float) -> str:
     """Why here, in words."""
     if options.planner in ("random-above", "thesis"):
-        return f"drawn at random from the places whose variance is above the threshold; here it is {gain:.3g}"
+        return f"drawn at random from the places with a variance above the threshold; here it is {gain:.3g}"
     if options.planner == "max-variance":
         return f"the place where the map is least certain: variance of log stiffness {gain:.3g}"
     if unit == "mean variance":
         return f"spreads the touches over the surface, where the map is least certain; takes {cost_s:.0f} s"
     if posterior.probability["1"] > 0.5:
-        found = "one material so far: looks for a spot of another"
+        found = "one material so far: seeks a spot of another"
         return f"{found}; expected to correct {gain:.1%} of the map, takes {cost_s:.0f} s"
     shares = ", ".join(f"{name} ({share:.0%})" for name, share in posterior.probability.items() if share >= 0.05)
     return f"expected to correct {gain:.1%} of the map, takes {cost_s:.0f} s; regions so far: {shares}"

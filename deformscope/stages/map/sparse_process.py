@@ -1,8 +1,8 @@
 """Sparse Gaussian process regression with inducing points on a lattice (SGPR; Titsias 2009).
 
-The kernel is a product over x and y, and so is what a lattice of inducing points makes of it: features of a place are
-products of features of x and of y. Points of the lattice that add nothing new (spaced closer than the kernel resolves
-apart, within rounding) are left out by the eigenvalues of each axis's covariances.
+The kernel is a product over x and y, and so are the functions of a lattice of inducing points: features of a place are
+products of features of x and of y. Points of the lattice without new information (spaced closer than the kernel
+resolves, within rounding) are left out by the eigenvalues of each axis's covariances.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class SparseProcess:
     """A process conditioned on n points through inducing points.
 
     places: (n, 2) [m]; value: (n,) above the mean; noise: (n,) its deviation at each point
-    low, high: (2,) the box [m] within which it will be asked; elbo: lower bound of the log marginal likelihood, equal
-    to it where the inducing points suffice
+    low, high: (2,) the box [m] within which it will be evaluated; elbo: lower bound of the log marginal likelihood,
+    equal to it where the inducing points suffice
     """
 
     def __init__(

@@ -4,8 +4,8 @@
     heights = surface.on(MapGrid((0.6, 0.4)))            # mean and deviation on cells of 0.5 cm
     normals = surface.normals(places_m)                  # (m, 3), with the slopes' deviation in surface.slopes
 
-Every point counts: the hyper-parameters are those of the marginal likelihood of all points, and the regression goes
-through inducing points on a lattice (Titsias 2009) that lose nothing a map would show.
+Every point counts: the hyper-parameters are those of the marginal likelihood of all points. The regression uses
+inducing points on a lattice (Titsias 2009) that resolve all that a map shows.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class HeightProcess:
 
     learned: the hyper-parameters; level_m: mean of the process [m]
     noise_m: (n,) deviation of each point given, as it was used [m]; used: (n,) points that were not taken as outliers
-    box_m: (low, high) places (x, y) within which the inducing points stand [m]
+    box_m: (low, high) places (x, y) that contain the inducing points [m]
     evidence: lower bound of the log marginal likelihood by the inducing points; where it is as high as
     `learned.log_likelihood` both approximations hold
     """
@@ -103,10 +103,10 @@ def fit_surface(
     """The surface through points (n, 3) [m], z up.
 
     noise_m: (n,) deviation of each height [m] up to one factor, which is learned: default the same at all points
-    known_m, known_noise_m: (k, 3) and (k,) further points whose noise is known as it is, such as tactile ones [m]
-    sigma_e_m, sigma_w_m: the kernel's (Thesis eq. 4.5) [m]; noise_scale: the factor of noise_m; those given are kept
+    known_m, known_noise_m: (k, 3) and (k,) further points with known noise, such as tactile ones [m]
+    sigma_e_m, sigma_w_m: the kernel's (Thesis eq. 4.5) [m]; noise_scale: the factor of noise_m; given ones are used
     (sigma_n of Thesis eq. 4.3 is fixed by noise_m filled with it and noise_scale=1)
-    within_m: the (low, high) places at which the surface will be asked, default the points' own box; beyond it the
+    within_m: the (low, high) places at which the surface will be evaluated, default the points' own box; beyond it the
     process falls back to its prior within about a length
     outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again
     Raises InputError for too few points, values that are not finite, and a kernel too short for the box.

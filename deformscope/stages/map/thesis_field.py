@@ -4,8 +4,8 @@
     found = field.on(grid)                     # mean and deviation (eq. 4.3, 4.4)
     regions = contoured(field, grid)           # cut along isopleths
 
-Unlike `deformscope.stages.map.field` it has no mean but 0 and no doubt about its hyper-parameters, and takes the places
-of one dent for independent measurements: its variance says how far the dents are, not how well beta is known.
+Unlike `deformscope.stages.map.field` it has mean 0 and fixed hyper-parameters, and treats the places of one dent as
+independent measurements. Its variance shows the distance from dents, not the uncertainty of beta.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from deformscope.stages.regions.touches import MapGrid
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.6, 0.05
 """Of the kernel (eq. 4.5) and of the noise. The thesis prints none of them ("empirically estimated based on a set of
-experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w is what makes n = 3: it
+experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w determines n = 3. It
 was chosen on tuning seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1, where
-a touch dents a circle of 2.3 cm, on a grid of 1 cm; they take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
+a touch dents a circle of 2.3 cm, on a grid of 1 cm. They take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
 
 FINE_SIGMA_W_M = 0.5
 """The same on the thesis's grid of 0.5 cm, on which a dent has four times as many places, each of which counts as a
 measurement: 3 touches for 21 of 24 tuning seeds, 4 for the others (0.6 m: 2 for 5 of them; 0.45 m: 4 to 6 for 23)."""
 
 FIRST_SHARE = (0.25, 0.5)
-"""The place that is touched first unless another is asked for, in shares of the surface: one is preset (Thesis 4.5)."""
+"""Default place of the first touch, in shares of the surface: one is preset (Thesis 4.5)."""
 
 APART = 0.1
 """Touches whose betas are farther apart have an isopleth between them: ten steps of the sweep of Algorithm 3."""

@@ -53,15 +53,15 @@ DENTED = 0.1
 """Share of the deepest by which a place has sunk that counts as dented."""
 
 THESIS_NOTE = (
-    "a trend of this beta with firmness is an effect of the growing contact patch: a ball touches a patch that grows "
-    "with the dent, and one held particle makes the model take its width for deformability; with the whole patch held "
-    "the trend is gone"
+    "a trend of this beta with firmness is an effect of the contact patch, which grows with the dent. One "
+    "held particle makes the model interpret the patch's width as deformability; with the whole patch held "
+    "the trend disappears"
 )
 """Said wherever beta of the thesis's model is shown."""
 
 
 class SurfaceHeights(Protocol):
-    """A surface that is known where it is asked for, such as a `HeightProcess`."""
+    """A surface with known heights at requested places, such as a `HeightProcess`."""
 
     def at(self, places_m: FloatArray) -> ProcessPrediction:
         """Of places (n, 2) [m]."""
@@ -253,7 +253,7 @@ class ThesisBeta:
     """beta by a lattice whose edges are fixed and of which one particle is held (Thesis 4.3).
 
     curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the particles of the
-    surface at beta; converged: the state at beta settled; dent: what it was fitted to; note: what its trend is
+    surface at beta; converged: the state at beta settled; dent: the fitted one; note: what its trend is
     """
 
     beta: float

@@ -116,11 +116,11 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     def accelerate(span: Span, anderson: AndersonState):
         """Anderson's weights of the remembered changes: least squares of the residual over them, slightly damped.
 
-        The distance still to go is judged by the path over the last quarter of all iterations, since accelerated steps
-        are as long as the error that they remove, and by the residual over the smallest pull back that they met. A
-        linear solve ends on its residual as a share of the right-hand side: an estimate that waits for the end of a
-        stretch can come after the residual has reached rounding, where changes say nothing of the pull back. When the
-        residual has grown far above its best, the memory is dropped and a plain step follows.
+        The remaining distance is estimated from the path over the last quarter of all iterations, because accelerated
+        steps are as long as the error that they remove. It is also estimated from the residual over the smallest
+        restoring slope so far. A linear solve ends on its residual as a share of the right-hand side. An estimate at
+        the end of a stretch may come after the residual has reached rounding, where changes do not show the slope. When
+        the residual has grown far above its best, the memory is dropped and a plain step follows.
         """
         group, thread = wp.tid()
         if anderson.groups[group] == 0:

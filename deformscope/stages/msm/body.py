@@ -148,13 +148,13 @@ class Operator(ABC):
         return self._kept[-1]
 
     def by_group(self, values: FloatArray) -> FloatArray:
-        """(B, C, ...) as (groups, abreast, C, ...); the last candidate fills what is left of its group."""
+        """(B, C, ...) as (groups, abreast, C, ...); the last candidate fills the rest of its group."""
         groups, abreast = self.layout.groups, self.layout.abreast
         filled = np.concatenate([values, np.repeat(values[-1:], groups * abreast - len(values), 0)])
         return filled.reshape(groups, abreast, *values.shape[1:])
 
     def launch(self, kernel: wp.Kernel, items: int, inputs: list[Any], outputs: list[Any] | None = None) -> None:
-        """A kernel over so many items of every group."""
+        """A kernel over a number of items of every group."""
         dim = (self.layout.groups, items)
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs or [], device=self.layout.device)
 

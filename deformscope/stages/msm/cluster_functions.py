@@ -71,8 +71,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.struct
     class Kept:
-        """What a fit leaves for its derivative: R - I (transposed), the compliance of the rotation, and of a conserved
-        volume the frame: u, v, stretch and mu of `functions.project`, or for eq. 3.17 A - I (transposed)."""
+        """Stored values of a fit for its derivative: R - I (transposed), the compliance of the rotation, and of a
+        conserved volume the frame: u, v, stretch and mu of `functions.project`, or for eq. 3.17 A - I (transposed)."""
 
         turned: numbers
         compliance: numbers
@@ -173,7 +173,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         """R - I of eq. 3.9 in space (transposed), the compliance (tr(S) I - S)^-1 of the rotation, and 1 if it settled.
 
         Newton's steps on a quaternion from the rest orientation (Kugelstadt 2018, 3.2), all lanes together. They end at
-        the wanted maximum exactly when the gradient vanishes and tr(S) I - S is positive definite, so never at a
+        the required maximum exactly when the gradient vanishes and tr(S) I - S is positive definite, so never at a
         reflection. a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
         """
 
@@ -389,7 +389,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func
     def with_null(rest: FitRest, cluster: int, step: int, affine_t: transforms.rows, target: squares.rows):
-        """The fit, whose terms that the cluster leaves undetermined follow what it is pulled to."""
+        """The fit, whose undetermined terms follow their target."""
         if rest.has_null != 0:
             null_t = transforms.own(rest.null_t, cluster, rest.stride, step)
             affine_t = transforms.add(affine_t, one, times_null(null_t, target))
@@ -397,7 +397,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.func
     def turned(kept: Kept, position: int, count: int, a_qq: moments.rows, change_t: squares.rows):
-        """R - I (eq. 3.9) of rest moments and their change, over the trace of A_qq; kept for `turned_change`."""
+        """R - I (eq. 3.9) of rest moments and their change, over the trace of A_qq; stored for `turned_change`."""
         turns = turn(a_qq, change_t)
         t = turned_part(turns)
         if kept.stride > 0:

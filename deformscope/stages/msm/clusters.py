@@ -60,7 +60,7 @@ class Clusters:
 
 
 class LatticeClusters(Clusters):
-    """Clusters that are windows of a lattice, kept as such: their index lists are made only when asked for.
+    """Clusters that are windows of a lattice, stored as such: their index lists are made only on request.
 
     shape: lattice; cell: (K,) flat index of each particle; window: particles of a cluster along each axis
     corner: (shape) True at the lowest corner of each cluster
@@ -93,7 +93,7 @@ class LatticeClusters(Clusters):
         return _covering(self.corner, self.window).reshape(-1)[self.cell]
 
     def spacing(self, rest: FloatArray) -> float:
-        """`spacing` of the particles (K, d), without a search where they stand along the axes of a full lattice."""
+        """`spacing` of the particles (K, d), without a search if they lie along the axes of a full lattice."""
         count, d = rest.shape
         if len(self.shape) != d or not self.in_order:
             return spacing(rest)
@@ -121,12 +121,12 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
 
     rest: (K, d) rest positions; shape: lattice, last axis fastest; cell: (K,) flat index of each particle.
     `size` is clipped to the lattice. A window stays if its present particles span as many directions as a full one.
-    A particle left in no window (thin walls beside holes) is given the smallest cluster of nearest neighbours that
-    spans them too.
+    A particle in no window (thin walls next to holes) has the smallest cluster of nearest neighbours that spans them
+    too.
     """
     dims = tuple(int(n) for n in shape)
     if size < 2:
-        raise InputError("a cluster size of at least 2 particles a side", str(size))
+        raise InputError("a cluster size of at least 2 particles per side", str(size))
     window = tuple(min(size, n) for n in dims)
     corner = np.zeros(dims, dtype=bool)
     if len(cell) == corner.size:
@@ -152,7 +152,7 @@ def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -
 
 def nearest(rest: FloatArray, member_count: int) -> Clusters:
     """One cluster around each of the particles (K, d): itself and its nearest neighbours, `member_count` in all (points
-    without a lattice). Equal clusters are kept once."""
+    without a lattice). Equal clusters are stored once."""
     count = min(member_count, len(rest))
     _, index = cKDTree(rest).query(rest, k=count)
     rows = np.unique(np.sort(np.asarray(index).reshape(len(rest), count), axis=1), axis=0)
@@ -169,7 +169,7 @@ def rank(points: FloatArray) -> int:
 
 
 def find_lattice(rest: FloatArray, tolerance: float = 0.01) -> tuple[tuple[int, ...], IntArray] | None:
-    """The full regular lattice that `rest` (K, d) stands on, within `tolerance` of a cell; None if it stands on none.
+    """The full regular lattice of `rest` (K, d), within `tolerance` of a cell; None if there is none.
 
     Returns its shape (one entry an axis of space, last fastest) and the flat cell of each particle. An axis along
     which all particles agree has one cell: a flat sheet in space is a lattice too.

@@ -64,9 +64,9 @@ def fit_beta(
 ) -> Fit:
     """The beta in [0, 0.9999] at which the average Euclidean error (Thesis eq. 3.18) is least, for theta = 0.
 
-    Its derivative is known at every static state (implicit differentiation), and its zero is found by secants, kept
-    between the betas that are known to lie on either side. Where the error has several minima, the one downhill from
-    `start` is found; a sweep sees them all.
+    Its derivative is known at every static state (implicit differentiation). Its zero is found by secants within the
+    interval of betas with opposite signs. Where the error has several minima, the one downhill from `start` is found; a
+    sweep sees them all.
 
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: on beta
     """
@@ -157,9 +157,9 @@ def fit_beta_theta(
 ) -> FitBoth:
     """The beta in [0, largest_beta] and theta in [0, 1] at which the average Euclidean error (eq. 3.18) is least.
 
-    Each step takes the static state as linear in -log(1 - beta) and theta, by its derivatives, and minimises the error
-    of that over both, within a reach that grows where the promise was kept and shrinks where it was not (the error has
-    long curved valleys: less beta asks for more theta). Downhill from `start`, as in `fit_beta`.
+    Each step linearizes the static state in -log(1 - beta) and theta, by its derivatives, and minimises the error over
+    both. The step limit grows where the prediction held and shrinks where it did not (the error has long curved
+    valleys: less beta needs more theta). Downhill from `start`, as in `fit_beta`.
 
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]
     start: beta, theta; tolerance: smallest decrease of the error worth a step, as a share of it

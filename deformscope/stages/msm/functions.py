@@ -124,7 +124,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     def turn_3d(a_qq: square, change: square):
         """R - I of eq. 3.9 in space, for A_pq = a_qq + change.
 
-        Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the wanted maximum exactly when
+        Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the required maximum exactly when
         the gradient vanishes and tr(S) I - S is positive definite; if not, the leading eigenvector takes over.
         Second: the compliance (tr(S) I - S)^-1 of the rotation, 0 where none is preferred.
         """
@@ -183,7 +183,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def spanned(a: square, span_axes: square, span_count: int):
-        """What A makes of the axes that a flat cluster spans, and their metric (I beyond)."""
+        """A applied to the axes that a flat cluster spans, and their metric (I beyond)."""
         inside = a * span_axes  # columns beyond span_count are 0
         metric = wp.transpose(inside) * inside
         for k in range(wp.static(dim)):
@@ -205,7 +205,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def volume_denominator(a: square, theta: scalar, span_axes: square, span_count: int):
-        """Denominator of eq. 3.17 for what the cluster spans; kept away from 0."""
+        """Denominator of eq. 3.17 for the spanned axes; bounded away from 0."""
         _measure, root = measured(a, span_axes, span_count)
         return wp.max(theta * root + (one - theta), min_denominator)
 
@@ -426,8 +426,8 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         With x = u^T dP v and m = u^T db v, dP that of the nearest matrix, from P - mu P^-T = b and d det P = 0:
         - x_ij + w x_ji = m_ij off the diagonal, w = mu / (s'_i s'_j): symmetric and antisymmetric part on their own
         - on it z_i = x_ii / s'_i has the sum 0 and (s'_i^2 + mu) z_i = s'_i m_ii + dmu
-        - x_ij (1 - mu / s'_j^2) = m_ij for directions i that a flat cluster does not span
-        Where one of these denominators vanishes two answers are equally near; there x is 0, the answer held as it is.
+        - x_ij (1 - mu / s'_j^2) = m_ij for directions i that a flat cluster does not span If one of these denominators
+        vanishes, two answers are equally near; there x is 0, and the answer does not change.
         """
         m = wp.transpose(u) * change * v
         x = square()

@@ -219,7 +219,7 @@ class GeneralOperator(Operator):
         return moved, size
 
     def _pack(self, values: FloatArray) -> Field:
-        """(B, C, rows) as fields of clusters are laid out; the last candidate fills what is left of its group."""
+        """(B, C, rows) in the layout of cluster fields; the last candidate fills the rest of its group."""
         layout = self.layout
         rows = self.by_group(values).transpose(3, 0, 2, 1)
         host = np.zeros((values.shape[2], self.cluster_stride))

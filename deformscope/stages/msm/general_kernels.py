@@ -38,7 +38,7 @@ def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Si
         """Clusters as lists of particles, particles as lists of clusters, and where fields keep them.
 
         particles, clusters: fields of particles and of clusters have `abreast` candidates at a place, and rows
-        `particle_stride` and `cluster_stride` numbers apart; a group of candidates follows the other
+        `particle_stride` and `cluster_stride` numbers apart; groups of candidates follow one another
         """
 
         abreast: int
@@ -95,7 +95,7 @@ def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Si
         f" r.data[i][l] += w.data[slot * {terms} + t] * a.data[at + (t * {dim} + i) * stride + l]; return r;"
     )
     def add_map(m: vecs.rows, w: numbers, slot: int, a: numbers, at: int, stride: int) -> vecs.rows:
-        """m plus what a cluster's map (kept at `at` of `a`) makes of the basis of one of its particles."""
+        """m plus a cluster's map (stored at `at` of `a`) applied to the basis of one of its particles."""
 
     @wp.func
     def gathered(lists: Lists, group: int, c: int, u_in: numbers):
@@ -214,7 +214,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
         return own(values, group * lists.abreast, 1)
 
     def fits(changing: bool, name: str) -> Any:
-        """The kernel that fits the clusters, or with `changing` its derivative from what it kept; it leaves their mean
+        """The kernel that fits the clusters, or with `changing` its derivative from stored values. It writes their mean
         displacement (0 in a derivative by a parameter) and blend of rotation and fit (eq. 3.7-3.14, 3.17), with a
         material toward R S^p and with C in place of beta."""
 

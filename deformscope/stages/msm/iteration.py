@@ -27,7 +27,7 @@ THREADS = {"cpu": 1, "cuda": 256}
 """Threads of a block, which take one part of a sum over particles; the parts are added in order."""
 
 PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
-"""Lanes' worths of a part, until there are so many parts: on a GPU some blocks for each multiprocessor."""
+"""Lanes per part, until this number of parts: on a GPU some blocks for each multiprocessor."""
 
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is but rounding, as a share of the displacements (or of a spacing)."""
@@ -40,13 +40,13 @@ PREDICTED = 1e-2
 """To what share the linear equations at rest are solved, for a state to begin from."""
 
 STAY = 256
-"""Evaluations that a kernel that stays does before it comes back to be looked at."""
+"""Evaluations of a persistent kernel before it returns for a check."""
 
 TURN = 8
 """Evaluations of a search for beta in one launch; most searches need no more."""
 
 REPLAYS = {"cpu": 1, "cuda": 8}
-"""Iterations between looks at which candidates still run: on a GPU, a look waits for the device."""
+"""Iterations between checks which candidates still run: on a GPU, a check waits for the device."""
 
 TELL_EVERY_S = 0.2
 """Seconds between calls of `progress`."""
@@ -56,7 +56,7 @@ TELL_EVERY_S = 0.2
 class Ended:
     """How the candidates ended, (B,) each; norm and error in particle spacings.
 
-    smoothed: evaluations in the preconditioner's finest level; unaided: went on without it
+    smoothed: evaluations in the preconditioner's finest level; unaided: continued without it
     out_of_time: still ran when the time was over
     """
 
@@ -102,11 +102,12 @@ class Iteration:
         self._watch()
 
     def _watch(self, progress: Progress | None = None, until: float = math.inf) -> None:
-        """Whom the next solve tells how many candidates are done, and when it ends, by `time.monotonic` [s]."""
+        """The observer of the next solve, which receives the number of finished candidates, and the solve's time limit,
+        by `time.monotonic` [s]."""
         self._progress, self._until, self._told = progress, until, -math.inf
 
     def _over(self) -> bool:
-        """Whether the solve's time is over; tells how far it is."""
+        """Whether the solve's time is over; reports its progress."""
         now = time.monotonic()
         if now >= self._told + TELL_EVERY_S:
             self._told = now
@@ -187,7 +188,8 @@ class Iteration:
         self.operator.residual(self.u, out, parameters, self._every_group, what=by)
 
     def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
-        """A kernel of both methods, whose arguments begin with how particles lie and what is kept of candidates."""
+        """A kernel of both methods, whose arguments begin with the layout of particles and the stored values of
+        candidates."""
         inputs = (self.span, self.state, *inputs)
         wp.launch(kernel, dim=over, inputs=inputs, device=self.layout.device, block_dim=self.span.threads)
 
@@ -303,8 +305,8 @@ class Newton(Iteration):
     def follow(
         self, target: FloatArray, seen: BoolArray, start: float, largest: float, **search: float
     ) -> tuple[float, int, bool, bool]:
-        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from where `u`
-        is; evaluations, whether it settled, and whether its state converged. largest: beta; search: see the kernel's"""
+        """Beta of least mean distance of one candidate to displacements target (K, d) where seen (K,), from the state
+        `u`; evaluations, convergence of the search, and of its state. largest: beta; search: see the kernel's"""
         layout, device = self.layout, self.layout.device
         if self._following is None:
             given = self.operator.resident.BetaSearch()
@@ -379,7 +381,7 @@ class Newton(Iteration):
         return done
 
     def _begin(self, tolerance: float, relative: float, *, outer: int) -> None:
-        """Every candidate runs anew: Newton's steps (`outer`), or a linear solve."""
+        """Every candidate starts again: Newton's steps (`outer`), or a linear solve."""
         layout = self.layout
         set_first(self.state.tolerance, tolerance)
         set_first(self.state.relative, relative)
@@ -470,8 +472,8 @@ class Anderson(Iteration):
         return self._iterate(self._launch_goals, tolerance, max_iterations)
 
     def solve(self, relative: float, max_iterations: int) -> bool:
-        """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether what is left came
-        to `relative` of the right-hand side.
+        """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether the residual
+        reached `relative` of the right-hand side.
         """
         self._watch()
         set_first(self.state.floor, 0.0)

@@ -1,15 +1,14 @@
 """Warp kernels of Newton's steps with conjugate gradients: one for each part of an iteration, and kernels that stay.
 
 They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
-taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: what has ended gets steps of
-0, and a group in which all have ended is skipped.
+taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: finished ones have steps of 0, and
+a group in which all have ended is skipped.
 
 Kernels that stay do all passes of a step, and all steps, or many evaluations of a relaxation, in one launch. A block of
 threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU that
-saves the launches between passes, which cost more than a small body's work, and what a pass leaves is still near when
-the next reads it; on a CPU a block is one thread, and there are no launches left to pay for at any size. There every
-launch, a single evaluation too, goes through one copy of all passes in one module: compiling is what a first start
-waits for.
+saves the launches between passes, which cost more than a small body's work, and a pass's output is still cached when
+the next reads it. On a CPU a block is one thread, and there are no launches to save at any size. There every launch, a
+single evaluation too, goes through one copy of all passes in one module: compiling is what a first start waits for.
 """
 
 import functools
@@ -34,7 +33,7 @@ PATIENCE = 20
 """Newton steps near rounding without half the best residual so far, after which a candidate has stalled."""
 
 SHARP = 1e-2
-"""To what share a solve reduces its residual before the smallest curvature that it met counts as the smallest."""
+"""Share to which a solve reduces its residual before its smallest curvature counts as the smallest."""
 
 
 @functools.cache
@@ -59,7 +58,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     class Span:
         """How particles lie in a field, and their metric N_i m_i (0 where held), in which the goal map is symmetric.
 
-        blocks: lanes' worths in a group; parts: a sum over a group is taken in so many, each by `threads` of a block
+        blocks: lanes' worths in a group; parts: a sum over a group has this number of parts, each by `threads` of a
+        block
         """
 
         abreast: int
@@ -269,11 +269,11 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     def judge(span: Span, newton: NewtonState, group: int):
         """After a Newton step: has it gone too far, is this the static state, and how well to solve for the next step.
 
-        The energy falls along the step as long as its slope <residual, step> is positive; where the slope at the end is
+        The energy falls along the step as long as its slope <residual, step> is positive. If the slope at the end is
         clearly negative, the step is shortened to where the slope would vanish, and the next goes no farther. The
-        distance that is left is (at most five times) the residual over the smallest curvature that the last solves
-        met, if they went far enough to meet it: a mode that pulls back by 2e-4 of its displacement has a residual 5000
-        times smaller than its error.
+        remaining distance is (at most five times) the residual over the smallest curvature of the last solves, if they
+        went far enough to find it. A mode with a restoring force of 2e-4 of its displacement has a residual 5000 times
+        smaller than its error.
         """
         any_outer = int(0)
         any_inner = int(0)
@@ -362,8 +362,9 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     def curvature(span: Span, newton: NewtonState, group: int):
         """How far to go along the direction p: to the minimum, by its curvature <p, (I - J) p>.
 
-        Where the energy curves down (a crushed cluster about to turn, a strut about to buckle) the solve ends with a
-        step along that direction as far as particles may go at once; `judge` shortens it where that is too far.
+        Where the energy has negative curvature (a crushed cluster about to turn, a strut about to buckle) the solve
+        ends with a step along that direction, as far as particles may move in one step. `judge` shortens it if that is
+        too far.
         """
         for member in range(span.abreast):
             i = group * span.abreast + member
@@ -450,8 +451,8 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.func
     def mix_aided(span: Span, newton: NewtonState, group: int):
-        """How much of the last direction to keep, with a preconditioner; a candidate goes on without it (z = rho) once
-        it is not positive there, or a solve takes more than `patience` directions."""
+        """Weight of the last direction, with a preconditioner; a candidate continues without it (z = rho) once it is
+        not positive there, or a solve takes more than `patience` directions."""
         for member in range(span.abreast):
             i = group * span.abreast + member
             newton.mix[i] = scalar(0.0)  # also of what ended: its direction may be 0 / 0
@@ -557,8 +558,8 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     Span, NewtonState, fold = functions.Span, functions.NewtonState, functions.fold
 
     def kernel_of(function: Any, *, outer: bool = False, sums: bool = True, largest: int = 0) -> Any:
-        """The kernel of what is done with two sums over each group that runs (`largest`: the second is the largest), or
-        else to each lane's worth; outer: of Newton's steps."""
+        """The kernel that uses two sums over each group that runs (`largest`: the second is the largest), or else over
+        each lane's values; outer: of Newton's steps."""
 
         @kernel(name=function.__name__)
         def run(span: Span, newton: NewtonState):
@@ -705,8 +706,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     def steps(passes: Passes, count: int, swapped: int):
         """`count` time steps.
 
-        The displacement is in the first half of the pair, the one before in the second; each step they change places,
-        and with `swapped` they begin so.
+        The displacement is in the first half of the pair, the one before in the second; each step swaps them, and with
+        `swapped` they start swapped.
         """
         index = wp.tid()
         group = index / passes.threads
@@ -797,8 +798,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
 
         target: the observed displacement; seen: (places,) 1 where it is; most: evaluations; limit: iterations of a
         state; tolerance: of beta; spread, share: tolerance of the search's states, and of the last one;
-        relative: of their derivatives; found: beta, evaluations, whether the last step was below the tolerance, and
-        where the next launch goes on: bounds of beta, beta and slope before, and whether it is done
+        relative: of their derivatives; found: beta, evaluations, whether the last step was below the tolerance, and the
+        start of the next launch: bounds of beta, beta and slope before, and whether it is done
         turn: evaluations of a launch, after which the host can interrupt the search
         """
 

@@ -1,13 +1,12 @@
 """Lanes: `width` numbers that go through a computation side by side, as one vector of the processor.
 
 A lane is a cell of the lattice or a candidate; the kernels do not care which. `LANES` fill a vector of the CPU, whose
-compiler finds none of this parallelism in scalar kernels; width 1 is a plain number, for a GPU and for lists of
-indices. `Rows` are small matrices of lanes, row by row. The loops of the native functions have no branches and run
-over the lanes innermost, which is what compilers turn into vector instructions; warp's own operators on matrices are
-not turned.
+compiler does not vectorize scalar kernels; width 1 is a plain number, for a GPU and for lists of indices. `Rows` are
+small matrices of lanes, row by row. The loops of the native functions have no branches and run over the lanes
+innermost, which compilers vectorize; they do not vectorize warp's own operators on matrices.
 
-Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the one
-that needs most, and a static state's sums over particles are lane by lane.
+Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the
+slowest one, and a static state's sums over particles are lane by lane.
 """
 
 import functools
@@ -38,9 +37,9 @@ CPU_FLAGS = (
     + (f" -mprefer-vector-width={VECTOR_BITS}" if platform.machine() in ("x86_64", "AMD64") else "")
     + " -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
 )
-"""For modules of lanes. Compilers take half of an Intel processor's 512 bits if not told. Warp's own flags also cap the
-recursion of the search for vector instructions, which leaves most of the lanes to plain ones; without the high
-threshold matrices of lanes go through memory at every call."""
+"""For modules of lanes. Compilers use half of an Intel processor's 512 bits by default. Warp's own flags also cap the
+recursion of the vectorizer, which leaves most of the lanes scalar. Without the high threshold, matrices of lanes go
+through memory at every call."""
 
 Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
 """Types of arrays that kernels take."""

@@ -18,19 +18,20 @@ from deformscope.stages.msm.iteration_kernels import THREADS, resident_kernels_f
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
 
 REGULAR = 1e-6
-"""Spacings by which a particle may stand beside its place in an even lattice to be taken as standing on it."""
+"""Largest distance of a particle from its place in an even lattice, in spacings, for it to count as on it."""
 
 FITTED, AT_ONCE = 100_000, 16_384
 """Particles that a lattice's edges are fitted to, and of which places are compared at once (they fit into a cache)."""
 
 SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
-"""Widest window that is summed up anew at each cell, and the run of a sum that slides over wider ones."""
+"""Widest window that is summed at each cell separately, and the run of a sliding sum over wider ones."""
 
 SLIDE_FROM = 500_000
-"""Cells from which on a GPU slides over wide windows: in smaller bodies too few threads would be left to slide."""
+"""Number of cells from which a GPU slides over wide windows: in smaller bodies too few threads would be left to
+slide."""
 
 RESIDENT_CELLS = 8192
-"""Cells up to which one block of a GPU's threads goes through a whole body by itself."""
+"""Largest number of cells for which one block of a GPU's threads computes a whole body."""
 
 
 def lattice_edges(rest: FloatArray, clusters: LatticeClusters) -> FloatArray | None:
@@ -319,7 +320,7 @@ class LatticeOperator(Operator):
 
     @functools.cached_property
     def _stepping(self) -> Any:
-        """What steps go by, kept from call to call: to fill it anew takes as long as a short call's steps."""
+        """Parameters of the steps, reused from call to call: making them takes as long as a short call's steps."""
         return self._passes(None)
 
     def _passes(self, parameters: Parameters | None, kept: object = None, what: int = GOAL) -> Any:

@@ -1,9 +1,9 @@
 """Warp kernels of lattice clusters: separable window sums, whose cost does not grow with the width of a cluster.
 
 FastLSM (Rivers and James 2007) sums the raw moments of all windows by prefix sums, which float32 cannot hold. Here the
-sums are local: each axis in turn adds up, over its window, what the axis before left, and the first moments are taken
-about the middle of the window. A thread slides along the axis for `run` cells, adding the cell that enters and
-subtracting the one that leaves; with `run` = 1 it adds up one window only, which suits a GPU for small ones.
+sums are local: each axis in turn sums, over its window, the results of the axis before, and the first moments are
+relative to the middle of the window. A thread slides along the axis for `run` cells, adding the cell that enters and
+subtracting the one that leaves. With `run` = 1 it sums one window only, which suits a GPU for small ones.
 
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
 its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places that no cluster
@@ -35,7 +35,7 @@ def motion_for(scalar: Any) -> Any:
 
     @wp.struct
     class StepMotion:
-        """What time stepping adds: alpha, the share of the last motion that goes on, and a push each step."""
+        """Additions of time stepping: alpha, the share of the last motion that continues, and a push each step."""
 
         stepping: int
         alpha: scalar
@@ -49,8 +49,8 @@ def motion_for(scalar: Any) -> Any:
 def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
-    window: cells of a cluster along every axis, each summed up anew, narrow ones along two axes at once: a GPU then
-    loads all its numbers at once, and waits for fewer passes; 0: any windows and runs, as the grid says
+    window: cells of a cluster along every axis, each summed separately, narrow ones along two axes together: a GPU then
+    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, as the grid says
     """
     numbers = wp.array(dtype=scalar)
     Motion = motion_for(scalar)
@@ -82,8 +82,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         times `abreast`; abreast: candidates side by side in the lanes (1: cells side by side); front: numbers before
         the first place of a field; group: numbers from one group of candidates to the next; stride: from one row of a
         field to the next; window_0...: cells of a cluster along the axis; cluster_end: numbers that the clusters of a
-        plane fill; run_0, run_1: cells that a sum slides over along an axis; items_*: of a pass,
-        in a group; blocks_*: of these, in a plane (or a line)
+        plane fill; run_0, run_1: cells of a sliding sum along an axis; items_*: of a pass, in a group; blocks_*: of
+        these, in a plane (or a line)
         """
 
         cells_0: int
@@ -127,7 +127,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.struct
     class Fields:
-        """What the passes read of particles, leave to each other, and know of the candidates.
+        """Input of the passes from particles, their intermediate results, and the candidates' parameters.
 
         mass: one value if all are alike; pull: 1 / number of clusters, 0 for a held particle and for a missing one
         sides: 0 for a particle that is held along `held_axis` alone, -1 if none is
@@ -398,8 +398,8 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         return own(values, group * grid.abreast, 1)
 
     def fits(changing: bool, name: str) -> Any:
-        """The function that ends the window sums, and makes of a cluster's moments its goal map, or with `changing` its
-        derivative along them."""
+        """The function that ends the window sums, and computes a cluster's goal map from its moments, or with
+        `changing` its derivative along them."""
 
         @wp.func(name=f"{name}_at")
         def solve(passes: Passes, at: int, cell: int, group: int, total: vecs.rows, moments: maps.rows, count: int):

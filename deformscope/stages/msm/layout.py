@@ -15,13 +15,13 @@ Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
 
 ABREAST_FROM = 4
-"""Candidates from which on a CPU takes them side by side, and no longer the cells of one."""
+"""Number of candidates from which a CPU takes them side by side, and no longer the cells of one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A field has rows (components) `stride` numbers apart; in a row, group after group of candidates, `group` numbers
-    apart from `front` on; in a group, place after place; at a place, `abreast` candidates.
+    """A field has rows (components) `stride` numbers apart. In a row, groups of candidates are `group` numbers apart
+    from `front` on; in a group, place follows place; at a place there are `abreast` candidates.
 
     width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: in a group
     place: (K,) place of each particle
@@ -52,7 +52,7 @@ class Layout:
         return wp.zeros(rows * self.stride, dtype=self.scalar, device=self.device)
 
     def put(self, values: FloatArray, into: Field) -> None:
-        """(B or 1, K, d) into a field's particles; the last candidate fills what is left of its group."""
+        """(B or 1, K, d) into a field's particles; the last candidate fills the rest of its group."""
         d = values.shape[2]
         host = np.zeros((d, self.stride), dtype=_dtype(self.scalar))
         body = host[:, self.front : self.front + self.groups * self.group].reshape(d, self.groups, -1, self.abreast)

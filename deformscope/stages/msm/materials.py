@@ -1,9 +1,9 @@
 """Materials beyond one beta: a beta along each axis of the material, and what stays after yielding.
 
-**Anisotropy.** beta is a compliance. A cluster stores 1/2 |p - A q|^2 + 1/2 min_R tr((A - R) W (A - R)^T), A its best
-fit, and for one beta W = (1 - beta) A_qq: the stiffness of a unit spring A_qq^-1 in series with a compliance of
-beta / (1 - beta) A_qq^-1. With betas b_i along axes e_i that compliance is N A_qq^-1 N, N = sum_i sqrt(b_i / (1 - b_i))
-e_i e_i^T:
+**Anisotropy.** beta is a compliance. A cluster stores 1/2 |p - A q|^2 + 1/2 min_R tr((A - R) W (A - R)^T), with A its
+best fit. For one beta, W = (1 - beta) A_qq: the stiffness of a unit spring A_qq^-1 in series with a compliance of beta
+/ (1 - beta) A_qq^-1. With betas b_i along axes e_i that compliance is N A_qq^-1 N, N = sum_i sqrt(b_i / (1 - b_i)) e_i
+e_i^T:
 
     W = (A_qq^-1 + N A_qq^-1 N)^-1,    goal = [R + (A - R) C] q + t,    C = I - W A_qq^-1,    R = polar(A W)
 
@@ -14,7 +14,7 @@ Linear fit, theta = 0.
 
 **Plasticity.** Müller et al. 2005, section 4.5: each cluster has a plastic deformation S^p, I at first. With the polar
 decomposition A = R S of its fit, S^p <- [I + dt creep (S - I)] S^p where |S - I|_2 > yield; then det S^p is made 1
-again (area in the plane; a flat cluster keeps the measure of what it spans), and |S^p - I|_2 is kept at or below
+again (area in the plane; a flat cluster keeps the measure of what it spans), and |S^p - I|_2 is at most
 `maximum`. The rest vectors are S^p q. What the paper leaves open is decided here:
 
 - S is the stretch sqrt(A^T A), turned inside out: its smallest value negative; the flow stops short of turning S^p.

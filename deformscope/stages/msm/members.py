@@ -1,4 +1,4 @@
-"""What the factories of kernels share: the module of their kernels, and the names of what they return."""
+"""Common parts of the kernel factories: the module of their kernels, and the names of their return values."""
 
 import functools
 from types import SimpleNamespace
@@ -27,5 +27,5 @@ def kernel_in(name: str, scalar: Any, options: dict[str, Any] | None = None, **e
 
 
 def members(*made: Any, **named: Any) -> SimpleNamespace:
-    """Kernels, functions and struct types by the names that they were defined with; what else, by those given."""
+    """Kernels, functions and struct types by the names that they were defined with; others by the given names."""
     return SimpleNamespace(**{each.__name__: each for each in made}, **named)

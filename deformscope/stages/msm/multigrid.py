@@ -1,15 +1,15 @@
 """A preconditioner for the linear equations of lattice bodies: geometric multigrid, in float32.
 
-A coarse level is a lattice body of its own, with clusters on about half the particles along each axis: its operator
+A coarse level is a lattice body of its own, with clusters on about half the particles along each axis. Its operator
 costs as little as that of the body, whatever the clusters' width, and nothing is assembled. Without conservation a
-body's energy is E_A + (1 - beta) (E_R - E_A): what no affine map fits, and what an affine map fits but no rotation
-does. The first grows with second derivatives of the displacement, the second with strain, so clusters that reach twice
-as far weigh them differently. A coarse level has the factors that keep both energies of smooth displacements: it is a
-multiple of an operator of another beta, which may be below 0. Conserved volume is strain, too.
+body's energy is E_A + (1 - beta) (E_R - E_A): the residual of the best affine map, and the part of the affine map that
+no rotation fits. The first grows with second derivatives of the displacement, the second with strain, so clusters that
+reach twice as far weigh them differently. A coarse level has the factors that preserve both energies of smooth
+displacements: it is a multiple of an operator of another beta, which may be below 0. Conserved volume is strain, too.
 
 A cycle is symmetric: Chebyshev's iteration before and after the coarse correction, whose interpolation (linear) and
-restriction are transposed. No particle that is held moves, and no coarse one beside it. All levels are linearised where
-the fine one is. Any positive definite preconditioner gives the same solution, so what is simplified here can cost
+restriction are transposed. No held particle moves, and no coarse one next to it. All levels are linearised where the
+fine one is. Any positive definite preconditioner gives the same solution, so what is simplified here can cost
 iterations but nothing else.
 """
 
@@ -57,7 +57,7 @@ LONGEST = 24
 """Cells along an axis of the coarsest level, whose equations take as many steps, at most."""
 
 PATIENCE = 150
-"""Directions of one solve after which it goes on without the preconditioner."""
+"""Number of directions of one solve after which it continues without the preconditioner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,9 +262,9 @@ class Multigrid:
 
     @staticmethod
     def worth(body: Body, rest: BodyRest) -> TypeGuard[LatticeBody]:
-        """Whether a body is large enough, wide enough to be coarsened until little is left, and held in every piece: a
-        piece that nothing holds stays where it is. In float64: the last digits of float32 hide what slow modes pull.
-        No particle slips: coarse ones are held along every axis."""
+        """Whether a body is large enough, wide enough for coarsening to a small size, and held in every piece: a piece
+        that nothing holds does not move. In float64: the last digits of float32 hide what slow modes pull. No particle
+        slips: coarse ones are held along every axis."""
         if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST or body.scalar is not wp.float64:
             return False
         if rest.held_axis >= 0:
@@ -278,7 +278,7 @@ class Multigrid:
         return bool(len(np.unique(pieces.reshape(-1)[body.cell[~rest.free]])) == count)
 
     def _transfers(self, fine: _Level, coarse: _Level) -> tuple[Launch, Launch, Launch]:
-        """Between two levels: what is left to the coarse one, its correction back, and displacements to it."""
+        """Between two levels: the residual for the coarse one, its correction back, and displacements to it."""
         device, rest = self.layout.device, coarse.rest
         to_fine = block_diag(rest.weights, format="csr")
 
@@ -305,7 +305,8 @@ class Multigrid:
         )
 
     def set(self, beta: FloatArray, theta: FloatArray) -> bool:
-        """Parameters of the candidates, beta (B,) or (B, C), theta (B,); whether what was recorded is to be so anew."""
+        """Parameters of the candidates, beta (B,) or (B, C), theta (B,); whether a captured graph must be captured
+        again."""
         near = self._nearest if beta.ndim > 1 else [None] * len(self.levels)
         each = [beta if some is None else beta[:, some] for some in near]
         changed = [level.set(own, theta) for level, own in zip(self.levels, each, strict=True)]
@@ -333,7 +334,8 @@ class Multigrid:
         return bool(self.plain.numpy()[: self.layout.candidates].all())
 
     def used(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
-        """(B,) evaluations in the finest level, and which candidates went on without. linearised: how often each was;
+        """(B,) evaluations in the finest level, and which candidates continued without it. linearised: how often each
+        was;
         predicted: (B,) once more"""
         size = self.layout.candidates
         evaluations = linearised.numpy()[:size] + predicted + 2 * DEGREE * self.applied.numpy()[:size]
@@ -383,7 +385,7 @@ class Multigrid:
             keep, gain, rho = after * rho, 2.0 * after / half, after
 
     def _step(self, level: _Level, running: Field, keep: float, gain: float, *, begins: bool = False) -> None:
-        """Goes on along `keep` of the last direction and `gain` of what is left."""
+        """Continues along `keep` of the last direction and `gain` of the residual."""
         inputs = [level.span, self._flags(level, running), int(begins), keep, gain, level.shrink, level.right]
         inputs += [level.changed, level.z, level.left, level.direction]
         dim = (level.layout.groups, level.layout.blocks)

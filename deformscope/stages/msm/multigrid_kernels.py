@@ -30,8 +30,8 @@ class Cells:
 
 @wp.struct
 class Transfer:
-    """Linear interpolation between two lattices, or its transpose: of each plane of the target, axis after axis, the
-    planes of the source, numbered so too, and their weights, from `begin` on."""
+    """Linear interpolation between two lattices, or its transpose. It has, for each plane of the target, axis after
+    axis, the planes of the source with the same numbering, and their weights, from `begin` on."""
 
     begin: Ints
     plane: Ints
@@ -124,7 +124,7 @@ def smoother_for(dim: int, width: int) -> Any:
         left: numbers,
         direction: numbers,
     ):
-        """Goes on along the next direction; what is left is not yet that after it. With `begins` from z = 0."""
+        """Continues along the next direction; the residual is not yet that after it. With `begins` from z = 0."""
         group, block = wp.tid()
         if running[group] != 0:
             at = span.front + group * span.group + block * wp.static(width)

@@ -79,8 +79,8 @@ class PlasticMsm:
     ) -> Loaded:
         """The static states under a load that is held, from where the candidates are.
 
-        duration: None, as long as it takes: S^p flows, in each cluster just until its strain is the yield strain (or
-        det S^p = 1 forbids to come closer), and the body relaxes, until nothing flows by more than `settled` times the
+        duration: None, as long as it takes. S^p flows, in each cluster just until its strain is the yield strain (or as
+        close as det S^p = 1 allows), and the body relaxes. It ends when nothing flows by more than `settled` times the
         yield strain. Creep does not matter then. With a duration [s], S^p flows once by duration * creep of S - I, but
         not past the yield strain, and the body relaxes.
 

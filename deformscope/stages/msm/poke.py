@@ -24,7 +24,7 @@ TipShape = Literal["flat", "disc", "sphere"]
 TIP_SHAPES: tuple[TipShape, ...] = ("flat", "disc", "sphere")
 
 SETTLED = 1e-3
-"""Share of the depth, or of the force asked for, to which contact is solved."""
+"""Accuracy of contact, as a share of the depth, or of the requested force."""
 
 MOST_ROUNDS, MOST_SLIDES = 40, 60
 
@@ -62,10 +62,11 @@ class Tip:
         return float(np.pi / 4.0 * self.size[0] ** 2)
 
     def rise(self, lateral_offsets: FloatArray, spacing: float = 0.0) -> FloatArray:
-        """How far its surface lies behind its foremost point at places beside its axis (n, d - 1) [m]; inf beyond it.
+        """Distance of its surface behind its foremost point, at places away from its axis (n, d - 1) [m]; inf beyond
+        it.
 
-        spacing: of the particles at these places: a disc then takes in those just outside its rim, so that the area
-        between the touched ones is about its own
+        spacing: of the particles at these places: a disc then includes those just outside its rim, so that the touched
+        area is about its own
         """
         grace = 1.0 + 1e-6
         if self.shape == "flat":
@@ -113,7 +114,7 @@ class Law:
 
 @dataclass(frozen=True, slots=True)
 class PokeSetup:
-    """A body that stands ready to be poked.
+    """A body that is prepared for pokes.
 
     rest: (K, d); clusters; fixed: (n,) particles that do not move; open: (m,) particles that a tip can touch;
     toward: (d,) unit vector along which a tip moves; spacing: of the particles
@@ -167,20 +168,20 @@ def press(
     """The static state under a poke. With a force, `stiffness` k [N/m] determines its depth.
 
     poke.at: (d,) a point on the tip's axis; deepest: depth [m] at which the search for that of a force is given up
-    start: (K, d) what another law made of the same poke, near which the state is sought
-    Each round relaxes the body with the touched particles held, lets those that slip go to where nothing pulls them
-    sideways, drops from under a round tip what the tip would pull at and adds what it has reached, and corrects the
-    depth until the force is as asked.
+    start: (K, d) another law's solution of the same poke, near which the state is sought Each round relaxes the body
+    with the touched particles held, and lets slipping ones move until no lateral force remains. It releases from a
+    round tip the particles that it would pull, adds those that it reaches, and corrects the depth until the force is as
+    requested.
     """
     if poke.force is not None and not stiffness:
-        raise InputError("a depth, or a model that knows its stiffness", "a force", "fit the model with force_n")
+        raise InputError("a depth, or a model with a stiffness", "a force", "fit the model with force_n")
     rise = poke.tip.rise(lateral_offsets(scene.rest[scene.open], poke.at, scene.toward), scene.spacing)
     level = (scene.rest[scene.open] - poke.at) @ scene.toward
     reached = np.isfinite(rise)
     if not reached.any():
         aside = np.linalg.norm(lateral_offsets(scene.rest[scene.open], poke.at, scene.toward), axis=1)
         if aside.min() > scene.spacing + 0.5 * poke.tip.width:
-            raise InputError("a poke on the body", f"one {aside.min() - 0.5 * poke.tip.width:.3g} m beside it")
+            raise InputError("a poke on the body", f"one {aside.min() - 0.5 * poke.tip.width:.3g} m outside it")
         reached = aside == aside.min()
         rise = np.where(reached, 0.0, rise)
     gap = np.where(reached, rise + level, np.inf)
@@ -222,9 +223,9 @@ def settle(
     slips: bool,
     start: FloatArray | None,
 ) -> PokedBody:
-    """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law; those that slip are
-    where nothing pulls them sideways, at the same displacement along the tip's direction: `body` finds that by itself
-    where it can (`hold`), else in rounds. start: (K, d) or (B, K, d)"""
+    """The static states with the touched particles at `at` (m, d) or (B, m, d), one for each law. Slipping ones have no
+    lateral force, at the same displacement along the tip's direction: `body` finds these positions in one solve if it
+    can (`hold`), else in rounds. start: (K, d) or (B, K, d)"""
     toward = scene.toward
     beta, theta = (np.array([getattr(law, name) for law in laws]) for name in ("beta", "theta"))
     at = np.array(np.broadcast_to(at, (len(laws), *at.shape[-2:])))

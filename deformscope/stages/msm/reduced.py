@@ -1,7 +1,7 @@
 """A body that is one cluster: its static state without its particles.
 
-Every free particle of a static state lies at t + T q~_i, so that T (d, terms) and t stand for all of them, and the
-equations need nothing of the particles but sums. With mass shares m_i, lengths in cluster radii, and
+Every free particle of a static state lies at t + T q~_i. So T (d, terms) and t represent all of them, and the equations
+need only sums over the particles. With mass shares m_i, lengths in cluster radii, and
 
 - G = sum_all m q~ q~^T; C = sum_held m (q~ - q~_held mean) (q~ - q~_held mean)^T; H = the same with p for the first
   factor; J = [I, 0], which picks the linear terms,
@@ -14,13 +14,13 @@ t follows from the held particles (t = mean p - T mean q~), and the goals are T 
     e L = beta (A~_theta - A~)                                    (eq. 3.17, where L = J, or the projected volume)
     R = polar(T (G - C) J^T + H J^T)                                                       (eq. 3.9)
 
-Everything linear is solved by the modes. What is left are A = A~ J^T, of which e is a function, and R:
-Y + R U + e N = A, and R^T (K + e V) + W without a turning part, with (d, d) matrices that are sums over the modes.
-That is 5 unknowns in the plane and 12 in space, whatever the basis and the number of particles; Newton's steps find
-them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
+Everything linear is solved by the modes. The remaining unknowns are A = A~ J^T, of which e is a function, and R. The
+equations are Y + R U + e N = A, and R^T (K + e V) + W without a turning part, with (d, d) matrices that are sums over
+the modes. That is 5 unknowns in the plane and 12 in space, whatever the basis and the number of particles; Newton's
+steps find them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
 
-Flags are earned: `converged` takes a Newton step below the tolerance, goals that agree with the state by the equations
-anew, and for eq. 3.17, which has no energy, a state that its goals pull back to.
+Flags are checked: `converged` takes a Newton step below the tolerance, goals that agree with the state by separately
+evaluated equations, and for eq. 3.17, which has no energy, a state that its goals pull back to.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Equilibrium:
     """Static states of B candidates: free particle i at translation + transform q~_i (`OneCluster.basis`).
 
     transform: (B, d, terms) [m]; translation: (B, d) [m]; iterations: (B,) Newton's steps
-    residual: (B,) root mean square of goal - place over all particles, from the equations anew [m]
+    residual: (B,) root mean square of goal - place over all particles, from separately evaluated equations [m]
     error: (B,) length of the last Newton step [m]: how far the state before it was from the solution
     converged: (B,) both are below the tolerance; diverged: (B,) no state was found to
     which the goals of eq. 3.17 pull back: a body turned inside out has none, and runs away in time stepping
@@ -178,9 +178,9 @@ class OneCluster:
     ) -> Equilibrium:
         """The static states, one candidate for each beta, theta and held pose.
 
-        A body that the held particles leave free to turn turns as little as it can from where it starts, and one that
-        nothing holds stays there. With theta > 0 Newton's steps begin at the start; if they settle on no state that
-        holds, the state is the one that follows from theta = 0 without a jump.
+        A body that the held particles leave free to turn turns as little as possible from its start, and one without
+        held particles does not move. With theta > 0 Newton's steps begin at the start. If they converge to no valid
+        state, the state is the one that follows from theta = 0 without a jump.
 
         beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest
         tolerance: on `residual` and `error`, as a share of the cluster's radius, but no less than `SMALLEST_TOLERANCE`
@@ -234,7 +234,7 @@ class OneCluster:
         return by_beta, by_theta
 
     def _expanded(self, transform: FloatArray, translation: FloatArray) -> FloatArray:
-        """(B, K, d) what transforms (B, d, terms) and translations (B, d) make of the basis at rest."""
+        """(B, K, d) transforms (B, d, terms) and translations (B, d) applied to the basis at rest."""
         out = self.basis @ transform.transpose(0, 2, 1)
         out += translation[:, None]
         return np.asarray(out)

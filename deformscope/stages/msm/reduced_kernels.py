@@ -1,4 +1,4 @@
-"""Warp kernels of a body that is one cluster, where a static state has a handful of unknowns; the equations stand in
+"""Warp kernels of a body that is one cluster, where a static state has a handful of unknowns; the equations are in
 `deformscope.stages.msm.reduced`.
 
 One thread solves one candidate from start to end, in float64. All that a candidate brings and takes is one row of
@@ -25,7 +25,7 @@ RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
 NOT_CONVERGED, CONVERGED, DIVERGED = 0, 1, -1
 
 NEWTON_STEPS, TRIALS = 11, 3
-"""At most so many steps at one theta, each tried in full, in half and in quarter."""
+"""Largest number of steps at one theta, each tried in full, in half and in quarter."""
 
 ATTEMPTS = 4
 """Times that a state balanced by a rotation which is not the best one is left for another."""
@@ -90,7 +90,8 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.struct
     class Frame:
-        """What conserving volume adds to the fit, `gain`, and what its derivatives need to know: `volume_frame`."""
+        """Contribution of volume conservation to the fit, `gain`, and the values that its derivatives need:
+        `volume_frame`."""
 
         gain: square
         toward: square
@@ -120,7 +121,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def held_moment(row: Doubles, mode: int):
-        """y_j: how the held particles stand along one mode."""
+        """y_j: moment of the held particles along one mode."""
         out = vec()
         for i in range(wp.static(dim)):
             out[i] = row[wp.static(HELD) + mode * wp.static(dim) + i]
@@ -160,7 +161,8 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def volume_frame(body: ReducedBody, a: square, theta: scalar):
-        """What conserving volume adds to the fit, as multiples of `lift`, and what `volume_change` needs to know.
+        """Contribution of volume conservation to the fit, as multiples of `lift`, and the values that `volume_change`
+        needs.
 
         Eq. 3.17: A / den - A. Projection: theta (P - B), with B = A root and P the nearest matrix of the rest volume.
         """
@@ -293,8 +295,8 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def misfit(body: ReducedBody, row: Doubles, t: transform, beta: scalar, theta: scalar):
-        """Root mean square of goal - place over all particles of the state T (none taken as held): the equations anew,
-        by themselves. And their rotation and linear fit."""
+        """Root mean square of goal - place over all particles of the state T (none treated as held), from separately
+        evaluated equations. And their rotation and linear fit."""
         r, a = fit(body, row, t)
         linear = linear_part(a)
         frame = volume_frame(body, linear, theta)
@@ -333,7 +335,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def defect(a: square, r: square, e: square, m: Sums):
-        """What is to vanish: Y + R U + e N - A, and the turning part of R^T (K + e V) + W."""
+        """The residual: Y + R U + e N - A, and the turning part of R^T (K + e V) + W."""
         return pack(m.y + r * m.u + e * m.n - a, axial(wp.transpose(r) * (m.k + e * m.v) + m.w))
 
     @wp.func

@@ -9,16 +9,15 @@ What the equations leave open is decided here, for degenerate clusters:
   `MIN_DENOMINATOR`; the rotation is a proper one (det R = +1) always.
 - Where several rotations fit equally well (a line, a mirror image, a point): one of the best ones. It is the rest
   orientation, R = I, for a point, and in the plane.
-- All particles held: nothing to solve; their positions stand.
+- All particles held: nothing to solve; their positions are the result.
 
-Volume is conserved by one of two rules; without conservation (theta = 0) they are the same, and both give A_theta the
+Volume is conserved by one of two rules. Without conservation (theta = 0) they are the same, and both give A_theta the
 rest volume at theta = 1:
 
-- "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. No energy stands behind it: its effect on a
+- "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. It derives from no energy: its effect on a
   compressed cluster amplifies every displacement, so overlapping clusters at high beta and theta diverge.
 - "project" goes the share theta of the distance from the fit to the nearest fit of the rest volume. Its goals are the
-  gradient of an energy that no step to them raises, so it cannot diverge; theta weighs the pull to the
-  rest volume.
+  gradient of an energy that no step to them raises, so it cannot diverge; theta weights the pull to the rest volume.
   Choose it for overlapping clusters, and wherever stability counts more than the thesis's numbers.
 """
 
@@ -49,7 +48,7 @@ class RestCluster:
     index: (n,) its particles; mass: (n,); q: (n, d) from the mass centre, in units of the cluster's radius (eq. 3.8)
     q_basis: (n, r) q or q~ of eq. 3.14, mean-centred; inverse: (r, r) pseudo-inverse of sum m q~ q~^T
     span: (d, k) orthonormal directions that it spans; radius: root mean square distance from its centre
-    root: (d, d) with A root = B, in which the cost of changing A is a plain distance, |dB|^2 but for a factor, and the
+    root: (d, d) with A root = B, in which the cost of changing A is a plain distance, |dB|^2 up to a factor, and the
     measures of A and B are equal; only its first k columns are not 0
     lift: (d, r) what a change of B does to the whole fit, dA~ = dB lift; 0 where changing A costs nothing
     """
@@ -93,7 +92,7 @@ def _rest_cluster(position: FloatArray, mass: FloatArray, index: IntArray, basis
 
 
 def rest_cluster(index: IntArray, m: FloatArray, q: FloatArray, radius: float, basis: Basis) -> RestCluster:
-    """A cluster of particles that stand at q (n, d), from the mass centre, in units of `radius`. m: (n,)."""
+    """A cluster of particles at q (n, d), from the mass centre, in units of `radius`. m: (n,)."""
     moments, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", m, q, q))
     span = axes[:, moments > FLAT_MOMENT_RATIO * max(moments[-1], np.finfo(float).tiny)]
     q_basis = q if basis == "linear" else quadratic_basis(q, m)
@@ -106,10 +105,10 @@ def rest_cluster(index: IntArray, m: FloatArray, q: FloatArray, radius: float, b
 def _measure_metric(gram: FloatArray, span: FloatArray, largest: float) -> tuple[FloatArray, FloatArray]:
     """`root` and `lift` of a cluster. gram: (r, r) sum m q~ q~^T, without what the fit leaves out.
 
-    A change dA~ = [dA, dQ] of the best fit costs tr(dA~ gram dA~^T). For a given dA that is least with dQ = -dA C,
-    C = G_AQ G_QQ^+, and then it is tr(dA S dA^T) with the Schur complement S = G_AA - C G_QA: the quadratic terms
-    adapt. Where they alone fit every displacement in a direction (too few particles), the measure can have any value
-    for nothing, and nothing is to be projected.
+    A change dA~ = [dA, dQ] of the best fit costs tr(dA~ gram dA~^T). For a given dA that is least with dQ = -dA C, C =
+    G_AQ G_QQ^+. It is then tr(dA S dA^T) with the Schur complement S = G_AA - C G_QA: the quadratic terms adapt. If
+    they alone fit every displacement in a direction (too few particles), the measure can have any value at no cost, and
+    nothing is projected.
     """
     d, k = span.shape
     c = gram[:d, d:] @ np.linalg.pinv(gram[d:, d:], rcond=FLAT_MOMENT_RATIO, hermitian=True)

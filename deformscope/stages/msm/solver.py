@@ -39,14 +39,14 @@ PARTICLES_AT_ONCE = 2_000_000
 """Particles of all candidates together that `relax` holds at once: at most some 2 GB; more are taken in turns."""
 
 KEPT_NUMBERS = 2_000_000
-"""Particles of all candidates up to which the scratch of a method is kept for the next call."""
+"""Largest number of particles of all candidates for which the scratch of a method is reused by the next call."""
 
 MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
 RESUMED_ITERATIONS = 32_000
-"""At least so many iterations for a second beginning: it is near the state that it comes to, but at beta .95 to .99,
-where little pulls a body back, pressed ones need up to 13 000."""
+"""Least number of iterations for a second beginning. It starts near its solution, but at beta .95 to .99, with weak
+restoring forces, pressed bodies need up to 13 000."""
 
 TRIED_STEPS = 3000
 """Time steps within which a body that eq. 3.17 leaves no stable state has run away."""
@@ -65,7 +65,7 @@ class Relaxed:
     diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
     to be thrown away
     smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
-    unaided: (B,) the preconditioner did not help: plain conjugate gradients went on
+    unaided: (B,) the preconditioner did not help: plain conjugate gradients continued
     out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are what was reached
     """
 
@@ -107,7 +107,7 @@ class Gradient:
 class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies.
 
-    held: indices of the held particles, where they stand in memory, and the displacements (B or 1, h, d) that they have
+    held: indices of the held particles, their places in memory, and their displacements (B or 1, h, d)
     """
 
     def __init__(self, operator: Operator) -> None:
@@ -125,7 +125,7 @@ class Moving:
         self._kept: dict[Any, Any] = {}
 
     def kept(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
-        """What `make` gave when it was first asked for with this key."""
+        """The stored result of `make` for this key."""
         if key not in self._kept:
             if len(self._kept) >= KEPT_CALLS:
                 self._kept.clear()
@@ -160,12 +160,12 @@ class Msm:
 
     rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
     particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
-    "quadratic"; slipping: which of the held particles are so along one axis alone, and that axis: static states of more
-    than one cluster find where they slip to; precision: of the state; device: "cpu", "cuda:0"...
+    "quadratic"; slipping: the held particles that are held along one axis alone, and that axis: static states of more
+    than one cluster find their lateral positions; precision: of the state; device: "cpu", "cuda:0"...
 
     One candidate is one beta, one theta and one set of held positions. Whatever has a leading axis of B runs as B
     candidates; the rest is shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
-    that does not grow with their width; other clusters are gathered particle by particle; a body of one cluster relaxes
+    that does not grow with their width. Other clusters are gathered particle by particle; a body of one cluster relaxes
     in the unknowns of that cluster.
     """
 
@@ -209,8 +209,8 @@ class Msm:
 
     @property
     def _minimised(self) -> Body:
-        """The body for states that have an energy: a large lattice in float64, whose slow modes float32 does not tell
-        from rounding; preconditioned it takes no longer."""
+        """The body for states that have an energy: a large lattice in float64, because float32 does not resolve its
+        slow modes from rounding; preconditioned it takes no longer."""
         large = isinstance(self._body, LatticeBody) and len(self.rest) > multigrid.LEAST
         return self._double if large else self._body
 
@@ -249,7 +249,7 @@ class Msm:
         self._particles = BodyRest(place, self.mass, self.free, counts, metric, slipping=slips, held_axis=axis)
 
     def _along(self, beta: AxisBeta, theta: FloatArray | float) -> Msm:
-        """The variant for betas along these axes, kept for the next call. theta: (B,) or one, all 0"""
+        """The variant for betas along these axes, reused by the next call. theta: (B,) or one, all 0"""
         axes = np.asarray(beta.axes)
         if len(axes) != self.dim:
             raise ValueError(f"expected betas along {self.dim} axes; got {len(axes)}")
@@ -317,7 +317,7 @@ class Msm:
         return (np.asarray(position, np.float64).reshape(-1, *self.rest.shape) - self.rest) / self.scale
 
     def _method(self, kind: type[Newton] | type[Anderson], size: int, volume: int) -> Any:
-        """A method, with its scratch; that of the last few calls is kept."""
+        """A method, with its scratch; those of the last few calls are reused."""
         key = (kind, size, volume)
         body = self._double if kind is Anderson else self._minimised
         method = self._scratch.pop(key, None) or kind(body, self._particles, size, volume)
@@ -349,9 +349,9 @@ class Msm:
         always. Both stop on an estimate of the distance to go. One cluster of all particles is
         solved in its own few unknowns.
 
-        A start that is symmetric stays so, as it does in time stepping: a strut pressed along its axis stays straight
-        where it would rather buckle. With eq. 3.17 and strong compression a static state can have clusters turned
-        inside out: look at the picture, or use volume="project".
+        A symmetric start stays symmetric, as in time stepping: a strut pressed along its axis stays straight where it
+        would buckle. With eq. 3.17 and strong compression a static state can have clusters turned inside out: check the
+        picture, or use volume="project".
 
         held_position: (n, d) or (B, n, d); theta: a number or (B,)
         beta: a number, (B,), (B, C) for each cluster, or `AxisBeta` (linear basis, theta = 0)
@@ -361,7 +361,7 @@ class Msm:
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
         candidates that eq. 3.17 keeps from converging have a second beginning, at the state without conservation
         progress: called with (candidates done, candidates) now and then, also within one long solve
-        limit_s: after so long, looked for every few iterations, candidates that still run end as `out_of_time`
+        limit_s: after this time, checked every few iterations, candidates that still run end as `out_of_time`
         """
         if isinstance(beta, AxisBeta):
             found: Relaxed = self._along(beta, theta).relax(
@@ -414,7 +414,8 @@ class Msm:
         progress: Callable[[int, int], None] | None,
         until: float,
     ) -> None:
-        """Has candidates that neither converged nor ran away by eq. 3.17 begin anew, at the state without conservation.
+        """Has candidates that neither converged nor ran away by eq. 3.17 begin again, at the state without
+        conservation.
 
         From there the stable state that the pressed body comes to is near. Where that fails and time steps run away
         from there, the candidate has diverged.
@@ -746,7 +747,7 @@ class _Stepping:
         return found  # type: ignore[no-any-return]
 
     def _find(self, held: IntArray) -> Field:
-        """Where the held particles (h,) of all candidates stand in memory."""
+        """Places of the held particles (h,) of all candidates in memory."""
         layout = self.state.layout
         c = np.arange(layout.candidates)[:, None]
         places = layout.front + layout.group * (c // layout.abreast) + layout.place[held] * layout.abreast

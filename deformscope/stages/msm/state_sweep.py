@@ -26,13 +26,13 @@ class StateSweep:
     measure: FloatArray
 
     def to_text(self) -> str:
-        """What it measures at both ends of the parameter."""
+        """Its measured values at both ends of the parameter."""
         ends = (f"{self.measure[at]:.1f} at {self.over} {self.value[at]:g}" for at in (0, -1))
         return f"{self.name}: {self.measured}: {', '.join(ends)}"
 
 
 @dataclass(frozen=True, slots=True)
 class StateSweeps:
-    """Several of them, to be looked at together."""
+    """Several of them, for one view."""
 
     sweeps: tuple[StateSweep, ...]

@@ -26,14 +26,15 @@ EXPONENT_SD = 0.08
 """Layers, large strain and foams that are not linear move the exponent by about this."""
 
 LOADED = 0.05
-"""Share of the reference force from which on samples are fitted: below, force noise hides the law."""
+"""Share of the reference force from which samples are fitted: below, force noise hides the law."""
 
 LEAST_SAMPLES = 6
 Z_90 = 1.6449
 RIGID_SDS = 3.0
 DOME_SDS = 3.0
 RATE_SAMPLES = 10
-"""Over which a rate of the force is taken: at 100 Hz a tenth of a second, of the half second or more of a way in."""
+"""Time over which a rate of the force is measured: at 100 Hz a tenth of a second, of the half second or more of an
+approach."""
 LAW_STEPS = 400
 """Forces at which a fitted law is taken, from none to twice the largest."""
 
@@ -44,7 +45,7 @@ class ArmCompliance:
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
     position_sd_m: scatter of the arm's position about it [m]; dome: of the tip itself, its dent under a rigid block at
-    1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, and taken off no other dent
+    1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, but not subtracted from other dents
     """
 
     compliance_m_per_n: float = 0.0
@@ -62,13 +63,13 @@ class ContactFit:
     """What an approach measures at the place.
 
     stiffness_n_per_mm: force over depth at `at_force_n` (apparent stiffness), with its 90 % `interval_n_per_mm`; of a
-    `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and deviation,
-    which is of `own_log_sd`, what this touch alone is off by, and of what all touches of a session share: `arm_log_sd`,
-    for one deviation of the arm's compliance, and the gain of the force
-    at_force_n: the set force, also where the approach ended before it: the law says what it would have come to, so that
-    all touches compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the
-    approach, which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and
-    log_stiffness are off by; peak_force_n: along the normal, tare taken off
+    `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and standard
+    deviation. The latter combines `own_log_sd`, the error of this touch alone, with errors that all touches of a
+    session share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
+    at_force_n: the set force, also if the approach ended before it: the law is extrapolated to it, so that all touches
+    compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which
+    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and log_stiffness are
+    off by; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
     samples: that were fitted
     peak_rate_n_per_s, peak_rate_interval_n_per_s: as of `peak_rate`
@@ -114,19 +115,19 @@ def fit_approach(
     least_share: float = LOADED,
     gain_sd: float = 0.0,
 ) -> ContactFit:
-    """Fit the law to an approach, from before contact to the peak of the force; what follows is left out.
+    """Fit the law to an approach, from before contact to the peak of the force; later samples are left out.
 
     time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
     one frame; normal: (3,) out of the surface; tip: its shape, which gives the prior mean of p
-    set_force_n: at which the stiffness is taken; where the approach ended before, as by its depth, the fitted law goes
-    on to it, and is less certain there
+    set_force_n: force at which the stiffness is taken. If the approach ended before, as by its depth, the fitted law is
+    extrapolated to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
-    exponent_sd: of the prior of p; least_share: of the set force, from which on samples are fitted
+    exponent_sd: of the prior of p; least_share: of the set force, from which samples are fitted
     gain_sd: of log stiffness, for the sake of the force sensor's gain
 
-    The position is fitted as a function of the force, since the arm's scatter is what matters:
-    z = z0 + d (F / F0)^(1/p) + c F, least squares with a soft loss and a Gaussian prior on p.
+    The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +
+    c F, least squares with a soft loss and a Gaussian prior on p.
     """
     arm = arm or ArmCompliance()
     depth_along, force = along_normal(time_s, position_m, force_n, normal)
@@ -202,13 +203,14 @@ def fit_approach(
 def peak_rate(
     time_s: FloatArray, force_n: FloatArray, force_sd_n: float
 ) -> tuple[float, tuple[float, float]] | tuple[None, None]:
-    """The largest rate at which a force (n,) rose [N/s] and its 90 % interval; None of fewer than RATE_SAMPLES samples,
-    or where no such row of them lasts: times that repeat, as after a stall, tell no rate.
+    """The largest rate at which a force (n,) rose [N/s] and its 90 % interval. None with fewer than RATE_SAMPLES
+    samples, or if no such sequence of them lasts: times that repeat, as after a stall, give no rate.
 
-    A rate is the slope of a straight line through RATE_SAMPLES samples in a row, by least squares (the first derivative
-    of Savitzky and Golay 1964): where the force bends, the mean over them. The steepest of many noisy slopes is too
-    steep, so samples are split (Cox 1975, Biometrika 62, 441): every other one determines where the force rose fastest,
-    those between how fast it rose there. Their noise, of deviation `force_sd_n` each, is taken to be independent.
+    A rate is the slope of a straight line through RATE_SAMPLES successive samples, by least squares (the first
+    derivative of Savitzky and Golay 1964). Where the force bends, it is the mean over them. The steepest of many noisy
+    slopes is too steep, so samples are split (Cox 1975, Biometrika 62, 441). Every other one determines the time of the
+    fastest rise, those between the rate at that time. Their noise, of deviation `force_sd_n` each, is taken to be
+    independent.
     """
     if len(time_s) < RATE_SAMPLES:
         return None, None
@@ -242,8 +244,8 @@ def calibrate_compliance(
     """How the arm yields, from an approach to a rigid block. Arguments as in `fit_approach`: (n,) [s], (n, 3) [m],
     (n, 3) [N], (3,).
 
-    z = z0 + c F + d F^(2/3): what a force sensor's rubber dome yields itself (Hertz 1882) is not the arm's, where it
-    is DOME_SDS of its deviations or more.
+    z = z0 + c F + d F^(2/3): the compliance of a force sensor's rubber dome (Hertz 1882) is not the arm's, if it is
+    DOME_SDS of its deviations or more.
     """
     depth_along, force = along_normal(time_s, position_m, force_n, normal)
     force, _, _, loaded = since_contact(force, set_force_n, None)
@@ -326,8 +328,8 @@ def since_contact(
 ) -> tuple[FloatArray, float, float, BoolArray]:
     """Force (n,) without its offset, its noise, its peak, and the samples (n,) from contact to the peak.
 
-    Samples are chosen by time, from the last one below a small force on, not by their own force, which would favour
-    those whose noise is positive.
+    Samples are selected by time, from the last one below a small force on, not by their own force, which would favour
+    those with positive noise.
     """
     smooth = np.convolve(np.pad(force, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     rising = smooth - np.median(smooth[: max(5, len(force) // 20)])

@@ -1,21 +1,24 @@
 """How a foam creeps under a touch: its stiffness at once and when all has relaxed, how fast, and what a cycle loses.
 
 The law of `contact` with a memory. Where every modulus of a foam relaxes alike, E(t) = E0 (1 - g + sum g_i exp(-t/t_i))
-(a generalised Maxwell solid; one branch: the standard linear solid, Zener 1948), a ball that never moves back meets
+(a generalised Maxwell solid; one branch: the standard linear solid, Zener 1948), a ball that never retracts loads the
+foam by
 
     d(t)^p / D0^p = [F(t) + sum_i j_i E_i(t)] / F0,      dE_i/dt = (F - E_i) / l_i
 
-(Lee and Radok 1960; p as in `contact`, D0 the dent at once under the set force F0): each branch of the creep compliance
-is a low-pass filter of the force with strength j_i and retardation time l_i. Forces are taken as measured and places
-are fitted, as in `contact`: the arm's scatter is what matters. Relaxation times t_i follow from those of creep.
+(Lee and Radok 1960; p as in `contact`, D0 the immediate dent under the set force F0). Each branch of the creep
+compliance is a low-pass filter of the force with strength j_i and retardation time l_i. Forces are taken as measured
+and places are fitted, as in `contact`: the arm's scatter is what matters. Relaxation times t_i follow from those of
+creep.
 
-None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold says what
-it saw: where it is likelier than not that a branch outlasts it, or that nothing ends, a reason names that, and what
-depends on it is a bound. The force that is kept after a time within the hold is always said. Approach speed needs no
-correction: the filters know when the force came.
+None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold
+determines creep within its duration: if a branch probably outlasts it, or nothing ends, a reason reports that, and the
+dependent values are bounds. The remaining force after a time within the hold is always reported. Approach speed needs
+no
+correction: the filters use the times of the force.
 
-The ball's way back does not follow this law (Ting 1966) and is not fitted: the energy that a cycle loses is what the
-measured forces did on the way in less what they gave on the way out.
+The ball's retract does not follow this law (Ting 1966) and is not fitted. The energy loss of a cycle is the work of the
+measured forces on the approach less that on the retract.
 """
 
 from __future__ import annotations
@@ -49,19 +52,19 @@ CreepBehaviour = Literal["elastic", "viscous", "plastic", "slipping", "unidentif
 ELASTIC_MOST = 0.03
 """Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
 KEPT_LEAST = 0.06
-"""Share of a dent that stays for good from which on a foam counts as plastic: below, the law's error may look so."""
+"""Permanent share of a dent from which a foam counts as plastic: below, the law's error may look the same."""
 SURE = 0.95
 SEVERAL = 0.8
-"""Probability of more than one branch from which on a foam may have faster ones than the approach."""
+"""Probability of more than one branch from which a foam may have faster ones than the approach."""
 REFERENCE_SPEED_M_S = 0.01
-"""Stiffness is converted to what an approach at this speed would have felt, so that touches compare."""
+"""Stiffness is converted to that of an approach at this speed, so that touches compare."""
 RAMP_STEPS = 60
 """Of the force on the way down at the reference speed."""
 KEPT_DRAWS = 60
-"""Of the laws drawn, from which what is kept, slides and changes with speed is computed: the same ones, of seed 0, for
-all three."""
+"""Number of sampled laws from which permanent set, slip and rate dependence are computed: the same samples, of seed 0,
+for all three."""
 FORCE_DRAWS = 400
-"""Of the laws drawn, from which the force that is kept is computed."""
+"""Number of sampled laws from which the remaining force is computed."""
 LAYERED, LAYERED_SD = 0.05, 0.05
 """What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself may
 add to it."""
@@ -71,24 +74,24 @@ add to it."""
 class CreepFit:
     """What a touch measured of a foam's creep; every interval holds 90 %.
 
-    instant_n_per_mm, relaxed_n_per_mm: set force over depth, at once and when all has relaxed [N/mm]; relaxed_log_sd:
-    deviation of the log of the latter; what is relaxed is None with a reason
-    share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighed by its share,
-    of what relaxes within the hold; with a reason both are lower bounds, their intervals open above. Where several
-    branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open above, and
-    with a reason no time is said (None)
+    instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
+    deviation of the log of the latter; the relaxed one is None with a reason
+    share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighted by its
+    share, of the relaxation within the hold; with a reason both are lower bounds, their intervals open above. If
+    several branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open above,
+    and with a reason no time is given (None)
     reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end
     short_record, no_plateau: probabilities of each
     force_kept: share of the force at the end of the approach that is left, held in place, for times within the hold
     loss: energy that the cycle lost over what the way in took; None where the way out was not recorded
     held_s: how long the force was held; speed_m_s: of the approach in contact
-    verdict: "slipping": the tip slid over the surface, and the rest is doubtful; "plastic": a dent stays for good;
+    verdict: "slipping": the tip slid over the surface, and other values are doubtful; "plastic": a permanent dent;
     "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": none is SURE; why: in words
-    viscous, plastic, slipping: probabilities of each, None where the touch cannot tell
-    kept, kept_interval: share of the dent that stays, beyond what relaxation explains; None without the way out
+    viscous, plastic, slipping: probabilities of each, None if the touch does not determine it
+    kept, kept_interval: permanent share of the dent, beyond relaxation; None without the retract
     slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
-    log_at_reference, log_at_reference_sd: log of the stiffness that an approach at REFERENCE_SPEED_M_S would have felt
-    over that which this one felt, and its deviation
+    log_at_reference, log_at_reference_sd: log of the ratio of stiffness at an approach with REFERENCE_SPEED_M_S to that
+    of this one, and its deviation
     """
 
     instant_n_per_mm: float
@@ -132,15 +135,15 @@ class CreepFit:
 
     @property
     def text(self) -> str:
-        """What the hold said of the foam's creep."""
+        """The foam's creep by the hold, as text."""
         held = f"; held in place it {self.force_kept[-1]}" if self.force_kept else ""
         loss = ("" if self.loss is None else f", a touch loses {self.loss:.0%} of its energy") + held
         if self.verdict == "elastic":
             return f"elastic within {self.held_s:.3g} s{loss}"
         if self.verdict == "slipping":
-            return f"slipping: {self.why}; what it says of creep is doubtful"
+            return f"slipping: {self.why}; the values of creep are unreliable"
         if self.kept is not None and self.kept_interval is not None and self.verdict == "plastic":
-            loss = ", {:.0%} ({:.0%} to {:.0%}) of the dent stays".format(self.kept, *self.kept_interval) + loss
+            loss = ", {:.0%} ({:.0%} to {:.0%}) of the dent is permanent".format(self.kept, *self.kept_interval) + loss
         least, most = self.share_interval
         if self.reasons or self.relaxed_n_per_mm is None or self.relaxed_interval is None:
             doubts = "".join(f"; {one.code}: {one.text}" for one in self.reasons)
@@ -167,7 +170,7 @@ def fit_creep(
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
-    radius_m: of a ball, whose dents are not small beside it; None: the law is a power at all depths
+    radius_m: of a ball, whose dents are not small relative to it; None: the law is a power at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
@@ -244,7 +247,7 @@ def fit_creep(
 
 
 def _relaxed(log: FloatArray, weight: FloatArray, *, known: bool) -> dict[str, Any]:
-    """What is said of the relaxed stiffness, from its log (d,) [N/mm] in draws with weights (d,)."""
+    """The relaxed stiffness as text, from its log (d,) [N/mm] in draws with weights (d,)."""
     names = ("relaxed_n_per_mm", "relaxed_interval", "relaxed_log_sd")
     if not known:
         return dict.fromkeys(names)
@@ -254,8 +257,8 @@ def _relaxed(log: FloatArray, weight: FloatArray, *, known: bool) -> dict[str, A
 
 
 def _at_reference(draws: CreepDraws, speed_m_s: float) -> FloatArray:
-    """(d,) draws of the log of the stiffness at the reference speed over that at this one: how much of the force the
-    branches follow by while it rises as the p-th power of time."""
+    """(d,) draws of the log ratio of the stiffness at the reference speed to that at this one: the branches' shares of
+    the force while it rises as the p-th power of time."""
     some = draws.some(np.random.default_rng(0), KEPT_DRAWS)
     gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS  # share of the way down
 
@@ -271,17 +274,17 @@ def _at_reference(draws: CreepDraws, speed_m_s: float) -> FloatArray:
 
 
 def _verdict(viscous: float, plastic: float | None, slip: SlipFit) -> tuple[CreepBehaviour, str]:
-    """What a touch met, and why it is taken for that."""
+    """The verdict of a touch, and its reason."""
     if slip.probability > SURE:
         where = f"once the force across was {slip.friction:.2g} of the force"
         return "slipping", f"the tip slid {1e3 * slip.slid_m:.1f} mm {where}"
     if plastic is not None and plastic > SURE:
-        return "plastic", "the tip let go deeper than relaxation explains"
+        return "plastic", "the tip retracted further than relaxation explains"
     if viscous > SURE:
         return "viscous", f"more than {ELASTIC_MOST:.0%} of the modulus relaxes"
     if viscous < 1.0 - SURE:
         return "elastic", f"less than {ELASTIC_MOST:.0%} of the modulus relaxes"
-    return "unidentified", f"whether {ELASTIC_MOST:.0%} of the modulus relaxes is too near to call"
+    return "unidentified", f"whether {ELASTIC_MOST:.0%} of the modulus relaxes is not identified"
 
 
 def _kept(

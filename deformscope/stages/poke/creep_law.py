@@ -1,11 +1,11 @@
 """The law by which a foam creeps under a ball, fitted to one touch: its parameters as weighted draws (`creep`).
 
-Each branch of the creep compliance is a low-pass filter of the force (`stages.fit.creep_spectra`); what the law is off
-by is a Gaussian process over the log of the force. A force sensor that drifts moves the place in proportion to time.
+Each branch of the creep compliance is a low-pass filter of the force (`stages.fit.creep_spectra`); the law's error is a
+Gaussian process over the log of the force. A force sensor that drifts moves the place in proportion to time.
 
-For every choice of nodes of the log times the likeliest parameters are found, all choices in one pass (Levenberg 1944,
-Marquardt 1963), with their evidence (Laplace); draws about them are weighed by the posterior, so that the choices, the
-numbers of branches and their times are averaged over.
+For every choice of nodes of the log times the most probable parameters are found, all choices in one pass (Levenberg
+1944, Marquardt 1963), with their evidence (Laplace). Draws about them are weighted by the posterior, which averages
+over the choices, the numbers of branches and their times.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ HOLD_SAMPLES = 60
 """Of the hold, that are fitted, evenly in the log of time: more are averaged."""
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
 BEND_SD = 0.003
-"""Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of
-2 cm on 2 to 8 cm of bonded foam, Poisson's ratio .05 to .4, at 1 and 3 N: -.009 to .006."""
+"""Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of 2
+cm on 2 to 8 cm of bonded foam, Poisson's ratio .05 to .4, at 1 and 3 N: -.009 to .006."""
 LAW_OFF, LAW_RISE, LAW_LENGTH = 0.004, 0.4, 0.3
-"""Of a log dent, what that law is off by: a Gaussian process over log force, 0 at the set force, with this deviation
-there, more below it (a power of the force) and with this length: elements that come into contact one after the other
-make waves of 0.2 to 1 % (24 slabs as above, seeds kept for choosing). Foam itself is no better."""
+"""Error of that law in the log dent: a Gaussian process over log force, 0 at the set force. It has this deviation
+there, more below it (a power of the force), and this length. Elements that come into contact one after another make
+waves of 0.2 to 1 % (24 slabs as above, seeds reserved for choosing). Foam itself is no better."""
 DRIFT_N_PER_S = 0.001
 """Deviation of a force sensor's drift: 0.06 N a minute [assumed]."""
 BALL_STEPS = 400
@@ -44,7 +44,7 @@ LOG_TIMES, TIMES = (np.log(0.002), np.log(4000.0)), 100
 @dataclass(frozen=True, slots=True)
 class CreepSamples:
     """time_s, z_m, force_n: (m,) from the first sample to the end of the hold, which is averaged; count: (m,) how many
-    each is the mean of; first: from which on they are fitted; loading: up to which they lead to the set force"""
+    each is the mean of; first: index of the first fitted one; loading: up to which they lead to the set force"""
 
     time_s: FloatArray
     z_m: FloatArray
@@ -67,9 +67,9 @@ class CreepSamples:
 
 @dataclass(frozen=True, slots=True)
 class CreepDraws:
-    """Weighted draws: weight (d,), which adds up to 1; z0, D0 [m], log of the dent when all has relaxed over D0, p,
-    deviations of the arm's compliance, mean relaxation time [s], all (d,); j_i and l_i [s] (d, b), what is not there
-    with a strength of 0; branches (d,): how many there are; endless (d,): the spectrum has no end"""
+    """Weighted draws: weight (d,), which adds up to 1; z0, D0 [m], log of the relaxed dent over D0, p, deviations of
+    the arm's compliance, mean relaxation time [s], all (d,); j_i and l_i [s] (d, b), with strength 0 for absent
+    branches; branches (d,): how many there are; endless (d,): the spectrum has no end"""
 
     weight: FloatArray
     start_m: FloatArray
@@ -96,12 +96,11 @@ class CreepDraws:
 
 
 class CreepLaw:
-    """The law over one touch; parameters (5 + k,): z0 [mm], log D0 (of a ball: of the dent that a paraboloid would make
-    instead), p, the law's bend q, the arm's compliance in deviations from what it was calibrated to, then those of the
-    spectrum.
+    """The law over one touch; parameters (5 + k,): z0 [mm], log D0 (of a ball: of the dent of a paraboloid), p, the
+    law's bend q, the arm's compliance in deviations from its calibrated value, then those of the spectrum.
 
-    What the law is off by at one force it is off by at neighbouring ones, in the hold as on the way down: residuals
-    are whitened by the covariance of that, of a drift, and of the samples' own scatter.
+    The law's errors at neighbouring forces are correlated, in the hold as on the approach. Residuals are whitened by
+    the covariance of these errors, of a drift, and of the samples' own scatter.
     """
 
     def __init__(
@@ -179,7 +178,7 @@ class CreepLaw:
     def _law_off(
         self, parameters: FloatArray, spectrum: Spectrum, log_felt: FloatArray, random: np.random.Generator
     ) -> FloatArray:
-        """(d,) draws of what the law is off by at a log force (d,), given what it is off by in the samples."""
+        """(d,) draws of the law's error at a log force (d,), given its errors in the samples."""
         shared = (_off_together(log_felt, self._log_felt) * self._dent_m) @ self._whitens.T
         mean = (shared * self._off(parameters, spectrum)).sum(axis=1)
         variance = _off_variance(log_felt) - (shared**2).sum(axis=1)

@@ -1,8 +1,8 @@
-"""What fitted layers leave of the surface beside a tip, as found at the pokes that they were fitted to.
+"""Residual of fitted layers on the surface around a tip, by the pokes that they were fitted to.
 
-A lattice of clusters cannot do all that a foam does: whatever its law, the surface beside a tip moves inwards too far
-and rounds off too little. That is alike at all pokes of a surface, so that unseen ones are predicted with it: the
-model's discrepancy, learned beside its parameters (Kennedy and O'Hagan 2001).
+A lattice of clusters has systematic errors: with any law, the surface around a tip moves inwards too far and rounds off
+too little. That is alike at all pokes of a surface, so that unseen ones are predicted with it: the model's discrepancy,
+estimated with its parameters (Kennedy and O'Hagan 2001).
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class SurfaceLeft:
 
 @dataclass(frozen=True, slots=True)
 class DentResidual:
-    """Seen less simulated displacement beside a tip, as a share of its depth, at `DISTANCES` of its edge: away from the
-    tip's middle, and upwards (k,). thickness: [m]"""
+    """Observed less simulated displacement around a tip, as a share of its depth, at `DISTANCES` of its edge: away from
+    the tip's middle, and upwards (k,). thickness: [m]"""
 
     outward: FloatArray
     upward: FloatArray
     thickness: float
 
     def at(self, points: FloatArray, middle: FloatArray, tip: Tip, depth: float) -> FloatArray:
-        """(n, 3) [m] at points of the surface (n, 3) beside a tip at `middle` (2,)."""
+        """(n, 3) [m] at points of the surface (n, 3) around a tip at `middle` (2,)."""
         away, basis = _beside(points, middle, tip, self.thickness)
         return depth * np.column_stack([away * (basis @ self.outward)[:, None], basis @ self.upward])
 

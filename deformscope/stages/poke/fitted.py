@@ -1,7 +1,7 @@
 """What a calibration leaves behind: a body, the law that it follows and its stiffness, enough to predict a poke.
 
-Two kinds of body: `layers`, material below a surface, whose lattice is laid out anew around each poke; and `particles`,
-the very particles that were fitted.
+Two kinds of body: `layers`, material below a surface, whose lattice is made for each poke; and `particles`, the fitted
+particles themselves.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from deformscope.stages.regions.posterior import SurfaceKind
 BodyKind = Literal["layers", "particles"]
 
 TIP_SHARE, DEPTH_SHARE = 0.05, 0.1
-"""Deviation of a predicted force's logarithm for each doubling or halving of the tip's width, and for each doubling of
-the largest depth fitted: on finite element slabs, tips of 1 to 4 cm were off by 1 to 6 % after a fit to one of 2 cm;
-what real material does deeper than it was pressed is not known."""
+"""Standard deviation of a predicted force's logarithm for each doubling or halving of the tip's width, and for each
+doubling of the largest depth fitted. On finite element slabs, errors at tips of 1 to 4 cm were 1 to 6 % after a fit to
+one of 2 cm. Real material beyond the pressed depth is unknown."""
 
 BEYOND = 1.25
 """A depth, or depth over tip width, this many times the largest fitted is extrapolated to."""
 
 DEEP = 0.3
-"""Share of the thickness from which on a poke is beyond what a linear law is good for, whatever was fitted."""
+"""Share of the thickness from which a poke is beyond the range of a linear law, for any fit."""
 
 ALONG_AXIS = float(np.cos(np.radians(10.0)))
 """A push within 10 degrees of an axis is taken as along it."""
@@ -61,16 +61,16 @@ class FittedModel:
     """A model that can be poked.
 
     body; rest: (n, 3) points of the surface, or (K, d) particles [m]; thickness: below a surface [m]
-    shape, cell: lattice of the particles, if they stand on one; fixed: particles that do not move
+    shape, cell: lattice of the particles, if they have one; fixed: particles that do not move
     toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
     tip: what the model was fitted with, and whether it slips
     law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]
-    field_kind: what these said of the surface between them when the model was fitted
+    field_kind: kind of the surface between the pokes when the model was fitted
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
     fitted_depth: of the deepest poke that was fitted [m]; fitted_strain: the largest depth over tip width; nan: unknown
-    residual: what the law leaves of the surface beside the tip of every poke that it was fitted to
+    residual: the law's residual on the surface around the tip of every fitted poke
     provenance: where it comes from
     """
 
@@ -102,7 +102,7 @@ class FittedModel:
 
     @property
     def material_depth(self) -> float:
-        """How much material a poke meets along its direction [m]."""
+        """Thickness of material under a poke along its direction [m]."""
         return float(np.ptp(self.rest @ self.toward)) if self.thickness is None else self.thickness
 
     def beyond(self, depth: float, tip: Tip) -> tuple[str, ...]:
@@ -113,11 +113,11 @@ class FittedModel:
         if (strain := depth / tip.width) > BEYOND * self.fitted_strain:
             found.append(f"depth over tip width {strain:.2g}, fitted to {self.fitted_strain:.2g}")
         if (share := depth / self.material_depth) > DEEP:
-            found.append(f"{share:.0%} of the thickness deep, where materials stiffen as the model does not")
+            found.append(f"{share:.0%} of the thickness deep, where materials stiffen more than the model")
         return tuple(found)
 
     def stiffness_at(self, poke: Poke, spacing: float, extra: float = 0.0) -> MetStiffness | None:
-        """k [N/m] of a lattice of this spacing that a poke meets; None where no force was measured.
+        """k [N/m] of a lattice of this spacing under a poke; None without a measured force.
 
         A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
         extra: deviation of log stiffness for other reasons than the place
@@ -143,8 +143,8 @@ class FittedModel:
     def transfer_deviation(self, tip: Tip, depth: float, rivals: float = 0.0) -> float:
         """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted.
 
-        rivals: deviation of what rival laws say. They follow the same pokes and differ at other tips: that is the doubt
-        of the tip seen another way, so that the larger of the two counts, not both
+        rivals: deviation of what rival laws say. They fit the same pokes and differ at other tips. Both are the same
+        uncertainty of the tip, so that the larger of the two counts, not both
         """
         other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
         deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0
@@ -153,7 +153,7 @@ class FittedModel:
 
 @dataclass(frozen=True, slots=True)
 class MetStiffness:
-    """What a poke meets: median and 90 % interval [N/m]."""
+    """Stiffness under a poke: median and 90 % interval [N/m]."""
 
     value: float
     interval: tuple[float, float]
@@ -168,7 +168,7 @@ class Prediction:
     force_deviation: of the force's logarithm for the law's, the tip's and the depth's sake, the place left out
     surface_error: how far particles of the surface near the tip may be off, root mean square [m]
     extrapolated: in what respects the poke lies beyond what was fitted, in words
-    layers: the lattice, for a body of layers; converged; residual: of the model, for points beside the tip
+    layers: the lattice, for a body of layers; converged; residual: of the model, for points around the tip
     """
 
     poke: Poke
@@ -188,8 +188,8 @@ class Prediction:
     residual: DentResidual | None = None
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Where points (n, 3) of the surface go, between the lattice's columns, with what the law was found to leave
-        beside a tip; those beyond the lattice stay."""
+        """Displaced points (n, 3) of the surface, between the lattice's columns, with the law's residual around a tip;
+        those beyond the lattice do not move."""
         if self.layers is None:
             raise InputError("a model of layers below a surface", "one of particles", "leave out the points")
         weights, inside = self.layers.interpolation(points[:, :2], flat_edge(self.poke.at, self.poke.tip))
@@ -202,10 +202,9 @@ class Prediction:
 def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32", device: str = "cpu") -> Prediction:
     """The static state under a poke that need not have been seen.
 
-    poke.at: (d,) [m]; its component along the direction of the poke does not count
-    The interval of the force is of what the pokes say of the stiffness at this place, and of what the law, an unusual
-    tip and depth leave open.
-    Raises InputError for a poke that the material has no room for, and a force where no stiffness is known.
+    poke.at: (d,) [m]; its component along the direction of the poke does not count The interval of the force combines
+    the stiffness at this place by the pokes with the uncertainty of the law, an unusual tip and depth. Raises
+    InputError for a poke that the material has no room for, and a force where no stiffness is known.
     """
     room = model.material_depth
     check_poke(model.rest, room, poke.depth or 0.0, poke.tip.width)
@@ -213,7 +212,7 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
     known = model.stiffness_at(poke, scene.spacing)
     k = None if known is None else known.value
     if poke.force is not None and k is None:
-        raise InputError("a depth", "a force, but the model knows no stiffness", "fit it with force_n in a pair file")
+        raise InputError("a depth", "a force, but the model has no stiffness", "fit it with force_n in a pair file")
     found = press(scene, model.law, poke, stiffness=k, deepest=room, precision=precision, device=device)
     if found.depth >= room:
         raise InputError(
@@ -287,7 +286,7 @@ def from_pair(
     push = move[touched].mean(axis=0) if len(touched) else np.zeros(seen.rest.shape[1])
     depth = float(np.linalg.norm(push))
     if depth <= 0.0:
-        raise InputError("held particles that were pushed", "none that moved", "name what pushed in `held`")
+        raise InputError("held particles that were pushed", "none that moved", "name the pushing part in `held`")
     toward = push / depth
     axis = int(np.abs(toward).argmax())
     if abs(toward[axis]) > ALONG_AXIS:
@@ -319,7 +318,7 @@ def from_pair(
 
 
 def particle_scene(model: FittedModel, law: Law) -> PokeSetup:
-    """The fitted particles; a tip can touch those that no other stands in front of."""
+    """The fitted particles; a tip can touch those that no other particle shields."""
     rest, gap = model.rest, median_spacing(model.rest)
     if law.cluster_size is None:
         grouped = clusters.single(len(rest))

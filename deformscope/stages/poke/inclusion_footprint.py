@@ -3,14 +3,14 @@
     shift = inclusion_shift(contrast_share(10.0), footprint(contact_m, radii_m, depths_m, aside_m))    # of log
     stiffness
 
-A ball of radius R presses with Hertz's pressure on a circle of radius a; what the foam below stores of the work is the
-energy density of a half-space under that pressure (Boussinesq's stresses, Johnson 1985, eq. 3.20, summed over the
-circle). An inclusion changes the dent by its share in twice that energy over force times dent (to first order, exactly:
-reciprocity), times what an inclusion answers to a strain that is even over it, of which Eshelby (1957) gives for a ball
-of the same Poisson's ratio 0.2: h = (c - 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
+A ball of radius R presses with Hertz's pressure on a circle of radius a. The foam below stores the energy density of a
+half-space under that pressure (Boussinesq's stresses, Johnson 1985, eq. 3.20, summed over the circle). An inclusion
+changes the dent by its share in twice that energy over force times dent (to first order, exactly: reciprocity), times
+its response to a uniform strain. Eshelby (1957) gives the response of a ball with the same Poisson's ratio 0.2: h = (c
+- 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
 
 So the footprint is as wide as inclusion, depth and contact make it, and no constant of it is fitted but CALIBRATED.
-What it leaves out: the strain is not even over the inclusion, nor is the foam a half-space.
+Not modelled: the strain is not uniform over the inclusion, and the foam is no half-space.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def contact_radius(dent_m: float, tip_radius_m: float) -> float:
 
 
 def contrast_share(times: float) -> float:
-    """h of an inclusion so many times as stiff as what is around it; below 0 where it is softer."""
+    """h of an inclusion by the ratio of its stiffness to its surroundings'; below 0 if it is softer."""
     if not times >= 0.0:
         raise InputError("a ratio of moduli, 0 or more", f"{times}")
     return 2.0 * (1.0 - 2.0 / (times + 1.0))
@@ -56,7 +56,7 @@ def inclusion_shift(share: FloatArray | float, footprint: FloatArray) -> FloatAr
 
 
 def footprint(contact_m: float, radii_m: FloatArray, depths_m: FloatArray, aside_m: FloatArray) -> FloatArray:
-    """(r, d, s) share of a dent that comes of the foam in the place of an inclusion, before any contrast.
+    """(r, d, s) share of a dent due to the foam in the place of an inclusion, before any contrast.
 
     contact_m: radius of the contact; radii_m: (r,) of inclusions; depths_m: (d,) from the surface to their uppermost
     points;

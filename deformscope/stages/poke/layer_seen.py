@@ -1,4 +1,4 @@
-"""How thick the foam is that is touched, and by what that is known: said, or seen from its top and the table beside it.
+"""Thickness of the touched foam, and its source: stated, or measured from its top and the table around it.
 
 table = find_table(points_m, size_m=(0.6, 0.4))            # None where the camera sees none
 known_layer(heights_m, table, stated_m=None, relief=True)     # its thickness is None: it is not known
@@ -14,14 +14,14 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.poke.contact import Z_90, layer_modulus
 
 AROUND_M, MARGIN_M = 0.10, 0.02
-"""The table counts from so far beside the surface on, where its sides are not seen any more, and until so far."""
+"""The table counts between these distances from the surface, beyond its visible sides."""
 WITHIN_M = 0.02
-"""What is farther than that from z = 0 is not taken for the table."""
+"""Points farther than that from z = 0 are not the table."""
 FEWEST = 100
 """Points of the table: 16 cm2, at one in each cell of 4 mm."""
 UNEVEN = 0.05
-"""A surface whose heights differ by less than this share of the stated thickness, and on average from it by less than
-twice as much, counts as level: stiffness differs by some 2 % there, as much as the law is off anyway."""
+"""A surface counts as level if its heights differ by less than this share of the stated thickness, and on average from
+it by less than twice as much. Stiffness differs by some 2 % there, the error of the law."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class TableSeen:
 @dataclass(frozen=True, slots=True)
 class KnownLayer:
     """thickness_m: of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
-    table_m: height of what the foam lies on; uneven: whether the surface's shape is looked at
+    table_m: height of what the foam lies on; uneven: whether the surface's shape is used
     """
 
     thickness_m: float | None
@@ -46,7 +46,7 @@ class KnownLayer:
 
 
 def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen | None:
-    """The table, from points (n, 3) in the surface frame; None where too few of them are beside the surface."""
+    """The table, from points (n, 3) in the surface frame; None with too few of them around the surface."""
     off = np.maximum(-points_m[:, :2], points_m[:, :2] - np.asarray(size_m)).max(axis=1)
     height = points_m[(off > MARGIN_M) & (off < AROUND_M) & (np.abs(points_m[:, 2]) < WITHIN_M), 2]
     if len(height) < FEWEST:
@@ -58,7 +58,7 @@ def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen |
 def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
     """What is known of foam whose surface is so high (n,) [m] where it may be touched.
 
-    stated_m: its thickness, where somebody said it: the foam then lies at z = 0; relief: whether its shape is looked at
+    stated_m: its stated thickness, if any: the foam then lies at z = 0; relief: whether its shape is used
     """
     mean_m, range_m = float(height_m.mean()), float(np.ptp(height_m))
     if stated_m is not None:
@@ -93,7 +93,7 @@ def modulus_of(
     radius_m: float,
     dent_m: float | None = None,
 ) -> LayerModulus | None:
-    """Of foam of this stiffness at a force, felt by a ball on the layer; None where its thickness is not known.
+    """Of foam of this stiffness at a force, under a ball on the layer; None with an unknown thickness.
 
     dent_m: the dent at that force, where it was what was measured: then its modulus is that to the last bit
     """

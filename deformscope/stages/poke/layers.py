@@ -1,7 +1,7 @@
 """A body of material below a measured surface: a lattice of a few layers whose lowest one rests on the ground.
 
-A single layer of particles is all bending and hardly feels beta or a force; the same surface with the material below it
-does (`design.md` 7). Up is +z.
+A single layer of particles is all bending and hardly determines beta or a force; the same surface with the material
+below it does (`design.md` 7). Up is +z.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from deformscope.errors import InputError
 from deformscope.stages.msm.clusters import spacing
 
 FLAT_SHARE = 0.1
-"""A surface that stays within this share of a lattice spacing of a plane is taken as that plane: measuring noise would
-make the lattice uneven, which costs speed and means nothing."""
+"""A surface within this share of a lattice spacing of a plane is treated as that plane: measurement noise would make
+the lattice uneven, which costs speed without benefit."""
 
 FEWEST_LAYERS = 2
 
@@ -91,7 +91,7 @@ class MeasuredSurface:
 
 @dataclass(frozen=True, slots=True)
 class FlatEdge:
-    """Where a flat tip ends: beside it a surface falls as the root of the distance (Sneddon 1965), steeper than a
+    """The edge of a flat tip: outside it a surface falls as the root of the distance (Sneddon 1965), steeper than a
     lattice can.
 
     middle, half: (2,) of its footprint [m]
@@ -171,9 +171,9 @@ def below(
 ) -> Layers:
     """The lattice of material below a surface, `spacing` [m] apart along x and y.
 
-    centre: (2,) a place that a column stands at, default the lowest corner of the surface
-    reach: how far from `centre` the lattice goes along x and y [m], default all of the surface
-    The layers divide the thickness evenly, as near to `spacing` as that allows, two of them at least.
+    centre: (2,) place of a column, default the lowest corner of the surface
+    reach: extent of the lattice from `centre` along x and y [m], default all of the surface The layers divide the
+    thickness evenly, as near to `spacing` as that allows, two of them at least.
     """
     low, high = surface.points[:, :2].min(axis=0), surface.points[:, :2].max(axis=0)
     at = low if centre is None else np.asarray(centre, dtype=np.float64)

@@ -20,25 +20,24 @@ from deformscope.errors import InputError
 from deformscope.stages.poke.contact import layer_modulus
 
 CURVED, INCLINED = 0.40, 0.10
-"""Power of 1 + R kappa in apparent stiffness at a force: Hertz says 1/3, of bodies without sides; and what the square
-of the slope adds to its logarithm. Fitted to finite elements of waves and egg-crates (`studies.seeds.TUNING`): 5 to 20
-cm long, slopes of up to 0.29, R kappa from -0.16 to 0.26; what is left is 0.4 % of stiffness rms, 2 % at most."""
+"""Power of 1 + R kappa in apparent stiffness at a force: Hertz gives 1/3, for bodies without sides; and the effect of
+the slope's square on its logarithm. Fitted to finite elements of waves and egg-crates (`studies.seeds.TUNING`): 5 to 20
+cm long, slopes of up to 0.29, R kappa from -0.16 to 0.26. The residual is 0.4 % of stiffness rms, 2 % at most."""
 
 EDGE, EDGE_LENGTH = 0.473, 0.358
-"""An edge takes EDGE exp(-e / L) off log stiffness at a distance e, L this share of the geometric mean of the thickness
-and the contact's radius sqrt(R d), d the dent that was felt there: fitted to finite elements 1 to 3 cm from 38 edges
-(as above), layers of 2 to 6 cm, foam of 30 to 110 kPa, within 0.15 % rms and 0.4 %."""
+"""An edge at a distance e subtracts EDGE exp(-e / L) from log stiffness. L is this share of the geometric mean of the
+thickness and the contact's radius sqrt(R d), with d the measured dent. It is fitted to finite elements 1 to 3 cm from
+38 edges (as above), layers of 2 to 6 cm, foam of 30 to 110 kPa, within 0.15 % rms and 0.4 %."""
 
 EDGE_BENDS = 0.6
-"""By how much an edge lowers the exponent of force over depth, for each unit that it takes off log stiffness: a contact
-that grows feels more of it (finite elements 3 cm from one edge and from two)."""
+"""Change of the exponent of force over depth by an edge, per unit of log stiffness: the effect grows with the contact
+(finite elements 3 cm from one edge and from two)."""
 
 DOUBT = 0.1
 """Of each of the four, its deviation as a share of it."""
 
 LEAST_RELATIVE = 0.2
-"""A hollow narrower than a ball of 1.25 times the tip's radius is taken for one of that: beyond it the tip meets its
-sides."""
+"""A hollow narrower than a ball of 1.25 times the tip's radius counts as that: beyond it the tip touches its sides."""
 
 MOST_SHIFT = 2.0
 """Farther than that in log depth the reference layer's depth is not sought."""
@@ -114,7 +113,7 @@ def _thickness_log(thickness_m: float, depth_m: float, reference_m: float, radiu
 def shape_of(height_m: FloatArray, deviation_m: FloatArray, step_m: float, edge_m: float, least_m: float) -> LocalShape:
     """The shape from heights over the table (5,), at a place and a step along +x, -x, +y, -y, and their deviations [m].
 
-    edge_m: distance to the layer's edge; least_m: no layer is taken for thinner [m]
+    edge_m: distance to the layer's edge; least_m: least thickness of a layer [m]
     """
     middle, right, left, ahead, behind = (float(one) for one in height_m)
     return LocalShape(

@@ -1,12 +1,12 @@
-"""What a touch leaves of its dent for good: what is left when the tip lets go, beyond what relaxation explains.
+"""Permanent set of a touch: the remaining dent at the release, beyond relaxation.
 
 A ball that goes back leaves a viscoelastic foam where
 
     H(t) = integral of E(t - s) d'(s) ds = 0        (Ting 1966),
 
-its dent d being shallower than it was by what has relaxed. While force is left, F^(1/p) goes about as H; the line
-through the way back, taken to F = 0, says at which H the tip let go. Of what keeps a share s of every dent it is s
-times what the way in put into H; of all else it is 0.
+its dent d being shallower by the relaxed part. While force is left, F^(1/p) is about linear in H; the line through the
+retract, extrapolated to F = 0, gives the H of the release. For foam with a permanent share s of every dent it is s
+times the part of the approach in H; for all other foam it is 0.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ LEAST_BACK, MOST_BACK = 0.05, 0.6
 """Shares of the peak between which the way back is fitted."""
 FEWEST_BACK = 4
 LAW_LEFT, LAW_LEFT_SD = -0.013, 0.02
-"""What foam that keeps nothing seems to keep, and its deviation, for the law's sake: F^(1/p) is no straight line, and
-the table bends the law (50 touches of finite elements, seeds kept for choosing)."""
+"""Apparent permanent share of elastic foam, and its deviation, due to the law: F^(1/p) is no straight line, and the
+table bends the law (50 touches of finite elements, seeds reserved for choosing)."""
 
 
 def kept_share(

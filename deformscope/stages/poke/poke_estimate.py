@@ -33,14 +33,14 @@ from deformscope.stages.poke.poke_fit import DOWN, PokesFit, PosedPoke
 from deformscope.stages.poke.stiffness_field import fit_field
 
 NEIGHBOUR_STEPS = (-0.9, -0.45, -0.2, 0.0, 0.2, 0.45, 0.9)
-"""Values of -log(1 - beta) beside the estimate at which the error curve is taken."""
+"""Values of -log(1 - beta) around the estimate at which the error curve is computed."""
 
 NEXT_TO = 0.01
 """A value within this of an end of the range is not distinguished from the end."""
 
 BEYOND, CLEAR = 5, 2.5
-"""Values taken from there to the end of the range, where the error has not risen to this many times the lowest: high
-betas take long to settle."""
+"""Number of values from there to the end of the range, if the error has not risen to this multiple of the lowest: high
+betas converge slowly."""
 
 FINE, THETAS = 161, 21
 """Values of -log(1 - beta) and of theta at which the posterior is taken."""
@@ -61,8 +61,8 @@ LEAST_MISFIT = 0.02
 
 @dataclass(frozen=True, slots=True)
 class ApparentModulus:
-    """What Young's modulus would make the same force [Pa]: of a half-space with this tip (E*, no thickness), and of an
-    even strain in the middle of the lattice (`continuum`). Neither is a material's."""
+    """The Young's modulus of the same force [Pa]: of a half-space with this tip (E*, no thickness), and of a uniform
+    strain in the middle of the lattice (`continuum`). Neither is a material's."""
 
     half_space: float
     continuum: float
@@ -148,7 +148,7 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
     """Young's modulus [Pa] and Poisson's ratio of an even strain in the middle of a 3D lattice of these clusters.
 
     A window of s^3 particles at spacing h has second moments s^3 (s^2 - 1) h^2 / 12, and one window starts at each
-    particle; its energy is (1 - beta) |e|^2, and with volume conserved beta theta tr(e)^2 / 3, times half of these
+    particle. Its energy is (1 - beta) |e|^2, and with volume conserved beta theta tr(e)^2 / 3, times half of these
     moments and k. So mu = k m (1 - beta) / 2 h and lambda = k m beta theta / 3 h with m = s^3 (s^2 - 1) / 12. Near a
     free face fewer windows overlap and the lattice is softer: an apparent modulus, not a material's.
     """
@@ -230,7 +230,7 @@ def conclude(
 class Profile:
     """Residuals, errors and reactions over beta, theta as fitted.
 
-    stretched: (g,) values of -log(1 - beta), rising, over what may be likely; beta: (g,) the same as beta
+    stretched: (g,) values of -log(1 - beta), rising, over the probable range; beta: (g,) the same as beta
     residual: for each poke (g, n, 3) near it [m]; errors: (g, q) mean distance over each poke [m]; aee: (g,)
     reaction: (g, q) per unit of k [m]
     """
@@ -288,8 +288,8 @@ class Profile:
     def posterior(self) -> tuple[Posterior, float]:
         """Of beta, theta integrated, and by how many deviations the data separate its likeliest value from the least.
 
-        What is left at the best law is misfit more than noise, and points of a surface share it: as many count as
-        independent as there are patches of the size of the tip. Several pokes share it too: they count as one.
+        The residual of the best law is misfit more than noise, and points of a surface share it. The number of
+        independent points is that of patches of the size of the tip. Several pokes share it too: they count as one.
         """
         fine = np.linspace(self.stretched[0], self.stretched[-1], FINE)
         beta, law = beta_of(fine, self.fit.beta_range), self.fit.best.law
@@ -315,8 +315,8 @@ class Profile:
 
 
 def neighbouring_values(at: float, low: float, high: float) -> FloatArray:
-    """(n,) values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising, the ends in place of
-    what lies beyond them or next to them: no two are so close that their difference is rounding."""
+    """(n,) values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising. The ends replace values
+    beyond or next to them: no two are so close that their difference is rounding."""
     values = at + np.array(NEIGHBOUR_STEPS)
     next_to = min(NEXT_TO, 0.25 * (high - low))
     inner = values[(values > low + next_to) & (values < high - next_to)]
@@ -367,7 +367,7 @@ def _comparison(one: PosedPoke, law: Law) -> Comparison:
 
 
 def model_of(fit: PokesFit, provenance: Mapping[str, object]) -> FittedModel:
-    """What predicts other pokes; of `conclude`, without what it says of beta."""
+    """The model that predicts other pokes; of `conclude`, without its result of beta."""
     measured, k = fit.stiffness(fit.best)
     places = np.array([fit.pokes[i].at for i in measured]).reshape(-1, 3)
     field = fit_field(places[:, :2], k, fit.pokes[0].tip.width) if measured.size else None

@@ -1,8 +1,8 @@
 """Fit a volume lattice to pokes of a surface: cluster size, beta, theta, and where force was measured the stiffness.
 
 The static state under each poke is compared with the surface around it, between the lattice's columns. Beta and theta
-are those of the least squared error (`scipy.optimize.least_squares`); the
-cluster size is the one whose error is smallest; how well it does on pokes left out is reported.
+are those of the least squared error (`scipy.optimize.least_squares`); the cluster size is the one with the smallest
+error; its error on pokes left out is reported.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from deformscope.stages.poke.dent_residual import DentResidual, SurfaceLeft, res
 from deformscope.stages.poke.layers import FlatEdge, Layers, MeasuredSurface, below
 
 FIRST_SIZES, SIZES = (3, 4), (2, 7)
-"""Cluster sizes tried first, and the smallest and largest that are tried at all, where none is asked for."""
+"""Default cluster sizes that are tried first, and the smallest and largest of all."""
 
 CELLS_ACROSS_TIP = 4
-"""Lattice cells across the tip by default, and at least where a narrower tip is predicted: with fewer, the force of a
-wider or narrower tip is off (2 cm to 4 cm on a layer of 5 cm: 11 % with two cells, 5 % with four)."""
+"""Lattice cells across the tip by default, and at least for predictions of a narrower tip. With fewer, the force of a
+wider or narrower tip has an error (2 cm to 4 cm on a layer of 5 cm: 11 % with two cells, 5 % with four)."""
 
 REACH_SHARE, REACH_TIPS = 1.1, 0.5
 """The lattice goes this many thicknesses, and tip widths, beyond the tip on each side: there the surface is quiet."""
@@ -53,8 +53,8 @@ FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
 """The largest -log(1 - beta) and theta."""
 
 NEWEST = 2
-"""How layers are fitted. 1, as recordings of before have it: rounds find where a tip's particles slip to, and theta's
-effect is taken at the best beta, however little it is there."""
+"""How layers are fitted. 1, as in older recordings: rounds find the slip of a tip's particles, and theta's effect is
+evaluated at the best beta, however small it is there."""
 
 MOST_LAWS = 15
 """Laws that are tried for each cluster size, and one more where a step is refused."""
@@ -70,12 +70,12 @@ class SeenPoke:
     touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
     noise: (n,) [m] or None; force: [N] or None
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
-    white noise of many points falls, and what is left is the misfit; None: every point by itself
+    white noise of many points falls, and the misfit remains; None: every point alone
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
     footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else what lies between the touched
     points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
-    alone, not which point of the material stands there
+    alone, not the material point that is there
     """
 
     at: FloatArray
@@ -173,8 +173,8 @@ def default_spacing(surface: MeasuredSurface, tip: Tip) -> float:
 def spacing_for(
     surface: MeasuredSurface, pokes: Sequence[SeenPoke], wished: float | None, most: float
 ) -> tuple[float, float, int]:
-    """The spacing of the lattice [m] for which all that shapes are fitted to has so many particles at most, twice the
-    finest at most; the finest: what is wished, or the default; how many particles there are."""
+    """The spacing of the lattice [m] with at most this number of particles for all shapes, twice the finest at most;
+    the finest: the requested one, or the default; the number of particles."""
     finest = wished or default_spacing(surface, min((poke.tip for poke in pokes), key=lambda one: one.width))
 
     def count(spacing: float) -> int:
@@ -256,7 +256,7 @@ class PosedPoke:
         return np.where(self.inside[:, None], np.stack(every), 0.0)
 
     def _seen(self, displacement: FloatArray) -> FloatArray:
-        """Displacement (n, 3) at the points, by the particles' (K, 3); of heights alone, what stands there now."""
+        """Displacement (n, 3) at the points, by the particles' (K, 3); of heights alone, the present height there."""
         found = np.asarray(self.weights @ displacement)
         if not self.poke.heights_only:
             return found
@@ -285,7 +285,7 @@ def fit_shape(
 ) -> tuple[Law, bool]:
     """The law of least squared error over pokes with beta in its range, and whether all its states converged.
 
-    theta: kept where given; tick: called with how many laws were tried, MOST_LAWS at most
+    theta: fixed if given; tick: called with how many laws were tried, MOST_LAWS at most
 
     All pokes count the same, however many points were seen of each. Slopes are differences, since what slips moves with
     the law; a law and its neighbours settle at once, side by side.
@@ -356,7 +356,7 @@ def _cells(points: FloatArray, side: float) -> csr_array:
 
 
 def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatArray:
-    """Values (n, 3) at places (n, 2), between them and beyond, at wanted places (m, 2)."""
+    """Values (n, 3) at places (n, 2), interpolated and extrapolated at the places (m, 2)."""
     nearest = NearestNDInterpolator(place, value)(wanted)
     try:
         inner = LinearNDInterpolator(place, value)(wanted)
@@ -374,7 +374,7 @@ class ShapeFit:
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
     same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
-    reaction: (p,) of every poke, per unit of k [m]; residual: what is left beside the tip of every poke
+    reaction: (p,) of every poke, per unit of k [m]; residual: error around the tip of every poke
     """
 
     law: Law
@@ -395,7 +395,7 @@ class ShapeFit:
 class PokesFit:
     """Layers fitted to pokes. spacing: of the lattice [m]; tried: every cluster size, the best first; shaped: (q,) the
     pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; beta_range: in which
-    beta was sought; theta_fitted: or kept; version: see `NEWEST`"""
+    beta was sought; theta_fitted: False = it was given; version: see `NEWEST`"""
 
     surface: MeasuredSurface
     pokes: tuple[SeenPoke, ...]
@@ -434,8 +434,8 @@ def fit_pokes(
     """Fit the layers below a surface to one or several pokes of it.
 
     spacing: of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3 and 4
-    and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: kept where
-    given; version: see `NEWEST`; progress: called with (what, done, all)
+    and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: fixed if given;
+    version: see `NEWEST`; progress: called with (what, done, all)
     """
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing

@@ -1,9 +1,9 @@
-"""Did the tip slide over the foam while it pressed? From what it feels and where it goes across the normal.
+"""Did the tip slide over the foam while it pressed? From the force and the motion across the normal.
 
-While a contact sticks, the force across grows with the way across, dT = k (F / d) dx: a ball on an elastic body is
+While a contact sticks, the force across grows with the motion across, dT = k (F / d) dx. A ball on an elastic body is
 about STICK times as stiff across as along (Mindlin 1949: 2 (1 - v) / (2 - v) of the tangent, with F / d the secant). A
 sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it follows that while the tip still
-moves: it slides. Both are weighed over k, mu and tilt; how far it slid is what it moved beyond the limit.
+moves: it slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ TILT_SD = 0.05
 FRICTION = np.geomspace(0.03, 2.0, 40)
 STICKS = STICK + STICK_SD * np.linspace(-2.0, 2.0, 9)
 PIECES = 40
-"""Means of so many parts of the touch are compared."""
+"""Number of parts of the touch whose means are compared."""
 STICK_OFF = 0.1
 """Of the force across, what that law is off by."""
 START_SD = 0.02
-"""Of the largest force: what is felt across before a twentieth of it, where the way across is not followed."""
+"""Share of the largest force: lateral force before a twentieth of it, where the lateral motion is not followed."""
 SMOOTHED = 9
 """Samples over which the way across is averaged."""
 SLID_M = 5e-4
@@ -36,7 +36,7 @@ SLID_M = 5e-4
 @dataclass(frozen=True, slots=True)
 class SlipFit:
     """probability: that the tip slid by SLID_M or more; slid_m: how far, if it did; friction: the force across over
-    that along it there; ratio: the largest that was felt"""
+    that along it there; ratio: the largest measured one"""
 
     probability: float
     slid_m: float
@@ -49,8 +49,7 @@ def fit_slip(
 ) -> SlipFit:
     """Of a touch until its way back.
 
-    across_m, across_n: (n, 2) place and force in the surface's plane, the latter without its offset; dent_m, force_n:
-    (n,) along the normal, force_sd_n: scatter of one axis of one reading
+    across_m, across_n: (n, 2) place and force in the surface's plane, the latter without its offset
     """
     peak = float(force_n.max())
     loaded = slice(int(np.argmax(force_n > LOADED * peak)), None)

@@ -1,9 +1,9 @@
-"""Stiffness over a surface, from what a few pokes met, as a distribution: every surface that may have met them so.
+"""Stiffness over a surface, from a few pokes, as a distribution over all surfaces that may have caused them.
 
-The posterior over regions (`deformscope.stages.regions`), which maps an exploration, says what the surface may be: one
-material, several whose borders may lie anywhere between pokes that differ, or a gradual change. The stiffness at a
-place is what all of these say of it, each by its probability. So near a border it may be either material's. How much
-stiffness scatters from poke to poke is not known beforehand; the pokes say that too.
+The posterior over regions (`deformscope.stages.regions`), which maps an exploration, has these hypotheses: one
+material, several with any borders between pokes that differ, or a gradual change. The stiffness at a place is the
+mixture of all of these, each by its probability. So near a border it may be either material's. The scatter of stiffness
+from poke to poke is unknown; the pokes determine it too.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 OWN_SD = 0.01
-"""Of log stiffness: what lattice and contact are solved to in each poke, beside the scatter that is learned."""
+"""Of log stiffness: error of lattice and contact solutions in each poke, in addition to the estimated scatter."""
 
 CONTACT = 0.6
-"""Deviation of the Gaussian that a poke feels the surface with, as a share of the tip's width: on finite element halves
-a tip of 2 cm feels what lies within 1.1 to 1.2 cm, if what it feels is the mean of log stiffness."""
+"""Standard deviation of the Gaussian weight of a poke over the surface, as a share of the tip's width. On finite
+element halves a tip of 2 cm averages log stiffness within 1.1 to 1.2 cm."""
 
 USUAL_TIP_M = 0.02
 
@@ -44,18 +44,17 @@ FEWEST_CONTACTS = 10.0
 """Pokes nearer than this many of these deviations are on a part of a surface; regions are not sought to be smaller."""
 
 FREE_SHARE, FREE_SD, FREE_LENGTH_M = 0.03, 0.7, 0.08
-"""Prior probability of a surface that is no map and nothing smooth: log stiffness wanders by this deviation over this
+"""Prior probability of a surface that is neither a map nor smooth: log stiffness wanders by this deviation over this
 length, on a surface of 0.6 m."""
 
 REPEATED = 0.25
-"""Probability that a poke at the very place of an earlier one meets the same, whatever the maps say: half of it is more
-than a tenth, so that a 90 % interval holds that poke for certain."""
+"""Probability that a poke at the place of an earlier one has the same stiffness, under any map: half of it is more than
+a tenth, so that a 90 % interval always contains that poke."""
 
 TILT = 0.25
 """The expected value of |f - F| / F^TILT is least at the median of what the true F may be, each weighed by 1 / F^TILT.
-Chosen on tuning seeds (`studies.seeds`): where either of two materials is possible, the stiffer is expected
-only if it is the likelier by the fourth root of their ratio; called wrongly, it is off by far more than the softer
-one."""
+Chosen on tuning seeds (`studies.seeds`): between two possible materials, the stiffer is expected only if it is more
+likely by the fourth root of their ratio. A wrong choice of it has a far larger error than that of the softer one."""
 
 TAILS = 10
 """Shares of what an interval leaves out that may lie below it."""
@@ -70,13 +69,13 @@ EXCLUDED = 1e-6
 """Probability below which a hypothesis is taken as excluded by the pokes together."""
 
 MOST_REGIONS = 3
-"""It means as many or more: pokes are fewer than touches of an exploration, and their number is not asked for."""
+"""It means this number or more: pokes are fewer than touches of an exploration, and their number is not fixed."""
 
 PARTICLES, MAPS, CELL_M = 1000, 300, 0.02
-"""With 300 particles few were left where pokes scatter by 3 % or less: on tuning seeds forces on stiff discs were off
-by 29 % in place of 20 %, in one material by 7 % in place of 3.5 %."""
+"""With 300 particles few were left for pokes that scatter by 3 % or less. On tuning seeds force errors on stiff discs
+were 29 % instead of 20 %, in one material 7 % instead of 3.5 %."""
 ERROR = TouchErrorModel(gain_sd=0.0)
-"""All pokes are of one session: what they share, forces predicted for it share too."""
+"""All pokes are of one session: they share errors with the forces predicted for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +91,8 @@ class _Mixture:
 class StiffnessField:
     """Stiffness [N/m] over places (n, 2) [m].
 
-    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; contact_m: deviation of what they feel [m]
-    One poke alone is taken for the whole surface: it cannot say otherwise.
+    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; contact_m: deviation of their contact weight [m] One
+    poke alone gives the whole surface its value.
     """
 
     places: FloatArray
@@ -101,8 +100,8 @@ class StiffnessField:
     contact_m: float
 
     def at(self, place: FloatArray, contact_m: float | None = None) -> FloatArray:
-        """The likeliest to be near (n,) [N/m] at places (n, 2): a quarter of the way from the least expected error in
-        newtons, which the median has, to the least relative to the true force (`TILT`)."""
+        """The most central estimate (n,) [N/m] at places (n, 2). It is a quarter of the way from the least expected
+        error in newtons, which the median has, to the least relative to the true force (`TILT`)."""
         mixture = self._mixture(np.atleast_2d(place), contact_m)
         tilted = mixture.weight * np.exp(-TILT * (mixture.mean - mixture.mean.mean()))
         return self._quantile(_Mixture(mixture.mean, mixture.variance, tilted / tilted.sum(axis=0)), 0.5)
@@ -110,10 +109,10 @@ class StiffnessField:
     def interval(
         self, place: FloatArray, level: float = 0.9, *, contact_m: float | None = None, extra: float = 0.0
     ) -> FloatArray:
-        """Ends (n, 2) [N/m] between which a poke at places (n, 2) meets the stiffness with probability `level`: those
-        of the smallest ratio, so that a material which is hardly possible is left out.
+        """Ends (n, 2) [N/m] of the interval of the stiffness of a poke at places (n, 2), with probability `level`.
+        Their ratio is the smallest, so that an improbable material is left out.
 
-        contact_m: deviation of what that poke feels, if its tip is another; extra: deviation of log stiffness for other
+        contact_m: deviation of that poke's contact weight, for another tip; extra: deviation of log stiffness for other
         reasons
         """
         mixture = self._mixture(np.atleast_2d(place), contact_m)
@@ -148,7 +147,7 @@ class StiffnessField:
     def left_out(self) -> FloatArray:
         """(p,) relative error of each poke's stiffness predicted from the others; nan with one poke.
 
-        Under each hypothesis the poke is taken out again in closed form, and hypotheses count the more, the less they
+        Under each hypothesis the poke is removed in closed form. Hypotheses have the more weight, the less they
         expected it (importance sampling, Gelfand et al. 1992).
         """
         if len(self.stiffness) == 1:
@@ -246,7 +245,7 @@ class StiffnessField:
 
     @property
     def _scale(self) -> float:
-        """The priors on shapes are of a surface of about 0.6 m: this one is taken as if it were so large."""
+        """The priors on shapes are of a surface of about 0.6 m: this one is scaled to it."""
         extent = float(np.ptp(self.places, axis=0).max())
         return PRIOR_EXTENT_M / max(extent, FEWEST_CONTACTS * self.contact_m)
 

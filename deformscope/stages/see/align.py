@@ -1,8 +1,8 @@
-"""Where the robot is in the camera's picture, beside where arm and calibration say: its own points tell.
+"""Pose of the robot in the camera's image, relative to the pose by arm and calibration, by the robot's own points.
 
-High above the sample there is nothing but the robot: what the camera sees there is laid onto the robot's solids, point
-to plane, with what a calibration may be off by as a prior. What is left of the calibration's error is small, and so
-little of the surface beside the robot has to be left out.
+High above the sample there is nothing but the robot: points there are registered to the robot's solids, point to plane,
+with the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the
+surface around the robot has to be left out.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FEWEST = 200
 REACH_M = (0.03, 0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.01)
 """Points so far from the solids count, step by step."""
 ROBUST_M = 0.003
-"""From here on a point counts less (Huber 1964): cables beside the solids, mixed pixels."""
+"""Residual from which a point counts less (Huber 1964): cables, mixed pixels."""
 PRIOR_M, PRIOR_RAD = 0.015, 0.02
 """Deviations of the robot's place, and of its rotation, before anything is seen."""
 SENSOR_M, INDEPENDENT = 0.002, 100.0
@@ -32,8 +32,8 @@ SENSOR_M, INDEPENDENT = 0.002, 100.0
 ALIKE_M = 0.004
 """Where points are off by more after all, in the mean, they are of something else."""
 ALIGNED_M = 0.003
-"""What is then left of an error of the camera's place, at the tip: 2.4 mm at most of 108 pictures of `studies.removal`,
-0.6 mm as the median (seeds 1000 to 1005: `studies.seeds`)."""
+"""Remaining error of the camera's pose, at the tip: 2.4 mm at most of 108 pictures of `studies.removal`, 0.6 mm as the
+median (seeds 1000 to 1005: `studies.seeds`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ class Alignment:
 
 
 def as_seen(robot: PosedRobot, points: FloatArray, above_m: float) -> PosedRobot:
-    """The robot where the picture shows it, if it is to be aligned and its solids tell.
+    """The robot at its pose in the image, if it is to be aligned and its solids determine the pose.
 
     points: (n, 3) of all of the picture [m]; above_m: higher than that there is nothing but the robot, and what is far
     from it
@@ -86,12 +86,12 @@ def align(points: FloatArray, solids: Sequence[PosedSolid]) -> Alignment | None:
 
 
 def _evenly(points: FloatArray, most: int) -> FloatArray:
-    """At most so many of the points (n, 3), evenly spaced in their order."""
+    """At most this number of the points (n, 3), evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), most)).astype(np.int64)]
 
 
 def _step(points: FloatArray, foot: FloatArray, normal: FloatArray, T_so_far: FloatArray) -> tuple[FloatArray, float]:
-    """(4, 4) how points (n, 3) move onto planes through feet; rms of what they were off, robustly [m]."""
+    """(4, 4) motion of points (n, 3) onto planes through feet; robust rms of their residuals [m]."""
     middle = points.mean(axis=0)
     off = np.einsum("ij,ij->i", normal, points - foot)
     weight = np.minimum(1.0, ROBUST_M / np.maximum(np.abs(off), 1e-12))

@@ -1,4 +1,4 @@
-"""Optical flow as a live view wants it: of a region of the image, at a size that is computed in time, on a few points.
+"""Optical flow for a live view: of a region of the image, at a size that is computed in time, on a few points.
 
 The dense flow of 640 x 480 px takes 1.4 s on one core, of 160 x 120 px 0.06 s. Particles and arrows are given in pixels
 of the whole image whatever the size that the flow was computed at.

@@ -43,7 +43,7 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Perceived:
-    """What is left of a depth image. points_m: (n, 3); noise_m: (n,) deviation of each height [m]
+    """The remaining points of a depth image. points_m: (n, 3); noise_m: (n,) deviation of each height [m]
     label: (H, W) `PixelLabel` of each pixel; point: (m,) of each used pixel, row by row, the point it is a part of"""
 
     points_m: FloatArray
@@ -87,11 +87,11 @@ def within(points: FloatArray, box: Box) -> BoolArray:
 
 
 def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -> BoolArray:
-    """(n,) points that are no statistical outliers: whose mean distance to their nearest neighbours is at most the mean
+    """(n,) points that are no statistical outliers. Their mean distance to their nearest neighbours is at most the mean
     of all points' plus `ratio` deviations (Rusu et al. 2008).
 
-    Few points (no more than `neighbours`) are all kept. Open3D has the same rule and takes a third of the
-    time, but lets no other thread run meanwhile (0.5 s for 100 000 points on a busy machine).
+    Few points (no more than `neighbours`) are all retained. Open3D has the same rule and takes a third of the time, but
+    blocks all other threads meanwhile (0.5 s for 100 000 points on a busy machine).
     """
     if len(points) <= neighbours:
         return np.ones(len(points), dtype=bool)
@@ -101,8 +101,8 @@ def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -
 
 
 def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, FloatArray, IntArray]:
-    """One point (m, 3) for each occupied cell seen from above: the mean of those in it; how many these were (m,); and
-    (n,) which of the means each point is a part of.
+    """One point (m, 3) for each occupied cell seen from above: the mean of the points in it; their number (m,); and
+    (n,) index of each point's mean.
 
     Noise that is independent from point to point falls by the root of the count; the cells' order is fixed.
     """
@@ -119,8 +119,8 @@ def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, Float
 
 
 def axial_noise_m(distance_m: FloatArray, incidence_rad: FloatArray | float = 0.0) -> FloatArray:
-    """Deviation of a structured-light camera's depth along its axis [m] at distances and angles between the ray and the
-    surface's normal (Nguyen, Izadi and Lovell 2012, eq. 4; a Kinect, 0.4 to 3 m)."""
+    """Standard deviation of a structured-light camera's depth along its axis [m] at distances and angles between the
+    ray and the surface's normal (Nguyen, Izadi and Lovell 2012, eq. 4; a Kinect, 0.4 to 3 m)."""
     distance, angle = np.asarray(distance_m, dtype=np.float64), np.asarray(incidence_rad, dtype=np.float64)
     flat = 0.0012 + 0.0019 * (distance - 0.4) ** 2
     steep = np.minimum(angle, 0.48 * np.pi)
@@ -147,9 +147,9 @@ def tactile_points(
     """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches, around its foremost one (Thesis 4.4).
 
     lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
-    normal: (3,) unit normal of the surface at rest, away from it, default up
-    They cover the cap that touches evenly, the foremost point among them: a ball sunk into an elastic body touches it
-    up to about the root of radius times depth beside its axis (Hertz), at most up to its equator.
+    normal: (3,) unit normal of the surface at rest, away from it, default up They cover the contact cap evenly, the
+    foremost point among them. A ball in an elastic body touches it up to about the root of radius times depth from its
+    axis (Hertz), at most up to its equator.
     """
     if radius_m <= 0.0 or depth_m < 0.0:
         raise InputError("a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m")
@@ -167,7 +167,7 @@ def tactile_points(
 
 
 def contact_radius_m(radius_m: float, depth_m: float) -> float:
-    """How far beside its axis a ball touches an elastic half-space, sqrt(R d) (Hertz), at most its radius [m]."""
+    """Radius of the contact of a ball with an elastic half-space, sqrt(R d) (Hertz), at most its radius [m]."""
     return float(min(np.sqrt(radius_m * max(depth_m, 0.0)), radius_m))
 
 
@@ -180,11 +180,11 @@ def perceive(
     robot: PosedRobot = NO_ROBOT,
     cell_m: float | None = None,
 ) -> Perceived:
-    """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot, without lone points, and
-    reduced to one point a cell where `cell_m` is given.
+    """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot and without lone points.
+    With `cell_m` they are reduced to one point per cell.
 
-    robot: the arm with all that is on it, where it is reported to be; above the box nothing else is near it
-    Raises InputError where nothing is left.
+    robot: the arm with all its parts, at its reported pose; above the box nothing else is near it Raises InputError if
+    no points remain.
     """
     points = back_project(depth_m, camera, T_world_camera)
     robot = as_seen(robot, points, box.high_m[2])

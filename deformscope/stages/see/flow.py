@@ -34,7 +34,7 @@ class FlowField:
     noise_px: (H, W) float32, one standard deviation of each coordinate [px] as image noise and texture let expect;
     None where the method does not say
     misfit: (H, W) float32, 0 to 1, share of the contrast around a pixel that the flow leaves unexplained beyond the
-    usual noise: near 1 what it was is not to be seen where the flow leads; None where the method does not say
+    usual noise: near 1 the pixel is not visible at its new place; None for methods without it
     """
 
     flow_px: FloatArray
@@ -57,12 +57,12 @@ def grey(image: Image) -> FloatArray:
 def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowField:
     """Flow from `before` to `after`.
 
-    "dis": feature matches that agree with their neighbours (SIFT, Lowe 2004) start DIS (Kroeger 2016) so that large
-    motions are found; a windowed least-squares refinement (Lucas and Kanade 1981) makes the result sub-pixel.
-    Rms vector error against known displacement (this, against DIS "medium" alone; 360 x 360 px, grey noise 2 of 255):
-    speckles of 3 px, 5 px shift .003 / .055, 20 % strain .011 / .22, 30 px shift .010 / 30, 10 degrees .011 / .18;
-    foam, 0.1 px waves .03 / .04, 60 px shift .05 / .6; faint texture, 3 degrees .09 / .22. DIC Challenge sample 14 L1:
-    .010 / .028. Motion waves shorter than about 60 px are flattened; without texture the flow is a guess.
+    "dis": feature matches that agree with their neighbours (SIFT, Lowe 2004) start DIS (Kroeger 2016), which finds
+    large motions. A windowed least-squares refinement (Lucas and Kanade 1981) makes the result sub-pixel. Rms vector
+    error against known displacement (this, against DIS "medium" alone; 360 x 360 px, grey noise 2 of 255). Speckles of
+    3 px: 5 px shift .003 / .055, 20 % strain .011 / .22, 30 px shift .010 / 30, 10 degrees .011 / .18. Foam: 0.1 px
+    waves .03 / .04, 60 px shift .05 / .6; faint texture, 3 degrees .09 / .22. DIC Challenge sample 14 L1: .010 / .028.
+    Motion waves shorter than about 60 px are flattened; without texture the flow is a guess.
 
     "farneback": OpenCV's Farnebäck 2003, without refinement.
 
@@ -94,10 +94,10 @@ class FlowStep:
 
 
 def flow_onward(before: Image, after: Image, method: FlowMethod = "dis", last: FlowStep | None = None) -> FlowStep:
-    """Flow both ways in a sequence, in a seventh of the time where the motion goes on as it was.
+    """Flow both ways in a sequence, in a seventh of the time if the motion continues.
 
-    last: of the step to `before`. Its flow is refined alone, without features and DIS. Where the images then correlate
-    worse than in the last step by `FIT_DROP` anywhere, motion or light have changed: all is done as for a pair.
+    last: of the step to `before`. Its flow is refined alone, without features and DIS. If the images then correlate
+    worse than in the last step by `FIT_DROP` anywhere, motion or light have changed: all is computed as for a pair.
     """
     a, b = _views(before, after, method)
     if last is not None and last.fits:
@@ -127,7 +127,7 @@ def _both(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
 
 @dataclass(frozen=True, slots=True)
 class _Featured:
-    """An image on 0..255, (H, W); rounded to 8 bits; its features: places (n, 2) [px] and what SIFT says of each."""
+    """An image on 0..255, (H, W); rounded to 8 bits; its features: places (n, 2) [px] and their SIFT descriptors."""
 
     grey: FloatArray
     grey8: Image
@@ -259,11 +259,11 @@ PASSES = (8.0, 8.0, 6.0, 6.0, 6.0)
 """Standard deviation of the Gaussian window of each refinement pass [px]."""
 
 PASSES_ONWARD = PASSES[-2:]
-"""From the flow of the step before: a third pass changes no particle's error (docs/calibrating.md)."""
+"""From the flow of the step before: a third pass changes no particle's error (docs/results/fits.md)."""
 
 FIT_DROP = 0.25
-"""Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain: in steady
-motion .10 to .17 is the largest of an image, in a jump of 3 px 1.3."""
+"""Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady
+motion the largest of an image is .10 to .17, in a jump of 3 px 1.3."""
 
 SMOOTHING_PX = (24.0, 11.0, 5.0)
 """Standard deviations out of which the smoothing of the flow is chosen, by texture and noise [px]."""
@@ -275,7 +275,7 @@ PASSED = (0.15, 0.5, 1.15)
 def _refine(a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[float] = PASSES) -> FlowField:
     """Windowed Lucas-Kanade steps from a flow that is right to about a pixel.
 
-    Each pass warps `b` by the flow, matches its local brightness and contrast to `a`, solves the 2 x 2 normal
+    Each pass warps `b` by the flow and matches its local brightness and contrast to `a`. It solves the 2 x 2 normal
     equations of every window for a correction, and smooths the result. The flow lives on every second pixel: it is
     smoother than that, and it saves three quarters of the work.
     """
@@ -365,8 +365,8 @@ def _follow(b: FloatArray, flow: FloatArray, scale: int = 1) -> tuple[FloatArray
 def _double(image: FloatArray) -> FloatArray:
     """The image's cubic spline at every half pixel, (2 H, 2 W); sample 2 i lies on pixel i.
 
-    OpenCV's own bicubic and Lanczos kernels displace a pattern by up to 0.04 and 0.009 px (measured on speckles);
-    linear interpolation between the samples of a spline by less than 0.001 px.
+    OpenCV's own bicubic and Lanczos kernels displace a pattern by up to 0.04 and 0.009 px (measured on speckles).
+    Linear interpolation between the samples of a spline displaces it by less than 0.001 px.
     """
     knots = scipy.ndimage.spline_filter(image, order=3, output=np.float32, mode="mirror")
     knots = cv2.pyrUp(knots)  # (1 4 6 4 1) / 8 is the refinement of a cubic B-spline

@@ -21,7 +21,7 @@ from deformscope.stages.see.flow import FlowField, grey
 HeldGroup = Literal["top", "bottom", "left", "right", "border", "contact"]
 
 LONG_SIDE_PARTICLES = 15
-"""Particles along the longer side of the region when neither shape nor spacing is asked for."""
+"""Default number of particles along the longer side of the region."""
 
 SMALLEST_SPACING_PX = 2.0
 
@@ -99,9 +99,9 @@ DARK_SHARE = 0.25
 def clean_mask(image: npt.NDArray[Any]) -> BoolArray:
     """Where there is material, (H, W): every pixel that is not black, and pin-holes up to about 7 px across.
 
-    A mask may be the masked photograph itself. Its darkest speckles are black too, hence the pin-holes; and where it
-    falls into a bright and a clearly darker part (Otsu 1979), the darker one is the background beside the thing.
-    Specks of less than a hundredth of the largest piece are left out.
+    A mask may be the masked photograph itself. Its darkest speckles are black too, hence the pin-holes. If it splits
+    into a bright and a clearly darker part (Otsu 1979), the darker one is the background. Specks of less than a
+    hundredth of the largest piece are left out.
     """
     shade = grey(image)
     material = shade > 0
@@ -151,8 +151,8 @@ def seed_grid(
     shape: (rows, cols), or spacing_px: distance of neighbours; neither: about 15 along the longer side
     mask: (H, W), True on material; particles off it are left out
 
-    Particles sit in the middle of their cells, half a spacing inside the region: on the outline itself the flow mixes
-    the object with what lies behind it.
+    Particles are in the middle of their cells, half a spacing inside the region: on the outline itself the flow mixes
+    the object with its background.
     """
     height, width = image_shape[:2]
     if mask is not None and mask.shape != (height, width):
@@ -266,18 +266,18 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
 
     forward: from the present image to the next; backward: from the next to the present
 
-    Lost is a particle that leaves the image, whose flow is not finite, whose surroundings do not look alike where the
-    flow leads (misfit over one half), or that the backward flow does not bring home: the forward-backward residual
-    e = f(x) + b(x + f(x)) (Kalal 2010) is longer than `RESIDUAL_PX` + `RESIDUAL_SHARE` * |f| and than five times the
-    median of its neighbours; however bad those are, three times the first limit is the end.
+    A particle is lost if it leaves the image, its flow is not finite, its surroundings differ at the new place (misfit
+    over one half), or the backward flow does not return it. The forward-backward residual e = f(x) + b(x + f(x)) (Kalal
+    2010) is then longer than `RESIDUAL_PX` + `RESIDUAL_SHARE` * |f| and than five times the median of its neighbours.
+    Three times the first limit is the limit in any case.
 
-    noise_px of a step is the flow's own noise_px (none known: 0) and the residuals' spread over the nine nearest
-    particles, by the median and divided by sqrt(2) since e holds two errors; steps add in quadrature. Measured on 117
-    known motions (nine textures; grey noise of 1 to 5 of 255; translation, strain, rotation, waves, dents), the true
-    rms error was 0.3 to 1.5 times noise_px (worst 2.4), 0.8 in the median. The residual alone says too little, up to
-    a hundred times: image noise moves forward and backward flow alike, and cancels in e. Not covered: motion finer
-    than the flow's smoothing, saturated pixels, changing shadows, and edges where the object parts from what is
-    behind it.
+    noise_px of a step combines the flow's own noise_px (unknown: 0) with the residuals' spread over the nine nearest
+    particles, by the median, divided by sqrt(2) because e holds two errors. Steps add in quadrature. Measured on 117
+    known motions, the true rms error was 0.3 to 1.5 times noise_px (worst 2.4), 0.8 in the median. They had nine
+    textures, grey noise of 1 to 5 of 255, and translation, strain, rotation, waves and dents. The residual alone says
+    too little, up to a hundred times: image noise moves forward and backward flow alike, and cancels in e. Not covered:
+    motion finer than the flow's smoothing, saturated pixels, changing shadows, and edges where the object parts from
+    what is behind it.
     """
     if forward.flow_px.shape != backward.flow_px.shape:
         raise InputError("two flows of one size", f"{forward.flow_px.shape} and {backward.flow_px.shape}")

@@ -23,7 +23,7 @@ JUMP_M = 0.02
 HOVER_M = 0.006
 """At jumps of depth, what is so far above the surface around it hangs in the air."""
 CELL_M = 0.01
-"""Of the grid on which the surface's height is taken for that."""
+"""Cell size of the grid of the surface's height."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +117,8 @@ def at_jumps(depth_m: FloatArray) -> BoolArray:
 def standing(points: FloatArray, mixed: BoolArray) -> BoolArray:
     """(n,) points that do not hang in the air.
 
-    mixed: (n,) may be of mixed depth; they stand where they are no higher than `HOVER_M` above the mean of the others
-    around them, as seen from above, and also where there are none
+    mixed: (n,) possibly of mixed depth; these count if they are at most `HOVER_M` above the mean of the others around
+    them, as seen from above, or have none around them
     """
     stands = np.ones(len(points), dtype=bool)
     if not mixed.any() or mixed.all():

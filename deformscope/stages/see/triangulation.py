@@ -60,9 +60,9 @@ def triangulate(rest: FloatArray) -> IntArray:
 
 
 def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -> tuple[FloatArray, FloatArray, float]:
-    """Values (K,) between particles that rest at (K, 2) and now stand at `place` (K, 2), on square cells.
+    """Values (K,) between particles with rest positions (K, 2) and present positions `place` (K, 2), on square cells.
 
-    Returns values (rows, columns), NaN beside the body and in its holes, the corner (2,) of the first cell, and the
+    Returns values (rows, columns), NaN outside the body and in its holes, the corner (2,) of the first cell, and the
     cells' side. cells: along the longer side
     """
     low, high = place.min(axis=0), place.max(axis=0)

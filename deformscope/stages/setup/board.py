@@ -22,8 +22,8 @@ FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 """Of the lens, k1 and k2 alone are sought: a dozen views of a board do not give the others."""
 WIDEST = 0.1
-"""Half the interval of a focal length, as a share of it, at most: a board that is seen always from the front does not
-tell distance and focal length apart."""
+"""Largest half interval of a focal length, as a share of it: views of a board from the front alone do not separate
+distance and focal length."""
 LENSES = (0.25, 8.0)
 """Focal lengths that lenses have, as a share of the image's width: a fit without information runs away from them."""
 
@@ -57,7 +57,7 @@ class SeenBoard:
 @dataclass(frozen=True, slots=True, eq=False)
 class LensEstimate:
     """focal_px, center_px: (2,); distortion: (5,) OpenCV's k1, k2, p1, p2, k3
-    half_px: (4,) half intervals of fx, fy, cx, cy; left_over_px: root mean square of what is left over"""
+    half_px: (4,) half intervals of fx, fy, cx, cy; left_over_px: root mean square of the residuals"""
 
     focal_px: FloatArray
     center_px: FloatArray
@@ -107,7 +107,7 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
     focal = matrix[[0, 1], [0, 1]]
     unknown, share = float((half[:2] / focal).max()), focal / size_px[0]
     if unknown > WIDEST or (share < LENSES[0]).any() or (share > LENSES[1]).any():
-        came = f"views that leave the focal length unknown ({focal[0]:.0f} px, within {half[0]:.0f} px)"
+        came = f"views that determine the focal length ({focal[0]:.0f} px, within {half[0]:.0f} px)"
         raise InputError("views of the board that is tilted by 20 degrees and more", came, "tilt it each way")
     bent = np.asarray(distortion, np.float64).reshape(-1)[:5]
     return LensEstimate(focal, matrix[:2, 2], bent, half, float(left_over))

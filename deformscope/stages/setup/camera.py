@@ -40,8 +40,8 @@ def camera_from_views(
 ) -> CameraEstimate:
     """Camera, board and, unless it is known, the lens, from views with the arm's end (n, 4, 4) in each.
 
-    With the lens sought too, all of it is computed again without each view: what the lens leaves unknown is then in the
-    intervals of where the camera stands. Raises InputError as `lens` and `hand_eye` do.
+    If the lens is sought too, everything is computed again without each view: the camera's intervals then include the
+    lens's uncertainty. Raises InputError as `lens` and `hand_eye` do.
     """
     if len(T_base_ee) != len(views):
         raise InputError("a view for each pose", f"{len(views)} views, {len(T_base_ee)} poses")

@@ -1,7 +1,7 @@
-"""How a force sensor sits on the stick, from pushes along known axes; what it reads in free air; what hangs on it.
+"""Orientation of a force sensor on the stick, from pushes along known axes; its readings in free air; its load.
 
-Axes are those of the tip's frame: z along the stick, outwards. A push is what the tip does to the world: pressing the
-tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
+Axes are those of the tip's frame: z along the stick, outwards. A push is the force of the tip on the world: pressing
+the tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ PUSHED = ErrorPrior(np.radians(6.0))
 FREE = ErrorPrior(0.01)
 """Deviation of a mean force in free air [N]."""
 PRESSED = ErrorPrior(0.02)
-"""Deviation of a load that a scale shows while somebody holds it [N]: 2 g."""
+"""Standard deviation of a scale's load while a person holds it [N]: 2 g."""
 LEAST_N = 0.5
 LEAST_LOAD_N = 1.0
 LEAST_ANGLE_RAD = np.radians(30.0)
 """Between the lines of two pushes across the stick: nearer ones do not say whether the sensor's axes are mirrored."""
 ASIDE_RAD = np.radians(35.0)
-"""A push by so much off every axis of the sensor that it could be is none along the axis asked for."""
+"""Angle of a push to every possible axis of the sensor from which it is refused."""
 BLOCK_S = 1.0
 """Noise of a filtered sensor is independent over this."""
 LEAST_TURN = 0.15
@@ -66,14 +66,16 @@ def mount(force_n: FloatArray, axes: FloatArray, *, prior: ErrorPrior = PUSHED) 
     signs = np.sign(felt[along, 2] * pushed[along, 2])
     aside = np.linalg.norm(felt[along, :2], axis=1) > np.tan(ASIDE_RAD) * np.abs(felt[along, 2])
     if aside.any() or len(set(signs.tolist())) > 1:
-        came = "one that the sensor feels across it" if aside.any() else "pushes whose signs contradict each other"
-        raise InputError("pushes along the stick that the sensor feels on its z axis", came, "push along the stick")
+        came = "one that the sensor measures across it" if aside.any() else "pushes whose signs contradict each other"
+        raise InputError("pushes along the stick that the sensor measures on its z axis", came, "push along the stick")
     flat, aim = felt[~along, :2], pushed[~along, :2]
     lines = np.arctan2(aim[:, 1], aim[:, 0])
     if len(lines) < 2 or _widest(lines) < LEAST_ANGLE_RAD:
         raise InputError("pushes along x and along y", "pushes along one axis alone", "push +x as well as +y")
     if (np.abs(felt[~along, 2]) > np.tan(ASIDE_RAD) * np.linalg.norm(flat, axis=1)).any():
-        raise InputError("pushes across the stick", "one that the sensor feels along it", "push along x and y")
+        raise InputError(
+            "pushes across the stick", "one that the sensor measures along the stick", "push along x and y"
+        )
     seen = np.arctan2(flat[:, 1], flat[:, 0])
     plain, mirrored = _turned(seen, lines), _turned(-seen, lines)
     turn, off = min((plain, mirrored), key=lambda one: float(one[1] @ one[1]))
@@ -81,7 +83,7 @@ def mount(force_n: FloatArray, axes: FloatArray, *, prior: ErrorPrior = PUSHED) 
     found = judged(np.array([turn]), np.eye(1) / len(off), off, prior)
     if found.scatter > 5.0 * prior.sd:
         came = f"pushes {np.degrees(np.abs(off).max()):.0f} degrees off"
-        raise InputError("pushes along the axes asked for", came, "push along the arm's axes as they are shown")
+        raise InputError("pushes along the requested axes", came, "push along the arm's axes as shown")
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s * handed, 0.0], [s, c * handed, 0.0], [0.0, 0.0, signs[0]]])
     return ForceMount(R, turn, float(found.half(LEVEL)[0]), found.sd, off)
@@ -94,7 +96,7 @@ def _widest(angles: FloatArray) -> float:
 
 
 def _turned(seen: FloatArray, aimed: FloatArray) -> tuple[float, FloatArray]:
-    """The angle that brings directions (n,) to others (n,), and what is left over (n,) [rad]."""
+    """The angle that turns directions (n,) to others (n,), and the residuals (n,) [rad]."""
     between = np.exp(1j * (aimed - seen))
     turn = float(np.angle(between.mean()))
     return turn, np.asarray(np.angle(between * np.exp(-1j * turn)))
@@ -113,7 +115,7 @@ class ForceGain:
 def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSED) -> ForceGain:
     """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N].
 
-    Raises InputError for a load too small to say it, and for forces that no sensor of so many newtons gives.
+    Raises InputError for a load that is too small, and for forces outside a sensor's possible gain.
     """
     felt_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
     if not (load_n >= LEAST_LOAD_N and len(felt_n)):
@@ -166,7 +168,7 @@ class HangingWeight:
     """What hangs on the sensor, from readings in free air in several poses.
 
     weight_n, weight_half_n: its weight and half its interval [N]; bias_n: (3,) reading without it
-    down: (3,) where it pulls, base frame: a base that stands upright has (0, 0, -1); off_n: (n,) left over
+    down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over
     """
 
     weight_n: float

@@ -1,7 +1,7 @@
 """Where a camera stands that sees a board which the arm carries, and where the board is on the arm; or from touches.
 
-Each view gives A Y = X B: A the arm's end in its base frame and B the board in the camera's are known, X the camera in
-the base frame and Y the board on the arm's end are sought.
+Each view gives A Y = X B. A, the arm's end in its base frame, and B, the board in the camera's, are known; X, the
+camera in the base frame, and Y, the board on the arm's end, are sought.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class HandEye:
 def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     """Where the camera stands and where the board is on the arm, from n views: (n, 4, 4) each.
 
-    What is not known of them comes of leaving one view out after the other (jackknife): errors of arm and camera need
-    not be known, nor how they share. Raises InputError for too few views, or turns about one axis alone.
+    Their uncertainty comes from leaving out one view after the other (jackknife): errors of arm and camera need not be
+    known, nor their ratio. Raises InputError for too few views, or turns about one axis alone.
     """
     A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
     if len(A) < FEWEST_VIEWS:
@@ -69,7 +69,7 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     if far.any():
         worst = int(np.argmax(np.linalg.norm(left_over * weight, axis=1)))
         came = f"view {worst + 1} off by {1e3 * np.linalg.norm(left_over[worst, :3]):.0f} mm"
-        raise InputError("views that belong together", came, "the board firmly on the arm's end; leave that view out")
+        raise InputError("views that belong together", came, "the board fixed to the arm's end; leave that view out")
     covariance = _jackknife(A, B, X, Y, weight)
     dof = len(A) - 2.0
     return HandEye(
@@ -158,8 +158,8 @@ def _jackknife(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, weigh
 def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
     """A pose (4, 4) of the arm's end that adds most to the turns of the poses (n, 4, 4) so far, and how to come there.
 
-    From the mean of the poses, turned about one of the end's own axes: the axis and the way that make the turns' least
-    eigenvalues largest.
+    From the mean of the poses, turned about one of the end's own axes: the axis and the direction that maximize the
+    turns' least eigenvalues.
     """
     poses = np.asarray(T_base_ee, np.float64)
     turned = Rotation.from_matrix(poses[:, :3, :3])
@@ -200,7 +200,7 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: Err
     """
     touched, seen = np.asarray(touched_m, np.float64), np.asarray(seen_m, np.float64)
     if len(touched) < 4:
-        raise InputError("4 places or more", str(len(touched)), "six, spread over what the camera sees")
+        raise InputError("4 places or more", str(len(touched)), "six, spread over the camera's image")
     wide_m = np.linalg.svd(touched - touched.mean(axis=0), compute_uv=False) / np.sqrt(len(touched))
     if wide_m[1] < 0.02:
         raise InputError("places that are not in one line", f"{1e3 * wide_m[1]:.0f} mm beside one", "touch beside it")
@@ -214,5 +214,5 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: Err
     far_m = np.linalg.norm(off_m(found.value), axis=1)
     if found.scatter > 10.0 * prior.sd:
         came = f"place {int(np.argmax(far_m)) + 1} off by {1e3 * far_m.max():.0f} mm"
-        raise InputError("places that belong together", came, "touch what was marked, in the same order")
+        raise InputError("places that belong together", came, "touch the marked places, in the same order")
     return CameraFromTouches(transform_of(found, start), far_m, found.sd)

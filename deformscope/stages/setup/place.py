@@ -9,20 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.setup.transform import LEVEL, ErrorPrior, TransformEstimate, fitted, moved, rigid, transform_of
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
-"""Of the rectangle, in the order in which they are asked for: origin, end of x, end of y, the far one."""
+"""Corners of the rectangle, in the order of the requests: origin, end of x, end of y, the far one."""
 CORNER_NAMES = ("origin", "end of x", "end of y", "far corner")
 TOUCHED = ErrorPrior(0.001)
 """Deviation of a corner found by eye and touched by a round tip [m]."""
 SHORTEST_M = 0.05
 UNLIKELY = 1e-3
-"""Chance of corners so far from a rectangle, below which they are not believed to be one's."""
+"""Least probability of the corners' deviation from a rectangle: corners below it are refused."""
 AROUND_M, ABOVE_M = 0.03, 0.3
 """How far the box of the tip goes beyond the rectangle, and above it."""
 
@@ -58,8 +58,8 @@ def place(
 
     centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) which one, as in CORNERS
     up: (3,) roughly away from the surface, base frame: against the stick
-    tip_sd_m: deviation of where the tip is on the arm, by which all corners are off alike [m]
-    Raises InputError for corners that are no rectangle's, or in one line.
+    tip_sd_m: deviation of the tip's position on the arm, which shifts all corners alike [m] Raises InputError for
+    corners that are no rectangle's, or in one line.
     """
     touched, which = np.asarray(centers_m, np.float64), np.asarray(corners, int)
     if not np.isfinite(touched).all():
@@ -93,7 +93,7 @@ def place(
     found = fitted(lambda values: off_m(values).ravel(), np.zeros(8), prior)
     left_over = off_m(found.value)
     count = left_over.size - 8
-    chance = float(stats.f.sf(found.scatter**2 / prior.sd**2, count, prior.weight)) if prior.weight else 1.0
+    chance = float(scipy.stats.f.sf(found.scatter**2 / prior.sd**2, count, prior.weight)) if prior.weight else 1.0
     if chance < UNLIKELY:
         angle_deg = np.degrees(np.arccos(cosine))
         came = f"corners up to {1e3 * np.linalg.norm(left_over, axis=1).max():.0f} mm off one; {angle_deg:.1f} degrees"

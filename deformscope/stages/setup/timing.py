@@ -1,7 +1,7 @@
 """By how much one sensor's clock is behind another's, from taps that both see.
 
-y(t) = a x(t - d) + b + noise, with d the offset: every offset of a fine grid is given the likelihood of what it leaves
-over, its a, b and noise integrated out; the interval is that of the posterior.
+y(t) = a x(t - d) + b + noise, with d the offset. Every offset of a fine grid has the likelihood of its residual, with
+a, b and noise integrated out; the interval is that of the posterior.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 from deformscope.stages.setup.transform import LEVEL
 
 REACH_S = 0.5
-"""Offsets that are looked at, either way."""
+"""Evaluated offsets, in both directions."""
 COARSE_S, STEP_S = 2e-3, 2.5e-4
 """Between offsets: of all, and of those FINE_S around the best."""
 FINE_S, NEAR_S = 0.04, 0.1
@@ -27,7 +27,7 @@ LEAST_PEAK = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeOffset:
-    """offset_s: y comes so much later than x; low_s, high_s: its interval; share: of y's variance that x explains
+    """offset_s: delay of y relative to x; low_s, high_s: its interval; share: of y's variance that x explains
     offsets_s, density: (n,) the posterior over the grid [1/s]"""
 
     offset_s: float
@@ -51,12 +51,12 @@ def time_offset(
         if (peak := _peak(signal)) < LEAST_PEAK:
             came = f"{peak:.1f} deviations of it at rest"
             raise InputError(
-                f"a tap that the {name} signal shows as a peak", came, "tap harder, with rest between taps"
+                f"a tap that appears in the {name} signal as a peak", came, "tap harder, with rest between taps"
             )
     inside = (y_time_s > x_time_s[0] + reach_s) & (y_time_s < x_time_s[-1] - reach_s)
     when, seen = np.asarray(y_time_s)[inside], np.asarray(y, np.float64)[inside]
     if len(when) < 20:
-        raise InputError(f"{2 * reach_s + 1:g} s that both signals saw", f"{np.ptp(when) if len(when) else 0.0:.1f} s")
+        raise InputError(f"{2 * reach_s + 1:g} s that both signals have", f"{np.ptp(when) if len(when) else 0.0:.1f} s")
     coarse = np.arange(-reach_s, reach_s + 0.5 * COARSE_S, COARSE_S)
     shares = _explained(when, seen, coarse, x_time_s, x)
     best = int(np.argmax(shares))
@@ -67,7 +67,9 @@ def time_offset(
         raise InputError(f"an offset within {reach_s:g} s", "one at the end of that", "clocks that are set")
     others = np.abs(coarse - coarse[best]) > NEAR_S
     if others.any() and shares[others].max() > shares[best] - 0.25 * (1.0 - LEAST_SHARE):
-        came = f"another {coarse[others][np.argmax(shares[others])] - coarse[best]:+.2f} s from it that fits as well"
+        came = (
+            f"another {coarse[others][np.argmax(shares[others])] - coarse[best]:+.2f} s from it that fits equally well"
+        )
         raise InputError("one offset that fits", came, "taps at uneven times")
     offsets = coarse[best] + np.arange(-FINE_S, FINE_S + 0.5 * STEP_S, STEP_S)
     left = 1.0 - _explained(when, seen, offsets, x_time_s, x)
@@ -95,15 +97,15 @@ def _explained(
 
 
 def _peak(signal: FloatArray) -> float:
-    """The largest deviation of a signal (n,) from its median, in robust standard deviations of it: as most of the time,
-    so that a few taps do not count."""
+    """The largest deviation of a signal (n,) from its median, in robust standard deviations of it, which a few taps do
+    not change."""
     off = np.abs(np.asarray(signal, np.float64) - np.median(signal))
     rest = 1.4826 * float(np.median(off))
     return float(off.max()) / max(rest, 1e-12 * float(off.max()) + 1e-300)
 
 
 def _independent(when: FloatArray, seen: FloatArray, offset: float, x_time_s: FloatArray, x: FloatArray) -> float:
-    """How many independent readings what is left over is worth, by how alike neighbours are."""
+    """Effective number of independent residuals, by the correlation of neighbours."""
     model = np.interp(when - offset, x_time_s, x)
     design = np.column_stack([model, np.ones(len(model))])
     left_over = seen - design @ np.linalg.lstsq(design, seen, rcond=None)[0]

@@ -20,7 +20,8 @@ FEWEST = 4
 LEAST_SPREAD = 0.12
 """Of the rotations, in the direction that they say least about: 0.17 = tilts of 10 degrees each way about two axes."""
 DOUBT_SHARE = 0.6
-"""Of the angle between the two ways in which a stick may stand, as a deviation: the interval then is that angle."""
+"""Prior standard deviation of the angle between the two possible directions of a stick: the interval then is that
+angle."""
 SLID_M = 0.006
 """A ball that scatters by more did not stay in its place."""
 
@@ -29,8 +30,8 @@ SLID_M = 0.006
 class TipEstimate:
     """The tip's centre at the arm's end.
 
-    T_ee_center: the tip's centre to the arm's end: its z axis runs from the arm's end through the tip, its x axis next
-    to the end's own (`calibrate force` finds how the force sensor is turned about the stick)
+    T_ee_center: the tip's centre to the arm's end. Its z axis runs from the arm's end through the tip, its x axis next
+    to the end's own (`calibrate force` finds the turn of the force sensor about the stick)
     pivot_m: (3,) where the ball was, base frame [m]; pivot_sd_m: its scatter; off_m: (n,) of each pose
     """
 
@@ -49,9 +50,9 @@ def spread(rotations: FloatArray) -> float:
 def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
     """The tip about which the arm's end (n, 4, 4) was turned.
 
-    The direction of the stick is not seen by a pivot: it is taken to run from the arm's end to the tip, and its
-    interval reaches to the end's own z axis on either side, along which a stick points that is mounted off the middle.
-    Raises InputError for poses that are too few or turned too little, and a ball that slid.
+    A pivot does not determine the stick's direction: it is assumed to run from the arm's end to the tip. Its interval
+    reaches to the end's own z axis on either side, the direction of a stick that is mounted off the middle. Raises
+    InputError for poses that are too few or turned too little, and a ball that slid.
     """
     poses = np.asarray(T_base_ee, np.float64)
     if len(poses) < FEWEST:
@@ -60,7 +61,7 @@ def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
         raise InputError("finite poses", "NaN or infinity")
     turns = poses[:, :3, :3]
     if (reached := spread(turns)) < LEAST_SPREAD:
-        came = f"a spread of {np.degrees(reached):.0f} degrees about the axis of which they say least"
+        came = f"a spread of {np.degrees(reached):.0f} degrees about the least determined axis"
         hint = "tilt the stick by 20 degrees to the left, to the right, towards you and away"
         raise InputError(f"poses turned by {np.degrees(LEAST_SPREAD):.0f} degrees about two axes", came, hint)
     design = np.concatenate([turns, np.broadcast_to(-np.eye(3), turns.shape)], axis=2).reshape(-1, 6)
@@ -70,7 +71,7 @@ def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
     found = judged(solution, inverse, left_over, prior)
     if found.scatter > SLID_M:
         came = f"one that scatters by {1e3 * found.scatter:.1f} mm"
-        raise InputError("a ball that stays in its place", came, "a cone or a ring that holds it, and slower")
+        raise InputError("a ball that stays in its place", came, "a cone or a ring that holds it, and slower motion")
     tip_m = solution[:3]
     direction, doubt_rad = _direction(tip_m)
     covariance = np.zeros((6, 6))

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, stats
+import scipy
+from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
@@ -25,9 +26,9 @@ LEVEL = 0.9
 
 @dataclass(frozen=True, slots=True)
 class ErrorPrior:
-    """What is believed of the deviation of a measurement before it is seen: scaled inverse chi-square.
+    """Prior of a measurement's variance: scaled inverse chi-square.
 
-    sd: its centre, in units of the residuals; weight: so many measurements' worth, 0 = nothing is known
+    sd: its centre, in units of the residuals; weight: in numbers of measurements, 0 = no prior
     """
 
     sd: float
@@ -77,12 +78,12 @@ class TransformEstimate:
         """Whether the region of this level, an ellipsoid over all six together, holds another transform (4, 4)."""
         off = self.deviation(T)
         squared = float(off @ np.linalg.solve(self.covariance, off)) / len(off)
-        return squared <= float(stats.f.ppf(level, len(off), self.dof))
+        return squared <= float(scipy.stats.f.ppf(level, len(off), self.dof))
 
 
 def half_widths(covariance: FloatArray, dof: float, level: float = LEVEL) -> FloatArray:
     """(p,) of the intervals of Student's t."""
-    return np.asarray(stats.t.ppf(0.5 + 0.5 * level, dof) * np.sqrt(np.diag(covariance)))
+    return np.asarray(scipy.stats.t.ppf(0.5 + 0.5 * level, dof) * np.sqrt(np.diag(covariance)))
 
 
 def moved(T: FloatArray, deviation: npt.ArrayLike) -> FloatArray:
@@ -120,15 +121,15 @@ def superposed(points_m: FloatArray, onto_m: FloatArray) -> FloatArray:
 def fitted(residual: Callable[[FloatArray], FloatArray], start: npt.ArrayLike, prior: ErrorPrior) -> LeastSquares:
     """Least squares of residuals (n,) over values (p,), with n >= p.
 
-    Their deviation is what the prior and what is left over say together, so that few measurements are not believed
-    too much. Raises numpy.linalg.LinAlgError where the residuals do not depend on some value.
+    Their deviation combines the prior and the residuals, so that few measurements are not trusted too much. Raises
+    numpy.linalg.LinAlgError where the residuals do not depend on some value.
     """
     found = optimize.least_squares(residual, np.asarray(start, np.float64), method="lm", x_scale="jac")
     return judged(found.x, np.linalg.inv(found.jac.T @ found.jac), found.fun, prior)
 
 
 def judged(value: FloatArray, inverse: FloatArray, left_over: FloatArray, prior: ErrorPrior) -> LeastSquares:
-    """A solution (p,) with the inverse of its normal matrix (p, p), and what is left over (n,)."""
+    """A solution (p,) with the inverse of its normal matrix (p, p), and the residuals (n,)."""
     count = len(left_over) - len(value)
     squares, dof = float(left_over @ left_over), prior.weight + count
     variance = (prior.weight * prior.sd**2 + squares) / dof

@@ -1,7 +1,7 @@
 """Walls that bulge or are pressed in: by what fills a container, by the air in it, by fingers.
 
-A wall stands still where another one holds it, at the container's edges, and moves most in its middle. A tracker that
-takes it for rigid would follow it; so how far each wall that is seen stands out is found beside the pose.
+A wall does not move at the container's edges, where another one holds it, and moves most in its middle. A tracker of
+rigid bodies would follow it; so the bulge of each visible wall is estimated together with the pose.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.squeeze.container import ModelView
 
 BULGE_M = 0.003
-"""Deviation of how far the middle of a wall stands out, before any data. Chosen: a carton's walls."""
+"""Prior standard deviation of the bulge of a wall's middle. Chosen: a carton's walls."""
 CREASE_DEG = 30.0
 """Between neighbouring pixels of different walls; a round wall turns less."""
 LEAST_PIXELS = 150
@@ -25,8 +25,9 @@ LEVEL_M = 0.01
 
 
 def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
-    """(H, W, 2 k) how the k largest walls of a rendering (H, W) move along their normals when their middle moves by 1,
-    and when they move more below than above, as under a liquid's pressure: 0 at the edges and on other walls.
+    """(H, W, 2 k) motion of the k largest walls of a rendering (H, W) along their normals per unit motion of their
+    middle, and per unit difference between below and above, as under a liquid's pressure. It is 0 at the edges and on
+    other walls.
 
     height_m: (H, W) of what each pixel sees, container frame. A wall of which not all is in the image is taken as rigid
     """
@@ -49,7 +50,7 @@ def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
 
 
 def _creases(normal: FloatArray, seen: BoolArray) -> BoolArray:
-    """(H, W) pixels beside one of another wall."""
+    """(H, W) pixels next to one of another wall."""
     found = np.zeros(seen.shape, dtype=bool)
     least = np.cos(np.radians(CREASE_DEG))
     for axis in (0, 1):

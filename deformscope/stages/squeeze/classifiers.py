@@ -1,9 +1,9 @@
 """Classifiers with probabilities: nearest neighbours and quadratic discriminant analysis (Thesis 2.4.3), and a linear
-one beside them.
+one.
 
 Each is fitted to (n, d) points and (n,) indices of classes, is a frozen set of arrays, and gives (m, C) logarithms of
 posteriors. A class without any training point is never the answer. They are not scikit-learn's, whose covariances are
-shrunk less well: linear is right 8 to 12 % more often here, qda-raw 11 to 28 % (docs/containers.md).
+shrunk less well: linear is right 8 to 12 % more often here, qda-raw 11 to 28 % (docs/results/containers.md).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 LEAST = float(np.log(1e-9))
 """The logarithm of the smallest posterior."""
 NEIGHBOURS = {3: 3, 5: 5}
-"""Neighbours for so many classes (Thesis 2.5.3)."""
+"""Neighbours by the number of classes (Thesis 2.5.3)."""
 NEIGHBOURS_TRIED: tuple[int, ...] = (1, 3, 5, 7, 9)
 """For any other number of classes: the one that is right most often on training points, each left out in turn."""
 LINEAR_COMPONENTS = 200
@@ -32,8 +32,8 @@ SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 
 Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear", "qda-plain"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
-"""knn, qda: on the components that hold 80 % of the variance; the others on all of them. qda-plain, which is none of
-these, is the thesis's: qda without shrinkage, tried where it is asked for, and never pooled with others."""
+"""knn, qda: on the components that hold 80 % of the variance; the others on all of them. qda-plain, outside these, is
+the thesis's: qda without shrinkage, tried on request, and never pooled with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +173,10 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
 
 
 def fit_quadratic(points: FloatArray, target: IntArray, classes: int, *, shrink: bool = True) -> Quadratic:
-    """Each class's covariance is weighed with the pooled one as if d + 2 more points had been seen of that: the mean of
-    an inverse Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,)
-    class of each; shrink: else a covariance is that of its class alone, but for 1e-9 of the pooled variance, without
-    which a class of fewer points than d would have none"""
+    """Each class's covariance is combined with the pooled one as with d + 2 more points of that: the mean of an inverse
+    Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,) class of
+    each; shrink: else a covariance is that of its class alone, plus 1e-9 of the pooled variance, without which a class
+    of fewer points than d would have none"""
     count, mean, about = _moments(points, target, classes)
     size = points.shape[1]
     pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
@@ -209,8 +209,8 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
     out one by one.
 
     Ledoit and Wolf's share, which serves the covariance, is far too small for classification where a few directions
-    have most of the variance. Leaving a point out takes a a^T from the covariance, a being the point about its class,
-    and its inverse follows in closed form (Sherman and Morrison).
+    have most of the variance. Leaving a point out subtracts a a^T from the covariance, where a is the point relative to
+    its class mean. Its inverse follows in closed form (Sherman and Morrison).
     """
     points = points[:, :LINEAR_COMPONENTS]
     count, mean, about = _moments(points, target, classes)
@@ -249,7 +249,8 @@ def columns_of(name: Name, kept: int) -> int | None:
 
 
 def usable(name: Name, raw: int) -> bool:
-    """Whether a classifier of that name is for so many columns: a raw covariance is no estimate of thousands."""
+    """Whether a classifier of that name supports this number of columns: a raw covariance is no estimate of
+    thousands."""
     return name != "qda-raw" or raw <= LINEAR_COMPONENTS
 
 

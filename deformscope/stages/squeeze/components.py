@@ -20,7 +20,7 @@ FLAT = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """What makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
+    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
 
     used: BoolArray
     mean: FloatArray
@@ -47,9 +47,9 @@ def fit_scaling(features: FloatArray) -> Scaling:
 class Space:
     """Both sides of a split on the principal components of the training side, the largest variance first.
 
-    train: (n, d), test: (m, d) with d up to the rank of the training side: among these, distances between a test point
-    and training points differ from those between the standardised features by the same amount for all of them
-    kept: so many components hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
+    train: (n, d), test: (m, d) with d up to the rank of the training side. Distances between a test point and training
+    points differ from those between the standardised features by the same amount for all of them
+    kept: number of components that hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
     """
 
     train: FloatArray
@@ -88,9 +88,9 @@ def loadings(train: FloatArray) -> tuple[FloatArray, FloatArray]:
 def project(train: FloatArray, test: FloatArray, gram: FloatArray | None = None) -> Space:
     """(n, q) and (m, q) standardised features on the training side's components.
 
-    gram: (n + m, n + m) products of all rows, training first, where there are more columns than rows: it is cheaper
-    than the columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities is the
-    sum of theirs.
+    gram: (n + m, n + m) products of all rows, training first, for more columns than rows. It is cheaper than the
+    columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities is the sum of
+    theirs.
     """
     count, raw = train.shape
     if gram is None and raw <= count:

@@ -43,7 +43,7 @@ CURVE_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 GAUSSIAN_PROCESS_TRIALS = 1500
 """The Gaussian process inverts a matrix of that size for each class: not for more trials."""
 KINDS_PAIRED = 4
-"""So many kinds of containers are paired by themselves for transfers."""
+"""Largest number of kinds of containers that are paired for transfers by default."""
 SURE = 0.9
 """A squeeze could stop when one content is so probable."""
 
@@ -91,8 +91,8 @@ class CurvePoint:
 
 @dataclass(frozen=True, slots=True)
 class TimePoint:
-    """What is known after so much of the squeeze. accuracy: of all trials; stopped: share of trials in which one class
-    has reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
+    """Results at a time of the squeeze. accuracy: of all trials; stopped: share of trials in which one class has
+    reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
 
     time_s: float = field(metadata=reported())
     accuracy: Estimated = field(metadata=reported(interval_key="interval"))
@@ -103,7 +103,7 @@ class TimePoint:
 @dataclass(frozen=True, slots=True)
 class Evaluation:
     """All that was found. table: what was evaluated; protocol: the strictest one, to which comparisons, curve and steps
-    belong; skipped: what was left out, and why
+    belong; skipped: parts left out, and why
     copies: rows that nearly equal one of another group; without_copies: `best` of the others alone, None = no copies or
     too few trials without them"""
 
@@ -139,8 +139,8 @@ class Evaluation:
         return self.without_copies or self.best
 
     def elsewhere(self, score: ClassificationScore) -> Interval:
-        """Of the accuracy in another container or session: where no groups are told trials may be known by theirs, and
-        all that is seen of a content beyond chance may be its containers."""
+        """Of the accuracy in another container or session: without groups, trials may be recognised by theirs, and
+        accuracy beyond chance may be due to the containers."""
         low, high = score.accuracy.interval
         return (low if self.protocol == "group" else min(low, wilson(score.chance, score.worth, score.level)[0])), high
 
@@ -163,7 +163,7 @@ def allowed_protocols(table: LabelledTable) -> tuple[tuple[Protocol, ...], list[
             if table.group is not None:
                 notes.append(f"no splits by {one}: {error}")
     if table.group is None:
-        notes.append("no `group`: what another container or session would give is not known")
+        notes.append("no `group`: accuracy in another container or session is unknown")
     return tuple(found), notes
 
 
@@ -173,10 +173,10 @@ def evaluate(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> Evaluation:
-    """Evaluate every modality by itself, all of them fused early and late.
+    """Evaluate every modality alone, all of them fused early and late.
 
-    beyond: the same trials and others, of other kinds of containers, that serve transfers alone; None = `table`
-    Raises InputError for trials that stand there twice and for a table that cannot be split as asked.
+    beyond: the same trials and others, of other kinds of containers, for transfers alone; None = `table` Raises
+    InputError for duplicate trials and for a table without the requested splits.
     """
     options = options or EvaluationOptions()
     progress = progress or (lambda what, done, total: None)
@@ -241,7 +241,7 @@ def _without_copies(
     shown = "; ".join(" ~ ".join(map(table.name, rows)) for rows in copies[:LISTED])
     more = f" and {len(copies) - LISTED} more" if len(copies) > LISTED else ""
     where = "another trial" if table.group is None else "one of another group"
-    notes.append(f"nearly equal to {where}, nearer than chance has it: {shown}{more}")
+    notes.append(f"nearly equal to {where}, nearer than chance explains: {shown}{more}")
     try:
         kept = without_near_copies(table, copies)
         splits = draw(protocol, kept, options.splits, options.seed)
@@ -250,7 +250,7 @@ def _without_copies(
         key = best_key(kept)
         return score_of(kept, key, protocol, splits, found[key], options.level)
     except (InputError, KeyError):
-        notes.append("too few trials remain without near copies: how well new ones are named is not known")
+        notes.append("too few trials remain without near copies: accuracy in new ones is unknown")
         return None
 
 
@@ -320,16 +320,14 @@ def _costly_scores(
     fewer = splits[: options.costly_splits]
     methods = [one for one in COSTLY if one == "boosting" or len(table) <= GAUSSIAN_PROCESS_TRIALS]
     if not fewer:
-        notes.append("boosting and Gaussian process left out, as asked")
+        notes.append("boosting and Gaussian process left out, as requested")
         return []
     if len(methods) < len(COSTLY):
         notes.append(f"no Gaussian process: more than {GAUSSIAN_PROCESS_TRIALS} trials")
-    notes.append(
-        f"boosting and Gaussian process on {len(fewer)} of the {len(splits)} {protocol} splits: they take long"
-    )
+    notes.append(f"boosting and Gaussian process on {len(fewer)} of the {len(splits)} {protocol} splits: they are slow")
     found = runner.run("boosting and Gaussian process", fewer, methods, by_group=protocol == "group")
     if not found:
-        notes.append("boosting and Gaussian process left out: fewer than two training trials a class")
+        notes.append("boosting and Gaussian process left out: fewer than two training trials per class")
     return [score_of(table, key, protocol, fewer, one, options.level) for key, one in found.items()]
 
 
@@ -348,7 +346,7 @@ def _transfers(
         return {}
     kinds = [] if table.kind is None else list(map(str, np.unique(table.kind)))
     if not wanted and len(kinds) > KINDS_PAIRED:
-        notes.append(f"no transfers between {len(kinds)} kinds unless asked for (--transfer)")
+        notes.append(f"no transfers between {len(kinds)} kinds unless requested (--transfer)")
         kinds = []
     found = {}
     for pair in wanted or itertools.permutations(kinds, 2):
@@ -435,8 +433,8 @@ def _curve(
 def _time_steps(
     table: LabelledTable, options: EvaluationOptions, runner: _Runner, protocol: Protocol, splits: Sequence[Split]
 ) -> dict[str, tuple[TimePoint, ...]]:
-    """The posterior over the squeeze: at each step a classifier of that step, on the same splits; where several
-    modalities have steps, also all of them fused late."""
+    """The posterior over the squeeze: at each step a classifier of that step, on the same splits; with several
+    modalities that have steps, also their late fusion."""
     splits = splits[: options.curve_splits]
     held = {name: held_values(series) for name, series in table.series.items()}
     longest = max((values.shape[1] for values in held.values()), default=0)
@@ -513,7 +511,7 @@ def _missing_notes(table: LabelledTable) -> list[str]:
             notes.append(f"{name} is missing in {whole.sum()} of {len(table)} trials: they neither train nor test it")
         share = float(np.isnan(values[~whole]).mean())
         if share:
-            notes.append(f"{share:.1%} of {name} was not measured: taken as the mean of the training side")
+            notes.append(f"{share:.1%} of {name} was not measured: replaced by the mean of the training side")
         flat = int((~np.isfinite(values) | (values == values[:1])).all(axis=0).sum())
         if flat:
             notes.append(f"{flat} of {values.shape[1]} columns of {name} are constant, and dropped")

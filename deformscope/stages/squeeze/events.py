@@ -1,10 +1,10 @@
-"""When the fingers first touch the container, and when they stand still (Thesis ch. 2: F_first and F_steady).
+"""Times of the fingers' first contact with the container, and of their rest (Thesis ch. 2: F_first and F_steady).
 
     rule = EventRule()
     found = squeeze_events(tactile_ns, sums, hand_ns, closing_deg, rule)
 
-Both rules work on one reading after the other, so that the squeeze itself ends by them; `squeeze_events` applies them
-once more to all that was recorded, in order of time.
+Both rules use one reading after another, so that they also end a live squeeze; `squeeze_events` applies them again to
+the whole recording, in order of time.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 
 PERIODS = 2.0
-"""An event is known to so many sample periods."""
+"""Accuracy of an event in sample periods."""
 BASELINE_FRAMES = 6
 """The first frames, in the air, are the baseline."""
 DEVIATIONS = 6.0
 """Of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
 AT_REST = 1.0 / 3.0
-"""Of `still_deg`: axes that stand still began to do so when they were within this of where they stand. `still_deg`
-itself is what they turn in a period or two while they still close."""
+"""Share of `still_deg`: axes at rest came to rest when they were within this of their final angle. `still_deg` itself
+is their rotation in a period or two while they still close."""
 
 
 @dataclass(frozen=True, slots=True)
 class EventRule:
-    """onset_counts: the sum of a fingertip's texels above its baseline in the air that is contact, and the same in
-    onset_frames frames one after the other; still_deg, still_s: all closing axes stay within still_deg for still_s"""
+    """onset_counts: contact is a sum of a fingertip's texels this far above its baseline in the air, in onset_frames
+    successive frames; still_deg, still_s: all closing axes stay within still_deg for still_s"""
 
     onset_counts: float = 40.0
     onset_frames: int = 2
@@ -44,7 +44,7 @@ class SqueezeEvents:
     """First contact and steady state, on the host's clock [ns], each with the interval in which it was.
 
     first_ns: midway between the last frame without contact and the first with it, by any of the fingers
-    steady_ns: of the first reading from which on the closing axes stood still; 0 = it did not happen
+    steady_ns: of the first reading of the closing axes' rest; 0 = it did not happen
     finger_ns: (fingers,) first contact of each, 0 = none
     first_interval_ns, steady_interval_ns: (low, high), two sample periods wide at least
     tactile_period_s, hand_period_s: median of the sample periods; onset_counts: the sums' threshold over the baseline
@@ -101,8 +101,8 @@ class OnsetDetector:
 
 
 class StillDetector:
-    """Feed the closing axes' angles once they move; `steady_ns` is set once they stood still for long
-    enough, at the reading from which on they were within `AT_REST` of the tolerance of where they stand."""
+    """Feed the closing axes' angles once they move. `steady_ns` is set after enough time at rest, to the first reading
+    within `AT_REST` of the tolerance of their final angle."""
 
     def __init__(self, rule: EventRule) -> None:
         self._rule = rule
@@ -110,7 +110,7 @@ class StillDetector:
         self.steady_ns = 0
 
     def feed(self, time_ns: int, position_deg: FloatArray) -> bool:
-        """Whether they stand still. position_deg: (axes,)"""
+        """Whether they are at rest. position_deg: (axes,)"""
         if self.steady_ns:
             return True
         now = np.asarray(position_deg, np.float64)
@@ -166,7 +166,7 @@ def squeeze_events(
 
 
 def _interval(event_ns: int, sample_ns: IntArray, period_s: float) -> tuple[int, int]:
-    """It was between the samples beside it, which may lie far apart where some were lost, and within two sample periods
+    """It was between the neighbouring samples, which may be far apart after losses, and within two sample periods
     otherwise."""
     if not event_ns:
         return 0, 0

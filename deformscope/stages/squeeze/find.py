@@ -1,11 +1,11 @@
-"""Where a container stands on a table, by one depth image, before anything touches it.
+"""Place of a container on a table, by one depth image, before any contact.
 
     found = find_container(points_m, "cylinder")          # points (n, 3) in the table's frame, z = 0 on it
     found.center_m, found.size_m, found.deviation_m
     compare(found, find_container(later_m, "cylinder")).kind
 
-What rises above the table is split into connected pieces as seen from above. Of the one piece the upright cylinder or
-box is fitted to the points of its sides by least squares (soft L1), its height to those of its top.
+What rises above the table is split into connected pieces as seen from above. The upright cylinder or box is fitted to
+the points of its sides by least squares (soft L1), its height to those of its top.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ ABOVE_M = 0.015
 """What is lower over the table is table: several deviations of a depth camera's noise at 1 m. Higher, flat containers
 are not seen; lower, noise of the table joins pieces."""
 CELL_M, CELL_POINTS = 0.01, 3
-"""Cells seen from above that count as occupied with so many points: pixels are 2 mm apart at 1 m. Coarser, what stands
-a centimetre apart is one piece; finer, a side seen flat falls apart."""
+"""Least number of points of an occupied cell seen from above: pixels are 2 mm apart at 1 m. A coarser one merges
+objects a centimetre apart; a finer one splits a side at grazing angles."""
 LEAST_POINTS, LEAST_HEIGHT_M = 300, 0.04
 """Of a piece that may be a container: half of what one of 4 cm x 5 cm has at 1 m."""
 TOP_M = 0.008
-"""Within so much of the top a point may belong to it: five deviations of depth at 1 m."""
+"""Distance below the top within which a point may belong to it: five deviations of depth at 1 m."""
 MOST_POINTS = 4000
 """Fitted to at most: more change nothing that counts, and cost time in proportion."""
 SOFT_M = 0.003
 """Points of a side that are further off weigh less: two deviations of depth at 1 m."""
 BAD_RMS_M = 0.0025
-"""A fit whose sides are further off is none: a right one at 1 m has 0.5 to 0.8 mm, twice that with twice the noise; a
-cylinder taken for a box 2.8 mm. Larger, another shape passes; smaller, bulging walls are refused."""
+"""A fit with a larger residual is refused: a right one at 1 m has 0.5 to 0.8 mm, twice that with twice the noise; a
+cylinder fitted as a box 2.8 mm. Larger, another shape passes; smaller, bulging walls are refused."""
 WALL_SD_M = 0.001
-"""Of where a full container's middle is, beside the noise: its walls bulge by a millimetre where they are seen."""
+"""Uncertainty of a full container's middle in addition to the noise: its visible walls bulge by a millimetre."""
 MOVED_M, MOVED_SD, TURNED_RAD = 0.005, 4.0, 0.09
-"""A container counts as moved beyond so much, or so many deviations of both fits where that is more, and as turned
-beyond so much: closing fingers themselves move one by some millimetres. Smaller, every squeeze is told as a fault;
-larger, a container that was pushed is taken for one that stands."""
+"""A container counts as moved beyond this distance, or this number of standard deviations of both fits if that is more,
+and as turned beyond this angle. Closing fingers themselves move one by some millimetres. A smaller one reports every
+squeeze as a fault; a larger one misses a container that was pushed."""
 TOPPLED_RAD, LOWER = 0.2, 0.8
-"""It has toppled where its axis leans by more, or its height is below this share of what it was."""
+"""It has toppled if its axis leans by more, or its height is below this share of its first height."""
 
 
 class ContainerHidden(InputError):
@@ -88,8 +88,8 @@ class ContainerFit:
 
 @dataclass(frozen=True, slots=True)
 class ContainerShift:
-    """A container against what it was before. kind: stands, moved, toppled, gone (no upright one is found any more) or
-    hidden (not known); `reason` says why
+    """A container compared with its earlier state. kind: stands, moved, toppled, gone (no upright one is found any
+    more) or hidden (unknown); `reason` has the cause
 
     moved_m: of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: of its axis
     """
@@ -104,7 +104,7 @@ class ContainerShift:
     @property
     @derived(key=None)
     def changed(self) -> bool:
-        """It is not as it was, by what is seen."""
+        """Whether it has changed, by the images."""
         return self.kind not in ("stands", "hidden")
 
     @property
@@ -114,14 +114,14 @@ class ContainerShift:
         if self.kind in ("gone", "hidden"):
             return f"{self.kind}: {self.reason}"
         by = f"{1e3 * self.moved_m:.1f} mm (limit {1e3 * self.threshold_m:.1f}), {np.degrees(self.turned_rad):.1f} deg"
-        return f"{self.kind}{': ' + self.reason if self.reason else ''}; {by} from where it was"
+        return f"{self.kind}{': ' + self.reason if self.reason else ''}; {by} from its first pose"
 
 
 def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit | None = None) -> ContainerFit:
     """The one container among points (n, 3) of a table's frame, the robot left out.
 
-    expected: what it was before, whose size is kept, and near which it is sought: parts of it may be hidden
-    Raises InputError, with the reason, where there is none, several, or what there is has another shape.
+    expected: the earlier fit, whose size is used, and around which it is sought: parts of it may be hidden Raises
+    InputError, with the reason, for none, several, or another shape.
     """
     if shape not in ("box", "cylinder"):
         raise InputError("a box or a cylinder to find", repr(shape), 'shape = "box" in [container]')
@@ -138,7 +138,9 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
             raise InputError("one container on the table", came, "clear the table, or check [surface] and T_arm_camera")
         piece = pieces[0]
     if len(piece) < LEAST_POINTS:
-        raise ContainerHidden(f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera that sees it")
+        raise ContainerHidden(
+            f"{LEAST_POINTS} points of a container", f"{len(piece)}", "a camera with the container in view"
+        )
     top_m = _top(piece[:, 2])
     if expected is not None:
         top_m = float(min(top_m, expected.size_m[2])) if top_m > LOWER * expected.size_m[2] else top_m
@@ -147,7 +149,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
     sides = sides[:: 1 + len(sides) // MOST_POINTS]
     if len(sides) < LEAST_POINTS // 3:
         hidden = ContainerHidden(
-            "a container whose sides are seen", f"{len(sides)} points of them", "a camera less steep"
+            "a container with visible sides", f"{len(sides)} points of them", "a camera less steep"
         )
         hidden.top_m = top_m if len(tops) >= LEAST_POINTS else np.inf
         raise hidden
@@ -161,9 +163,9 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
 
 
 def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerShift:
-    """What became of a container. after: as it is found now, or why it was not"""
+    """Change of a container. after: as it is found now, or why it was not"""
     if isinstance(after, ContainerHidden) and after.top_m < LOWER * before.size_m[2]:  # it lies, its sides not seen
-        reason = f"what is there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
+        reason = f"the object there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
         return ContainerShift("gone", reason=reason)
     if isinstance(after, InputError):
         return ContainerShift("hidden" if isinstance(after, ContainerHidden) else "gone", reason=str(after))
@@ -189,7 +191,7 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
 def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:
     """The same with its x axis along the side that a rig file calls x. size_m: of its `[container]`
 
-    Raises InputError where another container stands there.
+    Raises InputError for another container there.
     """
     choices = [found]
     if found.shape == "box":
@@ -238,7 +240,7 @@ def _fitted(
 
 
 def _rms(off: FloatArray) -> float:
-    """Of all but the worst tenth, as if they were Gaussian."""
+    """Of all but the worst tenth, as for Gaussian errors."""
     kept = np.sort(np.abs(off))[: max(1, int(0.9 * len(off)))]
     return float(np.sqrt(np.mean(kept**2))) * 1.24
 

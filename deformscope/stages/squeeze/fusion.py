@@ -1,7 +1,7 @@
-"""Posteriors that mean what they say, and several modalities together: late fusion (Thesis 2.6, future work).
+"""Calibrated posteriors, and several modalities together: late fusion (Thesis 2.6, future work).
 
-Everything is learned on the training side alone: which classifier serves a modality, how its posteriors are calibrated,
-and how reliable each modality is for each class. The posteriors that this is learned from are of points left out.
+Everything is fitted on the training side alone: the classifier of a modality, its posteriors' calibration, and the
+reliability of each modality for each class. The posteriors that this is learned from are of points left out.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from deformscope.stages.squeeze.classifiers import (
 FOLDS = 5
 """Of the training side, to find out how a classifier does on points left out."""
 MODALITY_DEVIATION, CLASS_DEVIATION, OFFSET_DEVIATION = 1.0, 0.3, 1.0
-"""Before any data: weights of modalities are normal about 1 (which is Bayes' rule for modalities that err
-independently), those of classes about their modality's, offsets of classes about 0. With few trials they stay there."""
+"""Priors: weights of modalities are normal about 1 (Bayes' rule for modalities with independent errors), those of
+classes about their modality's, offsets of classes about 0. With few trials they stay there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Pool:
     offset: FloatArray
 
     def log_posterior(self, logs: FloatArray, present: BoolArray) -> FloatArray:
-        """(n, C) from (M, n, C) logarithms of posteriors; present: (M, n), a missing modality says nothing."""
+        """(n, C) from (M, n, C) logarithms of posteriors; present: (M, n), a missing modality has no effect."""
         return log_softmax(self._score(logs, present))
 
     def _score(self, logs: FloatArray, present: BoolArray) -> FloatArray:
@@ -93,7 +93,7 @@ def fit_pool(
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A classifier of a modality. name: which; columns: so many components it takes, None = all"""
+    """A classifier of a modality. name: which; columns: number of components that it takes, None = all"""
 
     name: Name
     columns: int | None
@@ -123,7 +123,7 @@ def everywhere(pool: Pool, logs: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """An expert, with what it says of its training points when they are left out.
+    """An expert, with its posteriors for its training points when they are left out.
 
     logs: (n, C) calibrated; known: (n,) whether there was another point, or group, of the class to learn it from
     """
@@ -158,7 +158,7 @@ def fit_expert(
     seed: int = 0,
     names: Sequence[Name] = NAMES,
 ) -> Fitted:
-    """All classifiers that a modality can have, pooled by what they say of points left out.
+    """All classifiers that a modality can have, pooled by their posteriors for points left out.
 
     points: (n, d) components of the training side, the first `kept` of which hold 80 % of the variance; raw: columns
     before the rotation; apart: (n,) groups that are left out together, or None

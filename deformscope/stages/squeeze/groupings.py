@@ -1,6 +1,6 @@
 """Natural groupings of the features, and how normal they are (Thesis 2.4.3.1, 2.4.3.4, 2.5.2).
 
-They describe the table as a whole; nothing that is said of a classifier rests on them.
+They describe the table as a whole; no result of a classifier depends on them.
 """
 
 from __future__ import annotations

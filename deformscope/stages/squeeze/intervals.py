@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 
@@ -23,31 +23,31 @@ class Estimated:
 
 
 def wilson(share: float, count: float, level: float) -> Interval:
-    """Interval of a share that was seen in so many independent trials (Wilson 1927)."""
+    """Interval of a share that was observed in a number of independent trials (Wilson 1927)."""
     if count <= 0:
         return 0.0, 1.0
-    z2 = float(stats.norm.ppf(0.5 + level / 2)) ** 2
+    z2 = float(scipy.stats.norm.ppf(0.5 + level / 2)) ** 2
     middle = (share + z2 / (2 * count)) / (1 + z2 / count)
     half = np.sqrt(z2 * share * (1 - share) / count + (z2 / (2 * count)) ** 2) / (1 + z2 / count)
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
 
 
 def share_among_new(expected: Estimated, count: float, level: float, expected_level: float) -> Interval:
-    """Within what a share is seen among so many new independent trials, with a chance of `level`: the long-run share is
-    a beta distribution whose mean is the expected one and whose deviation is that of its interval of `expected_level`,
-    what is seen of it a beta-binomial one."""
+    """Interval of a share among a number of new independent trials, with probability `level`. The long-run share has a
+    beta distribution with the expected mean, whose deviation is that of its interval of `expected_level`; the observed
+    share is beta-binomial."""
     mean = min(max(expected.value, 1e-6), 1.0 - 1e-6)
     half = 0.5 * (expected.interval[1] - expected.interval[0])
-    deviation = max(half / float(stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
+    deviation = max(half / float(scipy.stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
     worth = max(mean * (1.0 - mean) / deviation**2 - 1.0, 1e-3)  # trials that the expectation itself is worth
     whole = max(round(count), 1)
-    seen = stats.betabinom(whole, worth * mean, worth * (1.0 - mean))
+    seen = scipy.stats.betabinom(whole, worth * mean, worth * (1.0 - mean))
     low, high = (float(seen.ppf(share)) / whole for share in (0.5 - level / 2, 0.5 + level / 2))
     return min(low, expected.interval[0]), max(high, expected.interval[1])
 
 
 def corrected_deviation(values: FloatArray, ratio: float) -> float:
-    """Standard deviation of the mean of (J,) values over splits: splits share trials, so that the variance is that of
+    """Standard deviation of the mean of (J,) values over splits. Splits share trials, so that the variance is that of
     one split times 1 / J + test / train (Nadeau and Bengio 2003, 4). ratio: tested trials over training ones"""
     if len(values) < 2:
         return float("nan")
@@ -57,36 +57,37 @@ def corrected_deviation(values: FloatArray, ratio: float) -> float:
 def over_splits(values: FloatArray, ratio: float, level: float, worth: float = np.inf) -> Estimated:
     """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see `share_of`.
 
-    worth: independent trials behind them; the deviation is not below one of these: else values that are the same in
-    every split would be surer by a jump than values that nearly are
+    worth: effective number of independent trials. The standard deviation is not below one of these: else values that
+    are equal in every split would be much more certain than nearly equal ones
     """
     found = values[np.isfinite(values)]
     if not found.size:
         return Estimated(float("nan"), (float("nan"), float("nan")))
     mean, deviation = float(found.mean()), float(np.hypot(corrected_deviation(found, ratio), 1.0 / max(worth, 1.0)))
-    half = float(stats.t.ppf(0.5 + level / 2, len(found) - 1)) * deviation if len(found) > 1 else np.nan
+    half = float(scipy.stats.t.ppf(0.5 + level / 2, len(found) - 1)) * deviation if len(found) > 1 else np.nan
     return Estimated(mean, (mean - half, mean + half) if np.isfinite(half) else (mean, mean))
 
 
 def share_of(values: FloatArray, worth: float, level: float) -> Estimated:
-    """The mean of shares (J,) over splits, as if seen in so many independent trials (`trials_worth`): the more is
-    right, the higher are both ends of the interval."""
+    """The mean of shares (J,) over splits, as of an effective number of independent trials (`trials_worth`): both ends
+    of the interval rise with the number of right answers."""
     mean = float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
     return Estimated(mean, wilson(mean, worth, level))
 
 
 GROUP_CORRELATION = 0.3
-"""Assumed of the right answers of two trials of a group. Where class means differ from group to group by up to three
-deviations of one group's trials, it is found as 0 to 0.33, and 90 % intervals hold the truth in 92 to 100 %."""
+"""Assumed of the right answers of two trials of a group. If class means differ from group to group by up to three
+standard deviations of one group's trials, its estimate is 0 to 0.33, and 90 % intervals hold the truth in 92 to 100
+%."""
 
 
 def trials_worth(size: IntArray, tested: float = 1.0, splits: int = 1, ratio: float = 0.0) -> float:
-    """How many independent trials those of some groups, (g,) sizes, are worth: fewer where trials of a group err
+    """Effective number of independent trials of some groups, (g,) sizes. It is lower where trials of a group err
     together (the design effect of Kish 1965, 5.4), and where splits share them (Nadeau and Bengio 2003, 4).
 
     tested: share of the trials that a split tests; ratio: tested trials over training ones, 0 = one classifier for all
-    By design alone, never from the answers: where errors say how much trials err together, no error says nothing, and
-    is then less sure than one.
+    By design alone, never from the answers: if errors gave the correlation, no error would give none, and then less
+    certainty than one error.
     """
     total = float(size.sum())
     effect = 1.0 + GROUP_CORRELATION * (float((size**2).sum()) / max(total, 1.0) - 1.0)
@@ -104,7 +105,7 @@ def difference(
     deviation = float(np.hypot(corrected_deviation(apart, ratio), 1.0 / max(worth, 1.0)))
     if not np.isfinite(deviation) or deviation == 0.0:
         return found, 1.0 if found.value == 0.0 or not np.isfinite(deviation) else 0.0
-    return found, float(2 * stats.t.sf(abs(found.value) / deviation, len(apart) - 1))
+    return found, float(2 * scipy.stats.t.sf(abs(found.value) / deviation, len(apart) - 1))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -125,8 +126,8 @@ LILLIEFORS_DRAWS = 4000
 
 
 def lilliefors(values: FloatArray) -> tuple[float, float]:
-    """Distance of (n,) values from the normal distribution of their mean and deviation, and its p-value: the
-    Kolmogorov-Smirnov test where mean and deviation come from the same sample (Lilliefors 1967).
+    """Distance of (n,) values from the normal distribution of their mean and deviation, and its p-value. It is the
+    Kolmogorov-Smirnov test with mean and deviation of the same sample (Lilliefors 1967).
 
     NaN for fewer than four values or equal ones.
     """
@@ -148,6 +149,6 @@ def _distance(samples: FloatArray) -> FloatArray:
     count = samples.shape[1]
     ordered = np.sort(samples, axis=1)
     mean, deviation = ordered.mean(axis=1, keepdims=True), ordered.std(axis=1, ddof=1, keepdims=True)
-    share = stats.norm.cdf((ordered - mean) / deviation)
+    share = scipy.stats.norm.cdf((ordered - mean) / deviation)
     step = np.arange(1, count + 1) / count
     return np.asarray(np.maximum((step - share).max(axis=1), (share - step + 1.0 / count).max(axis=1)))

@@ -63,8 +63,8 @@ class ContentModel:
     def predict_proba(self, features: Mapping[str, FloatArray]) -> FloatArray:
         """(n, C) posterior of (n, p) features by modality, C as in `labels`.
 
-        A modality may be left out, or its row be all NaN: then the others decide. Raises InputError for one that the
-        model does not know, other numbers of columns, and a trial of which nothing is known.
+        A modality may be left out, or its row be all NaN: then the others decide. Raises InputError for an unknown
+        modality, other numbers of columns, and a trial without features.
         """
         if unknown := [name for name in features if name not in self.modalities]:
             raise InputError(f"modalities out of {', '.join(self.modalities)}", ", ".join(unknown))
@@ -87,14 +87,14 @@ class ContentModel:
         return np.exp(fuse(self.fusion, logs, present))
 
     def predict_step(self, modality: str, step: int, features: FloatArray) -> FloatArray:
-        """(n, C) posterior from (n, p) features so many steps after the first contact; later ones than any in training
-        are taken as the last. Raises InputError for a modality without steps."""
+        """(n, C) posterior from (n, p) features, this number of steps after the first contact; later ones than any in
+        training are taken as the last. Raises InputError for a modality without steps."""
         if modality not in self.steps:
             raise InputError(f"a modality with steps: {', '.join(self.steps) or 'none'}", modality)
         return np.exp(self._log_step(modality, step, features))
 
     def predict_at(self, since_s: float, features: Mapping[str, FloatArray]) -> tuple[tuple[str, ...], FloatArray]:
-        """(n, C) posterior so long after first contact of features then (n, p) by modality, and which of these it is
+        """(n, C) posterior this long after first contact of features then (n, p) by modality, and which of these it is
         of: those that have steps, where their fusion was learned; else `tactile` alone. A row of NaN is missing."""
         step = round(since_s / self.step_s)
         known = tuple(name for name in self.steps if name in features)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
@@ -25,16 +25,16 @@ DRAWS = 4000
 
 
 TIMES_S = (0.2, 0.5, 1.0)
-"""Since first contact: when what a model says meanwhile is looked at."""
+"""Times since first contact at which a model's posteriors are evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeCheck:
-    """What a model says so long after first contact, of the modalities of `score`; time_s: NaN = in the end, of all
-    that are fused; error_interval: of the calibration error, by drawing trials anew; by_chance: the error that a
+    """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
+    all that are fused; error_interval: of the calibration error, by bootstrap over trials; by_chance: the error that a
     perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
-    debiased: root mean square error over the bins, without what chance adds to its square (Kumar, Liang and Ma 2019);
-    it is not below the mean error in the long run"""
+    debiased: root mean square error over the bins, without chance's contribution to its square (Kumar, Liang and Ma
+    2019); it is not below the mean error in the long run"""
 
     time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
     score: ClassificationScore = field(metadata=reported(flat=True))
@@ -47,14 +47,14 @@ class TimeCheck:
 
 @dataclass(frozen=True, slots=True)
 class ModelCheck:
-    """labels: C contents that the model knows; score: of all its modalities; alone: of each by itself
+    """labels: the model's C contents; score: of all its modalities; alone: of each modality alone
 
     promised: accuracy with its interval that the model carries, None = none
-    expected: within what the accuracy of so many independent trials lies, were the promise right
+    expected: interval of the accuracy of this number of independent trials, if the promise is right
     inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
-    times: while the squeeze goes on and in the end, where table and model have steps
-    trained: of the trials, how many trained the model: these say nothing of new ones
+    times: during the squeeze and in the end, if table and model have steps
+    trained: number of the trials that trained the model: these do not test it
     """
 
     labels: tuple[str, ...]
@@ -70,8 +70,8 @@ class ModelCheck:
     @property
     @derived(key="promise_kept")
     def kept(self) -> bool | None:
-        """Whether the accuracy is one that is expected of so many trials, were the promise right; None without one, and
-        where trials trained the model."""
+        """Whether the accuracy is within the interval of this number of trials, if the promise is right; None without
+        one, and if trials trained the model."""
         return (
             None
             if self.expected is None or self.trained
@@ -87,7 +87,7 @@ class ModelCheck:
 def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9, seed: int = 0) -> ModelCheck:
     """How a model does on a table of new trials.
 
-    Raises InputError for labels and for columns that the model does not know, and where its modalities are missing.
+    Raises InputError for labels and columns that the model does not have, and for missing modalities.
     """
     if unknown := [one for one in table.classes if one not in model.labels]:
         raise InputError(
@@ -161,7 +161,7 @@ def _time_check(
     drawn = np.array([errors(random.integers(size, size=size)) for _ in range(DRAWS)])
     low, high = np.quantile(drawn[:, 0], [0.5 - score.level / 2, 0.5 + score.level / 2])
     perfect = [np.bincount(place, sure - (random.random(size) < sure), BINS) for _ in range(DRAWS)]
-    found, half = errors(np.arange(size))[1], stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
+    found, half = errors(np.arange(size))[1], scipy.stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
     root, least, most = np.sqrt(np.maximum([found, found - half, found + half], 0.0)).tolist()
     return TimeCheck(
         time_s,
@@ -206,7 +206,7 @@ def _score(
     over = float(sure.mean() - right.mean())
     accuracy, balanced = float(right.mean()), float(recall.mean())
     spread = np.hypot((sure - right).std() / np.sqrt(len(rows)), 1.0 / worth)
-    half = float(stats.norm.ppf(0.5 + level / 2) * spread)
+    half = float(scipy.stats.norm.ppf(0.5 + level / 2) * spread)
     return ClassificationScore(
         modality=joined_name(names),
         method="late-fusion" if len(names) > 1 else "pooled",

@@ -13,7 +13,7 @@ from deformscope.stages.squeeze.components import fit_scaling
 from deformscope.stages.squeeze.table import LabelledTable, absent
 
 NEIGHBOUR = 10
-"""Its distance is the scale of what lies around a trial: up to nine copies of a trial leave it as it is."""
+"""Its distance is the scale of a trial's surroundings: up to nine copies of a trial do not change it."""
 FALSE_PAIRS = 0.01
 """Pairs that chance brings as near, in a table without copies."""
 NEAREST_SHARE = 0.1
@@ -23,8 +23,8 @@ NEAREST_SHARE = 0.1
 def near_copies(table: LabelledTable) -> list[tuple[int, ...]]:
     """Sets of rows that lie nearer to one another than chance brings trials; of different groups where there are some.
 
-    Distances are between standardised features, each modality weighing as much. Of points that are spread evenly around
-    a trial the nearest is within the share s of the distance of the k-th with probability (k - 1) s^d; the dimension d
+    Distances are between standardised features, each modality weighing as much. If points are spread evenly around a
+    trial, the nearest is within the share s of the distance of the k-th with probability (k - 1) s^d. The dimension d
     is that of the distances of the k-th and 2 k-th neighbours (Facco et al. 2017).
     """
     from sklearn.neighbors import NearestNeighbors

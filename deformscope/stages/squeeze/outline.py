@@ -9,12 +9,12 @@ from deformscope.stages.see.cloud import Intrinsics
 from deformscope.stages.squeeze.container import ContainerModel
 
 SHARP_COSINE = 0.85
-"""Faces whose normals agree by less meet in an edge that is seen."""
+"""Faces whose normals differ by more meet in a visible edge."""
 
 
 def outline_px(model: ContainerModel, camera: Intrinsics, T_camera_container: FloatArray) -> FloatArray:
     """(n, 2, 2) both ends, as (column, row), of the model's sharp edges on faces towards the camera, and of its
-    silhouette; none where a part of it is behind the camera."""
+    silhouette; none if a part of it is behind the camera."""
     corners = model.vertices_m @ T_camera_container[:3, :3].T + T_camera_container[:3, 3]
     if (corners[:, 2] <= 0.0).any():
         return np.zeros((0, 2, 2))

@@ -29,9 +29,10 @@ SMALL = 11
 CLOSED_M = 0.03
 """The fingertips come closer by no more after the first contact: `over_squeeze_m` in [squeeze]."""
 SURE = 5.0
-"""Deviations of noise, and of how far walls stand out of the model, beyond which a pixel is not the wall."""
+"""Limits in standard deviations of noise, and of the walls' bulge, beyond which a pixel is not the wall."""
 OUTLINE_PX = 2
-"""Within so many pixels of an outline, of the model or of the hand, a camera may see either side, or what is between
+"""Distance in pixels from an outline, of the model or of the hand, within which a camera may see either side, or a
+value between
 them: outlines are seen within 1.5 px (`track.EDGE_NOISE_PX`)."""
 LOCAL_PX = 5
 """Side of the window whose median a pixel is compared with."""
@@ -81,11 +82,11 @@ def depth_change(
 ) -> DepthChange:
     """The patch around a fingertip (3,) [m], camera frame, in a depth image (H, W) [m]; 0 and NaN saw nothing.
 
-    excluded: (H, W) pixels of the hand; closed_m: by how much the fingers have closed since they touched the container
-    Missing is what is beside the image or the container, within OUTLINE_PX of an outline, seen too flat, farther from
-    the model than a wall can be, or far from the pixels around it: a wall is pressed in by `closed_m` at most, and
-    stands out by `SURE` times `BULGE_M` at most.
-    Raises InputError where the fingertip is behind the camera or less than LEAST_SEEN of the patch was measured.
+    excluded: (H, W) pixels of the hand; closed_m: distance that the fingers have closed since first contact Missing are
+    pixels outside the image or the container, within OUTLINE_PX of an outline, at grazing angles, farther from the
+    model than a wall can be, or far from the pixels around it. A wall is pressed in by `closed_m` at most, and bulges
+    by `SURE` times `BULGE_M` at most. Raises InputError where the fingertip is behind the camera or less than
+    LEAST_SEEN of the patch was measured.
     """
     if side_px % 2 == 0:
         raise InputError("an odd number of pixels, so that the patch has a middle", str(side_px))
@@ -167,7 +168,7 @@ def hand_pixels(
 
 
 def _window(link: Capsule, camera: Intrinsics, margin_m: float, shape: tuple[int, int]) -> tuple[slice, slice]:
-    """Rows and columns of an image (H, W) in which a link can be seen: all of them where it is beside the camera."""
+    """Rows and columns of an image (H, W) that may show a link: all of them if it is next to the camera."""
     ends, reach = np.stack([link.start_m, link.end_m]), link.radius_m + margin_m
     if (ends[:, 2] <= 2.0 * reach).any():
         return slice(0, shape[0]), slice(0, shape[1])
@@ -200,8 +201,8 @@ def _block_means(change: FloatArray) -> FloatArray:
 
 
 def filled(values: FloatArray) -> FloatArray:
-    """The same (n, m), missing values (NaN) as a membrane has them that is held at the measured ones, of which there is
-    one at least: within their range, and each the mean of its neighbours (Laplace's equation)."""
+    """The same (n, m), with missing values (NaN) by a membrane through the measured ones, of which there is one at
+    least. They are within their range, and each is the mean of its neighbours (Laplace's equation)."""
     found, known = values.ravel().copy(), np.isfinite(values).ravel()
     if not known.all():
         membrane = _membrane(*values.shape)[~known]

@@ -1,6 +1,6 @@
 """What a squeeze says in physical quantities: contact, force, indentation, stiffness of the wall, relaxation.
 
-They stand beside the raw features of the thesis, and mean the same on another hand and another container.
+They complement the raw features of the thesis, and have the same meaning on another hand and another container.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -18,7 +18,7 @@ from deformscope.stages.squeeze.trial import PHYSICAL
 
 LEVEL = 0.9
 LEAST_INDENTATION_M = 2e-4
-"""Over less than that a slope of force over indentation says nothing."""
+"""Least indentation for a slope of force over indentation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,8 @@ def physical_features(
 
 def pressure_axis(pressure_pa: FloatArray, texel_m: tuple[float, float]) -> tuple[float, float]:
     """Orientation [rad] in (-pi/2, pi/2] from the columns towards the rows, and elongation (0 round to 1 a line) of the
-    pressures (rows, columns) on one pad, from their second moments (as drawn in Thesis fig. 2.4); NaN without contact.
+    pressures (rows, columns) on one pad. Both come from their second moments (as drawn in Thesis fig. 2.4); NaN without
+    contact.
     """
     weight = np.maximum(np.asarray(pressure_pa, dtype=np.float64), 0.0)
     total = weight.sum()
@@ -124,13 +125,13 @@ def _slope(depth: FloatArray, force: FloatArray) -> tuple[float, float, float]:
     interval counts as many samples as are independent at their first autocorrelation."""
     if len(depth) < 4 or np.ptp(depth) < LEAST_INDENTATION_M:
         return float("nan"), float("nan"), float("nan")
-    fit = stats.linregress(depth, force)
+    fit = scipy.stats.linregress(depth, force)
     left = force - fit.intercept - fit.slope * depth
     spread = float(left @ left)
     together = float(np.clip(left[1:] @ left[:-1] / spread, 0.0, 0.95)) if spread > 0.0 else 0.0
     count = max(len(depth) * (1.0 - together) / (1.0 + together), 3.0)
     wider = np.sqrt((len(depth) - 2.0) / (count - 2.0))
-    half = float(stats.t.ppf(0.5 + LEVEL / 2.0, count - 2.0) * fit.stderr * wider)
+    half = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, count - 2.0) * fit.stderr * wider)
     return float(fit.slope), float(fit.slope - half), float(fit.slope + half)
 
 

@@ -98,14 +98,14 @@ def single_group_classes(table: LabelledTable) -> tuple[str, ...]:
 
 
 def splitting_notes(table: LabelledTable) -> list[str]:
-    """What a reader of an evaluation must know about classes that are too small."""
+    """Remarks for an evaluation with classes that are too small."""
     sizes = {one: int((table.label == one).sum()) for one in table.classes}
     notes = []
     if single := [one for one, size in sizes.items() if size < 2]:
         notes.append(f"one trial alone of {_listed(single)}: never tested in stratified splits")
     if few := [one for one, size in sizes.items() if 2 <= size < 5]:
         notes.append(
-            f"fewer than 5 trials of {_listed(few)}: what is said of {'it' if len(few) == 1 else 'them'} is weak"
+            f"fewer than 5 trials of {_listed(few)}: results on {'it' if len(few) == 1 else 'them'} are uncertain"
         )
     if alone := single_group_classes(table):
         notes.append(f"{_listed(alone)}: from one group alone, never tested in splits by group")

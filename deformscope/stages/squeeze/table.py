@@ -26,8 +26,9 @@ LISTED = 4
 class LabelledTable:
     """N trials of known content.
 
-    label: (N,) content; group: (N,) what may not stand on both sides of a split, such as the container or the session,
-    or None; modalities: by name (N, p) features; NaN = not measured, a whole row of NaN = the modality is missing there
+    label: (N,) content; group: (N,) label that may not be on both sides of a split, such as the container or the
+    session, or None; modalities: by name (N, p) features; NaN = not measured, a whole row of NaN = the modality is
+    missing there
     kind: (N,) such as the container's type, between which transfer is evaluated, or None; trial: (N,) names for
     messages, or None; series: by name (N, T, p) features over the squeeze, NaN once a trial has ended
     step_s: between two of its T steps [s]; settings: that the features were computed with, which a model keeps
@@ -79,9 +80,9 @@ class LabelledTable:
 
     @property
     def fused(self) -> tuple[tuple[str, ...], ...]:
-        """Modalities that are fused, the ones of late fusion first; NAME_small is NAME in fewer pixels and takes its
-        place in a set of its own, as in Thesis 2.5.4; both once more without what is `DERIVED`. A single modality by
-        itself where there is nothing to fuse."""
+        """Modalities that are fused, the ones of late fusion first; NAME_small is NAME in fewer pixels and replaces it
+        in a separate set, as in Thesis 2.5.4. Both sets are repeated without `DERIVED`. A single modality alone without
+        others to fuse."""
         small = {
             one.removesuffix(SMALL): one
             for one in self.modalities
@@ -147,14 +148,14 @@ def duplicates(table: LabelledTable) -> list[tuple[int, ...]]:
 
 
 def refuse_duplicates(table: LabelledTable) -> None:
-    """Raises InputError with the names of the trials that stand there twice."""
+    """Raises InputError with the names of duplicate trials."""
     found = duplicates(table)
     if not found:
         return
     shown = "; ".join(" = ".join(map(table.name, rows)) for rows in found[:LISTED])
     more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
     raise InputError(
-        "trials that differ: a copy on the other side of a split would be recognised, not classified",
+        "trials that differ: a classifier would recognise a copy across a split",
         f"{shown}{more} with the same features",
         "leave the copies out, or --duplicates drop",
     )

@@ -20,7 +20,7 @@ def tactile_feature(arrays: Sequence[npt.NDArray[np.generic]], end: End = "first
     """(36 n,) cells at one end of each of n fingertip arrays (rows, columns), row by row, float64.
 
     end: the first 36 as the controller sends them, as in the thesis, or the last. Which of the two is at the tip of a
-    finger is not public: look at a touched fingertip in `deformscope live`.
+    finger is not public: check a touched fingertip in `deformscope live`.
     """
     short = [array.size for array in arrays if array.size < CELLS]
     if short:
@@ -30,8 +30,8 @@ def tactile_feature(arrays: Sequence[npt.NDArray[np.generic]], end: End = "first
 
 
 def series_of(time_s: FloatArray, features: FloatArray, step_s: float = 0.1) -> tuple[FloatArray, FloatArray]:
-    """The feature as a squeeze goes on: (k,) times 0, 0.1, 0.2... [s] until the last frame, and (k, p) the newest
-    features then.
+    """The feature over a squeeze: (k,) times 0, 0.1, 0.2... [s] until the last frame, and (k, p) the newest features
+    then.
 
     time_s: (n,) of the frames since first contact, rising; features: (n, p) of each. Raises InputError without any
     frame at or after first contact.

@@ -6,10 +6,10 @@
     now.good, now.T_camera_container, now.observed
 
 Each pixel of the container's rendering is compared with the data's pixel, along the surface's normal (point-to-plane
-distances with projective data association: Blais and Levine 1995), and the rendering's outline with jumps of depth.
-Flat faces slide along themselves: directions of motion that the data do not observe keep the rest pose, and are
-reported. What stands before the container, or dents it, has little or no weight (Tukey). How far its walls bulge is
-found beside the pose (`bulge`), so that a full container is not taken for one that stands nearer.
+distances with projective data association: Blais and Levine 1995). The rendering's outline is compared with jumps of
+depth. Flat faces slide along themselves: directions of motion that the data do not observe keep the rest pose, and are
+reported. Objects before the container, and dents, have little or no weight (Tukey). The bulge of its walls is estimated
+together with the pose (`bulge`), so that a full container does not appear nearer.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ EDGE_EVERY_PX = 3
 """Of the outline."""
 EDGE_REACH_PX = 12
 EDGE_RUN_PX = 3
-"""So many pixels in a row are the container's, then so many are not: a single missing pixel is no edge."""
+"""Number of successive pixels of the container, and then of others, at an edge: a single missing pixel is none."""
 JUMP_M = 0.025
-"""Beyond the outline depth is larger by more than that; a table on which the container stands is not."""
+"""Beyond the outline depth is larger by more than that; a table under the container is not."""
 COARSE_M = 0.0015
-"""After a smaller motion all pixels are looked at, and the outline."""
+"""After a smaller motion all pixels are used, and the outline."""
 SETTLED_M = 0.0002
 RESTLESS_M = 0.0005
-"""After a smaller motion there is no more to gain; pixels that come and go may keep a pose moving by so much."""
+"""After a smaller motion the pose has converged; pixels that come and go may move a pose by this."""
 OBSERVED_M = 0.001
 """A direction of motion with a smaller deviation is observed."""
 FLATTEST = 0.2
 """Least cosine between a ray and the normal where a pixel counts."""
 THIN = (slice(None, None, 2), slice(None, None, 2))
-"""Of the pixels looked at in the end, so many are compared."""
+"""Number of the final pixels that are compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackOptions:
-    """reach_m: from how far the surface is drawn to the data [m]; steps: at most so many
+    """reach_m: from how far the surface is drawn to the data [m]; steps: largest number
     least_pixels: of the container seen; least_agreeing: least share of them within the noise for a good track
     farthest_m, farthest_deg: from the rest pose; jump_m: from the start, rotation times the lever added
     """
@@ -166,7 +166,7 @@ def locate(
     yaws_deg: tuple[float, ...] = (0.0, 30.0, -30.0, 60.0, -60.0, 90.0),
     excluded: BoolArray | None = None,
 ) -> PoseEstimate:
-    """The pose of a container that stands about where it is guessed to, turned about its z axis by any of some angles.
+    """The pose of a container near its assumed place, turned about its z axis by any of some angles.
 
     guess: (4, 4) T_camera_container, right within a few centimetres. The best of the starts is the one that explains
     the most pixels: those compared times the share that agree.
@@ -189,8 +189,8 @@ def _equations(
     reach_m: float,
     fine: bool,
 ) -> tuple[list[_Rows], _Window | None]:
-    """Equations of the surface, and of the outline where it is fine, in this order; and what is rendered, None where
-    the container is beside the image. depth: (h, w) [m]; usable: (h, w); pose: (4, 4) [m]"""
+    """Equations of the surface, and of the outline at fine resolution, in this order; and the rendering, None if the
+    container is outside the image. depth: (h, w) [m]; usable: (h, w); pose: (4, 4) [m]"""
     margin = EDGE_REACH_PX if fine else 0
     left, top, right, bottom = renderer.window(pose, (depth.shape[0], depth.shape[1]), margin)
     every = 1 if fine else 4
@@ -368,8 +368,8 @@ def _bulges(jacobian: FloatArray, residual: FloatArray, bulge: FloatArray, weigh
 
 
 def _tukey(residual: FloatArray, cut: float = 4.685) -> FloatArray:
-    """Weights (n,) of residuals (n,) in deviations (Tukey's biweight); the deviation is taken from them where it is
-    larger than assumed, so that a start beside the pose is drawn to it."""
+    """Weights (n,) of residuals (n,) in deviations (Tukey's biweight). The deviation is estimated from them if it is
+    larger than assumed, so that a start away from the pose converges to it."""
     if not len(residual):
         return residual
     scale = max(1.4826 * float(np.median(np.abs(residual))), 1.0)
@@ -437,9 +437,9 @@ def _judged(
 def _compared(
     depth: FloatArray, usable: BoolArray, pose: FloatArray, rows: list[_Rows], window: _Window | None
 ) -> FloatArray:
-    """(n,) differences of depth in deviations at the container's pixels, those of the background included: where the
-    model is and the container is not, the track is wrong. What stands before it, as a cable, is left out, and how far
-    walls bulge is taken into account. rows: the equations there, of this window"""
+    """(n,) differences of depth in deviations at the container's pixels, those of the background included: if they show
+    no container, the track is wrong. Objects before it, such as a cable, are left out, and the bulge of walls is taken
+    into account. rows: the equations there, of this window"""
     if window is None:
         return np.zeros(0)
     view, surface = window.view, rows[0]

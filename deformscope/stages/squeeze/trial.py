@@ -1,5 +1,5 @@
-"""What is recorded of one squeeze: its phases, what the fingertips feel, the tracked container, its features, and what
-its content is taken for."""
+"""Content of a squeeze's recording: its phases, the fingertips' pressures, the tracked container, its features, and the
+classification of its content."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SqueezePhase:
 
 @dataclass(frozen=True, slots=True)
 class FingertipPressure:
-    """What the squeezing fingertips feel in one tactile frame (as drawn in Thesis fig. 2.4); the last axis or all of
+    """Pressures on the squeezing fingertips in one tactile frame (as drawn in Thesis fig. 2.4); the last axis or all of
     each array is by finger.
 
     index: the frame's place in its stream; center_m: (2, 2) centre of pressure (x along the columns, y along the rows)
@@ -67,7 +67,7 @@ class TrackedContainer:
     before it, NaN = it was not known then
     directions: (6, 6) of `observed`, a direction each row, container frame: translation, then rotation times half the
     container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the normal matrix
-    lag_s: how old the image was when this was known [s], NaN = it was computed once the hand had opened, None = the
+    lag_s: age of the image at the time of the result [s], NaN = it was computed after the hand had opened, None = the
     same, in the median of several images; skipped: images before it that were left out to keep up
     """
 
@@ -100,7 +100,7 @@ class TrackedContainer:
 
 @dataclass(frozen=True, slots=True)
 class ContainerChange:
-    """How the depth around the nearer fingertip differs in one image from that of the rigid container at its pose: data
+    """Difference of depth around the nearer fingertip in one image from that of the rigid container at its pose: data
     minus model, a dent is positive (Thesis ch. 2).
 
     index: the image's place in its stream; since_s: as for `TrackedContainer`; reason: why there is none
@@ -156,7 +156,7 @@ class SqueezeFeatures:
 class ContentPosterior:
     """What a model takes the content for.
 
-    since_s: since the first contact [s]; modality: what it is computed from; labels; probability: (k,) of each
+    since_s: since the first contact [s]; modality: its input; labels; probability: (k,) of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
     vision_index: of the image whose change of depth it also is of, None = none
     """
@@ -186,7 +186,7 @@ class ContentPosterior:
 class SqueezeStop:
     """Why a squeeze ended before its time. kind: in a few words; reason: in numbers; advice: what to see to
 
-    stands: the hand confirmed that it stopped; restored: the limits of its currents are what they were
+    stands: the hand confirmed that it stopped; restored: the limits of its currents are restored
     """
 
     kind: str

@@ -21,7 +21,7 @@ Key = tuple[str, Method]
 """Modality, or several with + between them; and method."""
 
 FEW_COLUMNS = 200
-"""Boosting and the Gaussian process take raw columns up to so many, else components."""
+"""Largest number of raw columns for boosting and the Gaussian process, else components."""
 LENGTHS = (0.5, 1.0, 2.0)
 """Of the median distance: length scales of the Gaussian process, the likeliest of which is taken."""
 
@@ -29,7 +29,7 @@ LENGTHS = (0.5, 1.0, 2.0)
 @dataclass(frozen=True, slots=True)
 class Answers:
     """What a classifier answered. rows: (m,) tested trials; answer: (m,) classes; sure: (m,) posteriors of these;
-    log_truth: (m,) logarithm of the true class's posterior; components: so many were in use"""
+    log_truth: (m,) logarithm of the true class's posterior; components: number of components used"""
 
     rows: IntArray
     answer: IntArray
@@ -67,7 +67,7 @@ def sides_of(
     split: Split,
     fused: Sequence[tuple[str, ...]],
 ) -> dict[str, Sides]:
-    """Every modality (trials, columns) by itself, and joined ones: early fusion, standardised columns side by side.
+    """Every modality (trials, columns) alone, and joined ones: early fusion, standardised columns side by side.
     missing: (trials,) by modality"""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
@@ -181,7 +181,7 @@ def late_fusion(
 ) -> FloatArray:
     """(m, C) fused posteriors of the split's test side; weights are learned from training points left out.
 
-    fitted: of each modality its sides, its expert, and what that says of the test side
+    fitted: of each modality its sides, its expert, and its posteriors on the test side
     """
     shape = len(fitted), len(split.train)
     inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)

@@ -1,4 +1,4 @@
-"""What every arm is: its states, velocities that end by themselves, a halt, its chain of joints and its limits."""
+"""Parts that every arm has: its states, velocities that expire, a halt, its chain of joints and its limits."""
 
 from deformscope_drivers.arm.commands import CartesianVelocity as CartesianVelocity
 from deformscope_drivers.arm.commands import JointVelocity as JointVelocity

@@ -1,4 +1,4 @@
-"""The velocities that an arm can be asked for, checked before anything is sent."""
+"""The possible velocities of an arm, checked before anything is sent."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from deformscope_drivers.errors import OutOfLimits
 
 Vector3 = tuple[float, float, float]
 JOINT_MARGIN_DEG, NEGLIGIBLE_DEG_S = 5.0, 0.01
-"""No joint comes nearer to the end of its range [deg]; a joint that turns slower than this [deg/s] is at rest: it
+"""Least distance of a joint from the end of its range [deg]; a joint that turns slower than this [deg/s] is at rest: it
 turns by 1e-4 deg in a control period of 10 ms."""
 DAMPED_BELOW = 0.03
 """Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
 driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
-direction; below it the weakest direction is slower than any touch, and damped."""
+direction. Below it, the weakest direction is damped. Below it the weakest direction is slower than any touch, and
+damped."""
 OFF_COURSE = 0.1
-"""Share of a velocity that damping may lose or turn away: a straight line may lead through a singularity where it needs
-nothing of the weak direction."""
+"""Share of a velocity that damping may lose or turn away: a straight line may lead through a singularity if it does not
+need the weak direction."""
 
 
 class SpeedLimits(Protocol):
     """How fast a command may ask an arm to move; its configuration says it.
 
     linear_limit_m_s, angular_limit_rad_s: of the end effector; joint_limit_deg_s: of any joint, whose own limit holds
-    besides; command_deadline_s: how long a velocity holds when its sender does not say so
+    besides; command_deadline_s: default duration of a velocity
     """
 
     @property
@@ -105,10 +106,10 @@ def by_joints(
 ) -> JointVelocity | str:
     """The joint rates that make a velocity at these joint angles (n,) [deg], or why there are none.
 
-    No arm is sent Cartesian velocities of its own: what they do near limits and singularities is not published. So the
-    guards are here: no joint is faster than it may be (all are slowed
-    alike), none comes within JOINT_MARGIN_DEG of the end of its range, and where damping near a singularity would take
-    the hand off its way there is no motion. That the arm does not hit itself is not looked at.
+    No arm receives Cartesian velocities of its own: their behaviour near limits and singularities is not published. So
+    the guards are here. No joint exceeds its limit (all are slowed alike), none comes within JOINT_MARGIN_DEG of the
+    end of its range. If damping near a singularity would take the hand off its path there is no motion. Self-collision
+    is not checked.
     """
     if isinstance(velocity, JointVelocity):
         return velocity
@@ -120,13 +121,13 @@ def by_joints(
     rates_rad_s = kinematics.damped_joint_rates(jacobian, twist, DAMPED_BELOW)
     lost = float(kinematics.off_course(jacobian, rates_rad_s, twist))
     if lost > OFF_COURSE:
-        return f"the hand would have left its way by {100 * lost:.0f} %: a singularity is near"
+        return f"the hand would have left its path by {100 * lost:.0f} %: a singularity is near"
     rates_deg_s = np.degrees(rates_rad_s)
     way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
     near = (way_deg < JOINT_MARGIN_DEG) & (np.abs(rates_deg_s) > NEGLIGIBLE_DEG_S)
     if near.any():
         joint = int(np.argmax(near))
-        return f"joint {joint + 1} at {joints[joint]:.1f} deg came within {JOINT_MARGIN_DEG:g} deg of its limit"
+        return f"joint {joint + 1} at {joints[joint]:.1f} deg was within {JOINT_MARGIN_DEG:g} deg of its limit"
     fastest = max(1.0, float(np.max(np.abs(rates_deg_s) / joint_limits_deg_s(chain, limits))))
     return JointVelocity(tuple(float(rate) for rate in rates_deg_s / fastest))
 

@@ -1,7 +1,7 @@
-"""An arm as a device: what the robot, its travel, its preflight and an exploration know of any arm.
+"""An arm as a device: the interface that the robot, its travel, its preflight and an exploration use.
 
-A velocity holds only as long as its sender vouches for it, whatever becomes of the sender; how an arm is brought to
-rest then is its driver's matter, which the contract tests look at (`tests/drivers/arm`).
+A velocity holds only as long as its sender renews it. Each driver brings its arm to rest then, which the contract tests
+check (`tests/drivers/arm`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deformscope_drivers.errors import DeviceError, LinkLost, OutOfLimits
 from deformscope_drivers.health import Link
 
 LONGEST_S = 60.0
-"""A velocity may hold so long at most; whoever wants more sets it again."""
+"""Longest duration of a velocity; a longer motion sets it again."""
 CALL_MS = "call_ms"
 """In `Health.extra`: how long a call to the arm takes [ms]; where an arm answers so, it must be quick enough."""
 
@@ -77,7 +77,7 @@ class Arm(Device[StateT]):
         atexit.unregister(self.close)  # not before: one that hangs is to be tried again at the end
         error, self._not_stopped = self._not_stopped, None
         if error is not None:
-            raise NotStopped("an arm that was stopped at closing", str(error), self.stop_by_hand, self.name)
+            raise NotStopped("an arm that is stopped when it closes", str(error), self.stop_by_hand, self.name)
 
     # What is known of it ---------------------------------------------------------------------------------------------
 
@@ -119,10 +119,9 @@ class Arm(Device[StateT]):
         """Move at a velocity from the next cycle on, for as long as this call vouches for it. Returns at once.
 
         velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
-        rates for where the joints are in each cycle; or JointVelocity [deg/s]
-        valid_for_s: after this it ends by itself unless it is set again (default: the configured deadline)
-        Raises OutOfLimits (nothing is sent, what was set before still holds), MotionStopped where the arm was stopped,
-        and what else its driver says.
+        rates for the joints' angles in each cycle; or JointVelocity [deg/s]
+        valid_for_s: after this it expires unless it is set again (default: the configured deadline) Raises OutOfLimits
+        (nothing is sent, the earlier one still holds), MotionStopped for a stopped arm, and other errors of its driver.
         """
         self._require_open()
         commands.check_velocity(velocity, self.chain, self.speed_limits, self.name)
@@ -150,7 +149,9 @@ class Arm(Device[StateT]):
     def home(self, timeout_s: float = 60.0) -> ArmState:
         """Send the arm to its own home pose and wait until it is there; its state then. Raises NotMovedByCommands where
         `goes_home` is False, MotionStopped where it was stopped on its way; on any exception the arm is stopped."""
-        raise NotMovedByCommands("an arm with a home of its own", "one without", "bring it there by hand", self.name)
+        raise NotMovedByCommands(
+            "an arm with a home pose of its own", "one without", "bring it there by hand", self.name
+        )
 
     @property
     def stopped_because(self) -> str:
@@ -164,7 +165,7 @@ class Arm(Device[StateT]):
     # For subclasses --------------------------------------------------------------------------------------------------
 
     def _require_ready(self) -> None:
-        """Raises for what else keeps this arm from taking a velocity."""
+        """Raises for other states in which this arm takes no velocity."""
 
     def _require_moves(self) -> None:
         self._require_open()

@@ -1,4 +1,4 @@
-"""What can go wrong with an arm, beside what can go wrong with any device."""
+"""Errors of an arm, in addition to those of any device."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from deformscope_drivers.errors import DeviceError
 
 
 class MotionStopped(DeviceError):
-    """The arm was stopped, and refuses commands until someone has taken note of why."""
+    """The arm was stopped, and refuses commands until a person acknowledges the reason."""
 
 
 class NotStopped(DeviceError):

@@ -1,8 +1,8 @@
-"""An arm's driver in a process of its own: what this program does, or that it ends, does not keep the arm moving.
+"""An arm's driver in a child process: a fault or the end of this program does not keep the arm moving.
 
 The other process opens the arm and carries out velocities until they expire there, on the clock that both share. When
-this process is stopped, nobody sets a velocity again and it ends; when it dies, the socket between them closes, and the
-other process halts the arm, gives it back and ends too.
+this process is suspended, no velocity is renewed and it expires. When it dies, the socket between them closes, and the
+other process halts the arm, releases it and ends too.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from deformscope_drivers.hosted import HostedProcess
 OPEN_S, ANSWER_S, END_S = 90.0, 6.0, 5.0
 """An arm may be sought for long, and a vendor's library may wait 5 s for a packet."""
 WAITING_S = 0.1
-"""Who waits for an answer says so this often: the other process halts an arm on its way home once nobody does."""
+"""Period of messages from a caller that waits for an answer: without them the other process halts an arm on its way
+home."""
 
 
 class HostedArm(Arm[ArmState]):
@@ -128,8 +129,8 @@ class HostedArm(Arm[ArmState]):
         return state
 
     def ask(self, name: str, *arguments: object, timeout_s: float = ANSWER_S) -> Any:
-        """Have a method of the arm called there, and give what it returns; raises what it raises. Threads do not wait
-        for one another's answers."""
+        """Call a method of the arm there, and return its result; raises its error. Threads do not wait for one
+        another's answers."""
         self._require_open()
         if self._link is not Link.CONNECTED:
             raise LinkLost("a device that is connected", self._reason or self._link, where=self.name)

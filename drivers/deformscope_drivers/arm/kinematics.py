@@ -40,9 +40,9 @@ class Joint:
 class InverseResult:
     """What inverse kinematics found.
 
-    joints_deg: (n,) the best joint angles met, within the limits, whether or not they reach the target [deg]
-    converged: both errors are within the tolerances asked for
-    position_error_m, rotation_error_rad: what is left at joints_deg
+    joints_deg: (n,) the best joint angles found, within the limits, whether or not they reach the target [deg]
+    converged: both errors are within the requested tolerances
+    position_error_m, rotation_error_rad: residuals at joints_deg
     iterations: steps taken over all starts; starts: how many starting points were tried
     """
 
@@ -164,7 +164,7 @@ class Chain:
     ) -> InverseResult:
         """Joint angles that bring the end effector to a pose, by damped least squares from several starts.
 
-        T_base_end_effector: (4, 4) the pose asked for [m]; start_deg: (n,) where to begin (default: the home pose);
+        T_base_end_effector: (4, 4) the requested pose [m]; start_deg: (n,) where to begin (default: the home pose);
         further starts are drawn under the seed; margin_deg: the joints stay so far inside their ranges. The first start
         that converges ends the search. A target out of reach is no error: `converged` is then False and the remaining
         errors are given.
@@ -268,7 +268,7 @@ class Chain:
         """(..., n) joint angles [deg], checked."""
         joints = np.asarray(joints_deg, dtype=float)
         if joints.shape[-1:] != (self.joint_count,):
-            raise ValueError(f"{self.name} has {self.joint_count} joints; came an array of shape {joints.shape}")
+            raise ValueError(f"{self.name} has {self.joint_count} joints; got an array of shape {joints.shape}")
         return joints
 
 
@@ -295,10 +295,10 @@ def damped_joint_rates(
     """Joint rates (..., n) [rad/s] for a twist (..., 6) [m/s, rad/s]: the pseudo-inverse, damped only near
     singularities.
 
-    damping: smallest singular value that is still inverted in full; below it the rates are held down instead of
-    growing without end, and the twist is then not met (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
-    wish_rad_s: (n,) rates wanted besides, carried out as far as they leave the end effector where it is: the null
-    space of an arm with more than six joints (Liegeois 1977), nothing of them with six
+    damping: smallest singular value that is still inverted in full. Below it the rates are bounded, and the twist is
+    then not reached (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
+    wish_rad_s: (n,) additional desired rates, in the null space of the end effector's motion, for an arm with more than
+    six joints (Liegeois 1977); ignored with six
     """
     left, values, right = np.linalg.svd(jacobian, full_matrices=wish_rad_s is not None)
     least = values[..., -1:]
@@ -345,7 +345,7 @@ def rotation_from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Floa
 
 
 def rotation_from_euler_xyz(theta_x_rad: float, theta_y_rad: float, theta_z_rad: float) -> FloatArray:
-    """Rotation (3, 3) of the vendor's ThetaX, ThetaY, ThetaZ: Rx Ry Rz (kinova_driver says so of its poses)."""
+    """Rotation (3, 3) of the vendor's ThetaX, ThetaY, ThetaZ: Rx Ry Rz (as kinova_driver states for its poses)."""
     return _rotation_x(theta_x_rad) @ _rotation_y(theta_y_rad) @ _rotation_z(theta_z_rad)
 
 
@@ -396,7 +396,7 @@ def squared(vector: FloatArray) -> FloatArray:
 
 
 def _within(error: FloatArray, position_m: float, rotation_rad: float) -> npt.NDArray[np.bool_]:
-    """(...,) whether what is left of poses (..., 6) is within tolerances."""
+    """(...,) whether the residuals of poses (..., 6) are within tolerances."""
     return np.asarray((squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2))
 
 

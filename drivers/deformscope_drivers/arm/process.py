@@ -1,8 +1,8 @@
 """The process that moves an arm: what `HostedArm` starts (`deformscope_drivers.hosted`).
 
-It gets the driver's class and configuration first, then velocities with the moments at which they expire and calls;
-when the other end is closed, whatever ended it, it halts the arm, closes it and ends. A call that takes long runs in a
-thread of its own, so that a halt and the end of the program come first.
+It receives the driver's class and configuration first, then velocities with their expiry times and calls. When the
+other end is closed, for any reason, it halts the arm, closes it and ends. A call that takes long runs in a thread of
+its own, so that a halt and the end of the program come first.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from deformscope_drivers.priority import READING, STEERING, be_prompt
 
 HEALTH_S = 0.5
 CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
-"""What may be called; velocities have a message of their own."""
+"""Methods that may be called; velocities have a message of their own."""
 LONG = frozenset({"home"})
 """Of these, what takes seconds."""
 UNATTENDED_S = 1.0
-"""During a long call whoever waits for it says so every 0.1 s (`arm.hosted.WAITING_S`); after this nobody does."""
+"""During a long call its caller sends a message every 0.1 s (`arm.hosted.WAITING_S`); after this time without one there
+is no caller."""
 
 
 def serve(channel: Channel, kind: type[Arm[Any]], config: Any) -> None:

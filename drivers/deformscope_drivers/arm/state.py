@@ -1,4 +1,4 @@
-"""What an arm says of itself."""
+"""The state that an arm reports."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ UNKNOWN = (float("nan"),) * 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmState:
-    """One look at an arm of n joints; n = 0 for one that a person places.
+    """The state of an arm of n joints at one time; n = 0 for one that a person places.
 
     stamp: when the joint angles had been read
     joints_deg: (n,) joint angles as the arm counts them, beyond 360 for joints that turn without end

@@ -30,9 +30,9 @@ _CAMERA = re.compile(r"(\w[\w:/@.-]*)?")
 class DepthCameraConfig:
     """How a depth camera is opened and set.
 
-    port: empty = the first camera; `usb:1-2` = the one in that socket, as `deformscope devices` prints it, which stays
-    when it is plugged in again; a uri of OpenNI2's; the path of a recording (.oni); `Dummy` = OpenNI2's own test camera
-    width, height [px], fps [Hz], unit_m (0.001 or 0.0001): None = as the camera has it; of a recording they are checked
+    port: empty = the first camera; `usb:1-2` = the one in that socket, as `deformscope devices` prints it, which is the
+    same after reconnection; a uri of OpenNI2's; the path of a recording (.oni); `Dummy` = OpenNI2's own test camera
+    width, height [px], fps [Hz], unit_m (0.001 or 0.0001): None = the camera's own; of a recording they are checked
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
     mirror: pictures mirrored, as many cameras have them unless set otherwise
     speed, loop: of a recording; speed 0 = as fast as its readers take it, and no reader loses any
@@ -72,8 +72,8 @@ class DepthCameraConfig:
 class DepthCamera(HostedCamera):
     """`with DepthCamera(DepthCameraConfig(color=True)) as camera: camera.next(1.0).depth_m()`
 
-    OpenNI2 runs in a process of its own: what hangs or crashes there is a lost link here, and is started anew.
-    Never tried on a camera; tried on OpenNI2's dummy and on recordings written for it.
+    OpenNI2 runs in a child process: a hang or crash there is a lost link here, and it is restarted. Never tried on a
+    camera; tried on OpenNI2's dummy and on recordings written for it.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class DepthCamera(HostedCamera):
 
     def _settings(self) -> tuple[OpenniSettings]:
         if self.config.is_recording and not Path(self.config.port).is_file():
-            raise NotConnected("a recording that is there", "none", where=self.config.port)
+            raise NotConnected("an existing recording", "none", where=self.config.port)
         uri = resolve_port(self.config.port, self._usb)
         self._ticks_before = self._ticks_offset = 0
         asked: dict[str, Any] = {
@@ -129,7 +129,7 @@ class DepthCamera(HostedCamera):
         return super()._receive(timeout_s)
 
     def _arrived_ns(self, frame: FrameMessage) -> int:
-        """What was read ahead has not arrived before it is wanted."""
+        """A frame that was read ahead arrives when it is requested."""
         return self._clock() if self._as_fast_as_read else frame.host_ns
 
     def _before(self, index: int, last: int) -> int:
@@ -141,7 +141,7 @@ class DepthCamera(HostedCamera):
         return last - int(frame_count)
 
     def _ticks(self, frame: FrameMessage) -> int:
-        """The camera's time, which goes on where a recording begins again."""
+        """The camera's time, which continues where a recording begins again."""
         timestamp_us = frame.timestamp_us
         if timestamp_us + self._ticks_offset < self._ticks_before and self.config.is_recording:
             self._ticks_offset = self._ticks_before + round(1e6 / max(int(self._reported["fps"]), 1)) - timestamp_us

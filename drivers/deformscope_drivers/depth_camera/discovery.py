@@ -29,7 +29,7 @@ microphones."""
 
 
 def list_by_openni() -> list[ListedDevice] | None:
-    """The cameras that OpenNI2 sees, asked in a process of its own; None where it is not installed."""
+    """The cameras that OpenNI2 lists in a child process; None if it is not installed."""
     try:
         return ask_hosted(report_cameras, timeout_s=LIST_TIMEOUT_S) or []
     except DeviceError:
@@ -39,8 +39,8 @@ def list_by_openni() -> list[ListedDevice] | None:
 def discover(
     devices: Path = USB_DEVICES, list_cameras: Callable[[], list[ListedDevice] | None] = list_by_openni
 ) -> list[FoundDevice]:
-    """Every depth camera that is plugged in: those on USB that are known, by the socket they are in, and what else
-    OpenNI2 sees (a vendor's own build of it knows more).
+    """Every connected depth camera: known ones on USB, by their socket, and others that OpenNI2 finds (a vendor's own
+    build of it finds more).
 
     devices: /sys/bus/usb/devices; list_cameras: what OpenNI2 sees, None where it is not installed
     """

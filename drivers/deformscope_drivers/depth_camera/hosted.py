@@ -25,10 +25,10 @@ US_NS = 1000.0
 
 
 class HostedCamera(Device[DepthImage]):
-    """The process is started anew for each link. Frames lost are counted by the camera's own counter.
+    """The process is restarted for each link. Frames lost are counted by the camera's own counter.
 
-    serve: what is run there, with a channel and `_settings`; silence_s: no picture for this long means a lost camera
-    A subclass gives `_settings`, what the process is to open, and `_projection`, and may override the other hooks.
+    serve: what is run there, with a channel and `_settings`; silence_s: no picture for this long means a lost camera A
+    subclass gives `_settings`, the parameters of the process, and `_projection`, and may override the other hooks.
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
@@ -87,7 +87,7 @@ class HostedCamera(Device[DepthImage]):
         """Of the depth pictures, from what the process reported at opening; None where it reports no lens."""
 
     def _rate_hz(self) -> float | None:
-        """Pictures expected a second [Hz], as `_expect` takes it: 0 = not known, None = no pictures by themselves."""
+        """Expected pictures per second [Hz], as `_expect` takes it: 0 = unknown, None = no pictures without request."""
         return float(self._reported["fps"])
 
     def _fitted_clock(self) -> ClockFit | None:
@@ -118,7 +118,7 @@ class HostedCamera(Device[DepthImage]):
         if message is None:
             silence_s = (self._clock() - self._heard_ns) / 1e9
             if silence_s > self._silence_s:
-                raise LinkLost("a picture", f"none for {silence_s:.3g} s", "look at the camera", self.name)
+                raise LinkLost("a picture", f"none for {silence_s:.3g} s", "check the camera", self.name)
             return []
         match message:
             case ("note", note):
@@ -150,7 +150,7 @@ class HostedCamera(Device[DepthImage]):
             came = f"the end of the process that reads it (exit status {status})"
             raise NotConnected("a depth camera", came, "another file or library", self.name) from error
         if report is None:
-            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "plug it in anew", self.name)
+            raise NotConnected("a depth camera", f"none within {OPEN_TIMEOUT_S:g} s", "reconnect it", self.name)
         return report
 
     def _picture(self, frame: FrameMessage) -> Iterable[DepthImage]:

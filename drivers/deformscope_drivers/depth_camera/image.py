@@ -35,13 +35,13 @@ class Intrinsics:
 
 @dataclass(frozen=True, slots=True)
 class DepthImage:
-    """One depth picture, and what a colour camera beside it saw.
+    """One depth picture, and the picture of its colour camera.
 
     stamp: when it arrived; its device_ticks are the camera's own timestamp [us]
     depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera measured nothing
     unit_m: 0.001 for millimetres
     color: (H', W', 3) RGB uint8 of the same moment (within half a period), None where there is none
-    intrinsics: of `depth`, as far as the camera knows them (OpenNI2's: its field of view alone); None where it does not
+    intrinsics: of `depth`, from the camera (OpenNI2's: its field of view alone); None without them
     """
 
     stamp: Stamp

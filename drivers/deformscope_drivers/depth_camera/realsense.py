@@ -26,7 +26,7 @@ class RealsenseConfig(RealsenseSettings):
     width, height [px], fps [Hz]: of depth, and of colour
     preset: `default`, `hand`, `high_accuracy`, `high_density`, `medium_density`...; empty = as the camera has it
     unit_m: the step of depth [m], such as 0.0001; None = as the camera has it (0.001, a D405 0.0001)
-    warm_up_s: pictures are left out for so long after opening, while the exposure settles
+    warm_up_s: time after opening whose pictures are left out, while the exposure settles
     global_time: time stamps that librealsense fits to the host's clock, in place of the camera's own clock
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
     silence_s: no picture for this long means a lost camera; stuck_after_s: the same picture for this long means a
@@ -68,7 +68,7 @@ class Realsense(HostedCamera):
         self._library = library
 
     def remarks(self) -> tuple[str, ...]:
-        """Of its USB port, time stamps and firmware, and what it complained of itself."""
+        """On its USB port, time stamps and firmware, and its own warnings."""
         return (*self._reported.get("remarks", ()), *(f"it reports: {note}" for note in self._notes))
 
     def _settings(self) -> tuple[RealsenseSettings, str]:

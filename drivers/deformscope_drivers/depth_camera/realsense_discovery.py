@@ -35,7 +35,7 @@ USB_3_MBIT_S = 5000
 
 
 def list_by_librealsense(library: str = "pyrealsense2") -> list[ListedRealsense] | None:
-    """The cameras that librealsense sees, asked in a process of its own; None where it is not installed."""
+    """The cameras that librealsense lists in a child process; None if it is not installed."""
     try:
         return ask_hosted(report_cameras, library, timeout_s=LIST_TIMEOUT_S) or []
     except LibraryMissing:
@@ -61,7 +61,7 @@ def discover_realsense(
     ]
     if len(cameras) >= len(sockets):
         return found
-    why = f"librealsense is not there: {INSTALL}" if listed is None else f"librealsense sees not all of them: {UDEV}"
+    why = f"librealsense is missing: {INSTALL}" if listed is None else f"librealsense does not see all of them: {UDEV}"
     for folder, model in sockets:
         speed = sysfs_text(folder / "speed")
         slow = speed.isdecimal() and int(speed) < USB_3_MBIT_S

@@ -1,5 +1,5 @@
-"""What cameras that triangulate get wrong: a projector or a second imager stands a baseline aside, and disparity, not
-depth, is what they measure."""
+"""Errors of cameras that triangulate: a projector or a second imager is a baseline away, and they measure disparity,
+not depth."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class TriangulatingSensor:
         return np.where(edge, disparity + share * (taken - disparity), disparity)
 
     def _shadowed(self, disparity: NDArray[np.float64], seen: NDArray[np.bool_], lens_px: float) -> NDArray[np.bool_]:
-        """(h, w) pixels that the projector, or the other imager, does not reach: it stands to the right, and something
+        """(h, w) pixels that the projector, or the other imager, does not reach: it is to the right, and something
         nearer lies between. A pixel is lost where one to the right of it comes to lie at its place, or left of that,
         over there."""
         column = np.arange(disparity.shape[1])
@@ -89,14 +89,15 @@ class TriangulatingSensor:
 
 
 PRIMESENSE = TriangulatingSensor(focal_px=580.0, baseline_m=0.075, step_px=1 / 8, noise_px=0.408 / 8, bleeding=2)
-"""A first Kinect, Carmine or Xtion. Depth comes in steps of 2.85 mm at 1 m that grow with z^2 (1/8 px of disparity),
-and deviates by half a step, 1.4 mm at 1 m (Khoshelham and Oude Elberink 2012, Sensors 12(2)): 0.408 of a step before it
-is rounded, 0.289 by rounding."""
+"""A first Kinect, Carmine or Xtion. Depth comes in steps of 2.85 mm at 1 m that grow with z^2 (1/8 px of disparity).
+Its standard deviation is half a step, 1.4 mm at 1 m (Khoshelham and Oude Elberink 2012, Sensors 12(2)): 0.408 of a step
+before it is rounded, 0.289 by rounding."""
 REALSENSE = TriangulatingSensor(
     focal_px=427.0, baseline_m=0.050, step_px=1 / 32, noise_px=0.08, noise_width=3, bleeding=2, flying=True
 )
-"""A D435 at 848 x 480: deviation z^2 subpixel / (focal baseline) with subpixel 0.08, 3.7 mm at 1 m (Grunnet-Jepsen,
-Sweetser and Woodfill, Best-Known-Methods for Tuning Intel RealSense D400 Depth Cameras, Intel), in 1/32 px."""
+"""A D435 at 848 x 480: standard deviation z^2 subpixel / (focal baseline) with subpixel 0.08, 3.7 mm at 1 m
+(Grunnet-Jepsen, Sweetser and Woodfill, Best-Known-Methods for Tuning Intel RealSense D400 Depth Cameras, Intel), in
+1/32 px."""
 SENSORS = {"primesense": PRIMESENSE, "realsense": REALSENSE}
 
 

@@ -18,13 +18,13 @@ class DsaConfig:
     """How the tactile controller is reached, and how it shall run.
 
     port: serial port, or URL (`socket://192.168.1.1:13000` for a hand with Ethernet)
-    rle: run-length encoded frames, 3 to 12 times shorter; frame_rate_hz: asked for (the firmware does not keep to it)
+    rle: run-length encoded frames, 3 to 12 times shorter; frame_rate_hz: requested (the firmware does not guarantee it)
     streaming: False = frames come only when `single_frame` asks
     sensitivity: 0 to 1, for all matrices or each; None = as the controller has it
     threshold: texels below it read 0, 0 to 4095, for all or each; None = as the controller has it (firmware >= 268)
     calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
-    silence_s: without a good frame for so long while streaming, the link is lost, and sought again
-    stuck_after_s: pressed texels that stay the same to the count for so long mean a stuck sensor; None = they may
+    silence_s: without a good frame for this long during streaming, the link is lost, and sought again
+    stuck_after_s: pressed texels with equal counts for this long mean a stuck sensor; None = no limit
     """
 
     port: str = ""

@@ -45,7 +45,7 @@ STOP_TRIES = 4
 REPLY_TIMEOUT_S = 1.0
 REPLY_TRIES = 3
 SETTLE_S = 0.05
-"""How long answers to what was asked before, and frames, may still come. (Schunk's software waits 1 s after the first
+"""Time in which answers to earlier requests, and frames, may still arrive. (Schunk's software waits 1 s after the first
 stop. Answers come in order, so a late one to it is past when the controller has reported its identity.)"""
 
 CELLS_MAX = (0xFFFF - 5) // 2
@@ -64,7 +64,7 @@ ResultT = TypeVar("ResultT")
 
 @dataclass
 class _WantedSettings:
-    """What was asked for, and is asked for again after every reconnect: by matrix, None = of all."""
+    """The requested settings, repeated after every reconnection: by matrix, None = of all."""
 
     streaming: bool
     rle: bool
@@ -234,7 +234,7 @@ class Dsa(StreamDevice[TactileReading]):
         return self._measurer.connect()
 
     def _start(self) -> None:
-        """Stop, discard what is still in transit, ask what it is, set it, and have it stream."""
+        """Stop, discard data in transit, query its identity, set it, and start its stream."""
         self._silence_ns = None
         self._acknowledged(stop(), "stop", STOP_TIMEOUT_S, STOP_TRIES)
         self._settle(SETTLE_S)
@@ -268,8 +268,8 @@ class Dsa(StreamDevice[TactileReading]):
     def _receive(self, timeout_s: float) -> Iterable[TactileReading]:
         readings = list(super()._receive(timeout_s))
         if self._silence_ns is not None and self._clock() - self._measured_ns > self._silence_ns:
-            expected, came = "frames from the controller", f"none that is good for {self.config.silence_s:g} s"
-            raise LinkLost(expected, came, "look at cable and baud rate", self.name)
+            expected, came = "frames from the controller", f"none without errors for {self.config.silence_s:g} s"
+            raise LinkLost(expected, came, "check cable and baud rate", self.name)
         return readings
 
     def _fingerprint(self, reading: TactileReading) -> Hashable:
@@ -439,7 +439,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._begin_stream()
 
     def _begin_stream(self) -> None:
-        """Frames are asked for anew, and the controller's clock may have been set anew meanwhile."""
+        """Frames are requested again, and the controller's clock may have been reset meanwhile."""
         self._measurer.begin_stream()
         self._clock_fit = self._measurer.clock_fit
 

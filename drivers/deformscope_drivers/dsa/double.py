@@ -1,8 +1,8 @@
 """A simulated DSACON32m, byte for byte: a state machine that is fed bytes and time. No port, no thread, no clock.
 
-What it does is the protocol reference's (protocols.md 1a). What that leaves open, and is assumed here: the error codes
+Its behaviour is that of the protocol reference (protocols.md 1a). Assumed, where that is incomplete: the error codes
 for commands that cannot be carried out, that sensitivity is a gain on the counts (0.5 = 1), that texels below the
-threshold are sent as 0, and the values at the factory.
+threshold are sent as 0, and the factory values.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class DsaDouble:
     """`PtyWire(DsaDouble())`, or `MemoryTransport(DsaDouble(), clock)`.
 
     software_version: decides which quirks it has (268 and 269: fewest); serial_number: of controller and sensor
-    matrices: as it describes them (default: the SDH's six); scene: what they feel [Pa] (default: `GraspScene`)
+    matrices: as it describes them (default: the SDH's six); scene: pressures on them [Pa] (default: `GraspScene`)
     pa_per_count: of a texel at sensitivity 0.5; noise_counts: standard deviation, before the threshold
     bytes_per_s: the line's, None = as over TCP; boot_s: from power-up to answers (`BOOT_S` for a real one's)
     seed: of scene and noise; first_timestamp_ms: the clock at power-up
@@ -109,7 +109,7 @@ class DsaDouble:
                 self._line.send(encode(reply), now_ns)
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the line by now."""
+        """Bytes that have left the line by now."""
         self._take_frames(now_ns)
         return self._line.due(now_ns)
 

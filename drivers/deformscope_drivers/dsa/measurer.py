@@ -33,8 +33,8 @@ class TactileReading:
 
 
 class TactileMeasurer:
-    """For each link: `connect`, `describe` when the controller has reported its matrices, `begin_stream` whenever it
-    is asked for frames.
+    """For each link: `connect`, `describe` when the controller has reported its matrices, `begin_stream` whenever
+    frames are requested.
 
     clock_fit: the controller's clock against the host's; repeated: frames that were sent twice; restarts: of its clock
     """
@@ -64,8 +64,8 @@ class TactileMeasurer:
     def measure(
         self, event: messages.Reading | messages.Reply, host_ns: int
     ) -> TactileReading | TimestampStatus | None:
-        """The reading in a packet; REPEATED or JUMPED where its time refuses it; None where it is no frame, or one left
-        over from before the matrices were known. host_ns: when it arrived [ns]"""
+        """The reading in a packet; REPEATED or JUMPED if its time refuses it; None for no frame, or one from before the
+        matrices were known. host_ns: when it arrived [ns]"""
         if not isinstance(event, messages.Reading) or not self._shapes:
             return None
         verdict = self._gate.check(event.timestamp_ms)

@@ -41,7 +41,7 @@ class Acquisition(IntFlag):
 class Adjust(IntFlag):
     """Flags of `SetSensitivity` and `SetThreshold`.
 
-    PERSISTENT is kept when power goes; it wears the memory (about 100 000 writes) and is not answered.
+    PERSISTENT survives power-off; it wears the memory (about 100 000 writes) and is not answered.
     """
 
     PERSISTENT = 0x80

@@ -1,4 +1,4 @@
-"""The SDH's tactile pads: what they are called, and the feature of the thesis."""
+"""The SDH's tactile pads: their names, and the feature of the thesis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 THUMB = 1
-"""The finger that stands alone. Source: IPA's ROS node, which puts matrices 2 and 3 first and calls them the thumb."""
+"""The opposing finger. Source: IPA's ROS node, which puts matrices 2 and 3 first and calls them the thumb."""
 
 FEATURE_CELLS = 36
 FEATURE_FINGERS = (0, 2)

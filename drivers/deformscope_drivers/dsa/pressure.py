@@ -62,7 +62,7 @@ def to_pressure(pads: Sequence[TexelArray], calibration: Calibration = (SCHUNK_P
 
 @dataclass(frozen=True, slots=True)
 class PadContact:
-    """What one pad feels, over its texels in contact.
+    """The contact of one pad, over its loaded texels.
 
     area_m2: texels in contact times the area of one; force_n: along the pad's normal; peak_pa: the highest pressure
     center_m: (x, y) centre of pressure in the pad's frame, both nan where nothing is in contact. The frame's origin is

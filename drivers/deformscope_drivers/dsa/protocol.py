@@ -4,9 +4,9 @@ No port, no clock, no thread. A packet is, in both directions,
 
     AA AA AA | id | payload length, 2 bytes | payload | CRC, 2 bytes
 
-without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it lets
-some pairs of flipped bits pass (counted in `tests/drivers/dsa/flips.py`), so a packet must also have a known id, the
-length of its id, texels of 12 bits, and as many of them as the sensor has cells.
+without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it
+misses some pairs of flipped bits (counted in `tests/drivers/dsa/flips.py`). So a packet must also have a known id, the
+length of its id, texels of 12 bits, and one per cell of the sensor.
 Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a).
 """
 
@@ -50,7 +50,7 @@ _COMMAND_PAYLOAD_MAX = 64  # well above the longest that is public, 6; a length 
 
 
 def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> ConfigureAcquisition:
-    """Send frames until they are stopped, as many as the line carries; the rate asked for is not kept to."""
+    """Send frames until they are stopped, as many as the line carries; the requested rate is not guaranteed."""
     return ConfigureAcquisition(Acquisition.ON | (Acquisition.RLE if rle else 0), frame_rate_hz)
 
 
@@ -123,8 +123,8 @@ class Decoder(_DsaDecoder[Reading | Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
     cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
-    exactly so many. While it is None, any number up to the SDH's 486 passes: the largest sensor whose size is public,
-    and a bound is needed, for a damaged length must not hold up the frames behind it.
+    exactly this number. While it is None, any number up to the SDH's 486 passes, the largest sensor with a public size.
+    A bound is needed, because a damaged length must not delay the frames behind it.
     """
 
     def __init__(self, cells: int | None = None) -> None:
@@ -172,9 +172,9 @@ class Faulty:
 
 
 class CommandDecoder(_DsaDecoder[Command | Faulty]):
-    """The controller's end, for doubles. Yields commands, `Faulty` for packets that are none, and `Skipped`.
+    """The controller's end, for doubles. Yields commands, `Faulty` for damaged packets, and `Skipped`.
 
-    A controller trusts the length and answers what it cannot use, where the host searches on. Which error code answers
+    A controller trusts the length and answers unusable packets, where the host searches on. Which error code answers
     what is our reading of their names; only that there are codes for it is public.
     """
 

@@ -1,4 +1,4 @@
-"""Which frames are new, by the controller's clock: repeats are no new frame, and a clock that jumps is not believed."""
+"""Which frames are new, by the controller's clock: repeats are not new, and a clock that jumps is refused."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class TimestampStatus(Enum):
 
 
 class TimestampGate:
-    """Feed each frame's time in turn. A jump is refused, unless the next frame goes on from it: then the clock itself
+    """Feed each frame's time in turn. A jump is refused, unless the next frame continues from it. Then the clock itself
     has changed (the controller was switched off and on), and frames count as new from that next one on.
 
     Without it, two flipped bits that the checksum lets pass could set the clock off by weeks.

@@ -1,4 +1,4 @@
-"""What an arm can be asked to do, checked before anything is sent, and the trajectory points that say it."""
+"""Commands of an arm, checked before anything is sent, and their trajectory points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a Jaco is reached, and what it may do."""
+"""How a Jaco is connected, and its limits."""
 
 from __future__ import annotations
 
@@ -64,20 +64,20 @@ class JacoConfig:
     library: the vendor's library, or its folder; None = the system's loader finds it
     connection: "usb" or "ethernet", the latter with `ethernet` addresses
     serial: of the arm that is meant; None = the only one there is
-    model: "j2n6s300", "j2s6s300" or "j2s7s300"; None = what the arm says of itself
+    model: "j2n6s300", "j2s6s300" or "j2s7s300"; None = the model that the arm reports
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
     joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides
     workspace: box that commands must keep the end effector in; None = no box
-    protection_zones: boxes in the base frame that the arm's firmware is to keep the hand out of: set when it is opened,
-    kept there in place of what it kept before (`zones`); None = they are left as they are
-    command_deadline_s: how long a velocity command holds when its sender does not say so, and how late the driver's
-    own cycle may be before it stops the arm
+    protection_zones: boxes in the base frame that the arm's firmware excludes for the hand: set when it is opened, in
+    place of its stored ones (`zones`); None = unchanged
+    command_deadline_s: default duration of a velocity command, and largest delay of the driver's own cycle before it
+    stops the arm
     state_hz: how often the joint angles are read; less when the arm's link is too slow for it
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
     require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
-    own_process: a rig's arm is moved by a process of its own, in which the vendor's library is loaded: it erases and
-    halts when this program dies, and a velocity ends there when this program is stopped
+    own_process: a child process moves a rig's arm, and loads the vendor's library. It erases and halts when this
+    program dies, and a velocity expires there when this program is stopped
     """
 
     library: str | None = None

@@ -1,16 +1,16 @@
 """The arm as a device: its state to read, its motion to command, and a cycle of 10 ms that keeps both honest.
 
-The arm takes one velocity point each 10 ms, queues what comes faster, and has no watchdog: what waits in its FIFO it
-carries out whatever becomes of the sender. So the device's thread sends one point in each slot of an absolute
-schedule and never ahead, and a velocity lasts only as long as its sender vouches for it:
+The arm takes one velocity point each 10 ms, queues faster ones, and has no watchdog. It carries out the points in its
+FIFO even without their sender. So the device's thread sends one point in each slot of an absolute schedule and never
+ahead, and a velocity lasts only as long as its sender renews it:
 
 - not refreshed in time: the next slot sends zero, the one after erases the FIFO
-- the cycle itself late by more than the deadline, the workspace about to be left, the link lost: the FIFO is erased as
-  soon as the arm can be reached, and further commands are refused until `acknowledge_stop`
+- cycle delayed by more than the deadline, workspace about to be left, or link lost: the FIFO is erased as soon as the
+  arm is connected. Further commands are refused until `acknowledge_stop`
 - closed, an exception, Ctrl-C, the interpreter's end: erased before the library is closed
 
-A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out what waits: one or two velocity
-points, that is 20 ms of motion; but a `move_to` in progress is one point, and goes on to its target.
+A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out the waiting points: one or two
+velocity points, that is 20 ms of motion. A `move_to` in progress is one point, and continues to its target.
 """
 
 from __future__ import annotations
@@ -191,18 +191,18 @@ class Jaco(Arm[JacoState]):
         return (state,)
 
     def _command(self, now_ns: int, late_ns: int) -> None:
-        """Send the point of this slot, if there is one; end what must not go on."""
+        """Send the point of this slot, if there is one; end motions that must stop."""
         with self._commanded:
             streamed, position_until_ns = self._streamed, self._position_until_ns
         if streamed is None:
             if position_until_ns is not None and now_ns > position_until_ns:
-                self._halt("nobody waited any more for the arm to reach its target")
+                self._halt("no caller waited any more for the arm to reach its target")
             if self._erase_due:
                 self._erase()
             return
         late_ns = min(late_ns, now_ns - streamed.since_ns)  # before there was a command nothing came too late
         if late_ns > self.config.command_deadline_s * 1e9:
-            self._halt(f"the cycle came {late_ns / 1e6:.0f} ms late")
+            self._halt(f"the cycle was {late_ns / 1e6:.0f} ms late")
         elif now_ns > streamed.expires_ns:
             with self._commanded:
                 if self._streamed is streamed:
@@ -233,7 +233,7 @@ class Jaco(Arm[JacoState]):
         self._erase_due = False
 
     def _halt(self, reason: str) -> None:
-        """Stop the arm, and refuse commands until someone has taken note."""
+        """Stop the arm, and refuse commands until a person acknowledges it."""
         self._forget_commands(reason)
         self._erase()
 
@@ -245,7 +245,7 @@ class Jaco(Arm[JacoState]):
             self._erase_due = True
 
     def _forbids(self, velocity: Velocity, now_ns: int) -> str:
-        """Why a velocity must not go on: the arm is not seen any more, or would leave its workspace."""
+        """Why a velocity must end: the arm's state is unknown, or it would leave its workspace."""
         state = self._state
         assert state is not None
         age_s = (now_ns - state.stamp.host_ns) / 1e9
@@ -313,9 +313,8 @@ class Jaco(Arm[JacoState]):
     def move_fingers(self, fingers: Sequence[float], timeout_s: float = 5.0) -> JacoState:
         """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
 
-        The joints hold what they are commanded to hold: at the angles that are measured the arm would sink by what it
-        sags, in each call. Fingers that hold something stop before their target: no error, the state has their
-        positions.
+        The joints hold their commanded angles: at the measured angles the arm would sink by its sag, in each call.
+        Fingers that hold something stop before their target: no error, the state has their positions.
         """
         self._require_moves()
         self._require_homed()
@@ -336,9 +335,9 @@ class Jaco(Arm[JacoState]):
         return self._travel(point, None, there, timeout_s, f"fingers at {values}")
 
     def home(self, timeout_s: float = 60.0) -> JacoState:
-        """Send the arm to its own home pose, on its own path and at its own speed; wait until it is still, and says
-        that it is at home. To be done once after each time it was switched on, by this or its joystick's home button.
-        Its control is stopped and started again first, as the vendor's driver does.
+        """Send the arm to its own home pose, on its own path and at its own speed. Wait until it is at rest, and
+        reports that it is at home. To be done once after each time it was switched on, by this or its joystick's home
+        button. Its control is stopped and started again first, as the vendor's driver does.
         """
         self._require_moves()
         moving_ns: int | None = None
@@ -405,7 +404,7 @@ class Jaco(Arm[JacoState]):
                 require_under_way()
                 if state is not None and there(state):
                     return state
-            came = f"an arm that is not there after {timeout_s:g} s"
+            came = f"an arm that arrives within {timeout_s:g} s"
             raise NotReached(where_to, came, "a longer timeout_s", self.name)
         finally:
             with self._commanded:
@@ -418,7 +417,7 @@ class Jaco(Arm[JacoState]):
     def start_force_control(self, control: Literal["cartesian", "joint"] = "cartesian") -> None:
         """Let the arm yield to pushes (admittance), at the end effector or joint by joint, until it is stopped.
 
-        Velocities and targets come on top of it. The arm must stand upright, its torque sensors zeroed.
+        Velocities and targets come on top of it. The arm must be upright, with its torque sensors zeroed.
         """
         if control not in ("cartesian", "joint"):
             raise OutOfLimits("'cartesian' or 'joint'", repr(control), "", self.name)
@@ -434,7 +433,7 @@ class Jaco(Arm[JacoState]):
         self._configure("SetCartesianForceMinMax", *self._pair(CartesianInfo, 6, least, most, ordered=True))
 
     def set_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
-        """How heavy the end effector feels: inertia (6,) [kg, kg m^2], damping (6,) [N s/m, Nm s/rad]."""
+        """Apparent inertia of the end effector: inertia (6,) [kg, kg m^2], damping (6,) [N s/m, Nm s/rad]."""
         self._configure("SetCartesianInertiaDamping", *self._pair(CartesianInfo, 6, inertia, damping))
 
     def set_joint_torque_range(self, least: Sequence[float], most: Sequence[float]) -> None:
@@ -443,7 +442,7 @@ class Jaco(Arm[JacoState]):
         self._configure("SetAngularTorqueMinMax", *self._pair(AngularInfo, count, least, most, ordered=True))
 
     def set_joint_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
-        """How heavy the joints feel: inertia (n,) [kg m^2], damping (n,) [Nm s/rad]."""
+        """Apparent inertia of the joints: inertia (n,) [kg m^2], damping (n,) [Nm s/rad]."""
         count = self.chain.joint_count
         self._configure("SetAngularInertiaDamping", *self._pair(AngularInfo, count, inertia, damping))
 
@@ -525,9 +524,9 @@ class Jaco(Arm[JacoState]):
     def _require_homed(self) -> None:
         if self.config.require_home and not self.homed:
             raise NotHomed(
-                "an arm that was homed since it was switched on",
+                "an arm that was homed after power-on",
                 "one that was not",
-                "hold its joystick's home button until it stands still; or deformscope arm home RIG; or arm.home()",
+                "hold its joystick's home button until it rests; or deformscope arm home RIG; or arm.home()",
                 self.name,
             )
 

@@ -1,7 +1,7 @@
 """The vendor's functions over a simulated arm: what `Library` is to a real Jaco, `JacoDouble` is to this one.
 
-It has no thread: time passes on the clock that it is given, a laboratory's or the host's, and each call first lives
-through the cycles that have passed since the last.
+It has no thread: time passes on the given clock, a laboratory's or the host's, and each call first simulates the cycles
+since the last.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _ADMITTANCE = {
 class JacoDouble:
     """A simulated Jaco: its methods in capitals are the vendor's, the others are for who runs the simulation.
 
-    The vendor's functions are to be had through `function` alone, which is what makes time pass before each.
+    The vendor's functions are available through `function` alone, which advances time before each call.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class JacoDouble:
         serials: Sequence[str] = ("DOUBLE-1",),
         cold_boot: bool = False,
     ) -> None:
-        """clock: [ns], never going back; start_deg: (n,) where the arm stands (default: home)
+        """clock: [ns], never going back; start_deg: (n,) first joint angles (default: home)
 
         serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on: it
         ignores the first StartControlAPI, and was not homed
@@ -117,7 +117,7 @@ class JacoDouble:
             self._codes.setdefault(name, deque()).extend([code] * times)
 
     def unplug(self) -> None:
-        """Pull the cable: calls time out, no arm is found. The arm itself goes on with what it was sent."""
+        """Pull the cable: calls time out, no arm is found. The arm itself carries out its waiting points."""
         with self._lock:
             self._live()
             self._unplugged = True
@@ -156,20 +156,20 @@ class JacoDouble:
             self._arm.acceleration_deg_s2 = at_most_deg_s2
 
     def put(self, joints_deg: npt.ArrayLike) -> None:
-        """Bring the joints to these angles, (n,) [deg], as somebody does by the joystick, only at once."""
+        """Bring the joints to these angles, (n,) [deg], as a person does by the joystick, but immediately."""
         with self._lock:
             self._live()
             self._arm.joints_deg = self.chain.clip(joints_deg)
             self._arm.links = self.chain.forward(self._arm.joints_deg)
 
     def put_between_fingers(self, at: npt.ArrayLike) -> None:
-        """Let the fingers meet something at these positions, (3,) from 0 to 6800: they close no further."""
+        """Put an obstacle between the fingers at these positions, (3,) from 0 to 6800: they close no further."""
         with self._lock:
             self._live()
             self._arm.grip = np.array(at, dtype=float)
 
     def sag(self, sag_deg: npt.ArrayLike) -> None:
-        """Let the joints stand beyond the angles that they are commanded to hold, (n,) [deg], as weight has them do."""
+        """Offset of the joints from their commanded angles, (n,) [deg], as by weight."""
         with self._lock:
             self._live()
             self._arm.sag_deg = np.array(sag_deg, dtype=float)
@@ -194,8 +194,8 @@ class JacoDouble:
             self._arm.torque_bias_nm = np.array(torque_nm, dtype=float)
 
     def blur_torques(self, noise_nm: float, gravity_left: float) -> None:
-        """Let the joints' torques without gravity be off by noise of this deviation [Nm], and by this share of
-        gravity's, as of a tool that the arm does not know."""
+        """Add noise of this standard deviation [Nm] to the joints' torques without gravity, and this share of
+        gravity's, as of a tool that is missing in the arm's settings."""
         with self._lock:
             self._live()
             self._arm.torque_noise_nm, self._arm.gravity_left = noise_nm, gravity_left
@@ -351,7 +351,7 @@ class JacoDouble:
         self._write_fingers(response)
 
     def GetAngularCommand(self, response: structures.AngularPosition) -> None:
-        """What the joints are commanded to hold: less than what they are measured at by what they sag."""
+        """The commanded angles of the joints: the measured ones less their sag."""
         _write_joints(response, self._arm.joints_deg - self._arm.sag_deg)
         self._write_fingers(response)
 
@@ -416,7 +416,7 @@ class JacoDouble:
         self._arm.admittance.active = False
 
     def SetTorqueZero(self, address: int) -> int:
-        """What a joint's sensor shows now, beside gravity, is zero from here on."""
+        """The joint sensor's present torque without gravity becomes zero."""
         if address not in structures.ACTUATOR_ADDRESSES[: self.chain.joint_count]:
             return _INVALID
         joint = structures.ACTUATOR_ADDRESSES.index(address)

@@ -27,16 +27,16 @@ OK = 1
 _REPLUG = "unplug the arm's USB cable, wait, plug it in again; then power the arm off and on"
 _REINSTALL = "install the vendor's libraries again: the parts found do not fit each other"
 _COMM_LAYER = (
-    "put the folder that holds the vendor's communication layer (USBCommLayerUbuntu.so or EthCommLayerUbuntu.so) into "
-    "LD_LIBRARY_PATH before this program starts, or into /usr/lib: the vendor's library opens it by its bare name, "
-    "so giving its path from inside the program does not help"
+    "put the folder that holds the vendor's communication layer (USBCommLayerUbuntu.so or "
+    "EthCommLayerUbuntu.so) into LD_LIBRARY_PATH before this program starts, or into /usr/lib: the vendor's "
+    "library opens it by its bare name, so a path in the program does not help"
 )
 
 
 class VendorError(CommandRefused):
     """The vendor's library answered with a code that is not success.
 
-    code: the number; symbol: its name in the vendor's header; meaning: what it says; remedy: what to try
+    code: the number; symbol: its name in the vendor's header; meaning: explanation of the code; remedy: what to try
     """
 
     code: int
@@ -132,7 +132,7 @@ _REMEDIES = {
     2005: "try again; if it stays, power the arm off and on",
     2012: "another user's run may have left it: remove /dev/shm/sem.KinovaMutex once no program uses the arm",
     2100: "check the values: this is a fault of the caller, not of the arm",
-    2101: "open the arm first; if opening failed, its first error is the one to mend",
+    2101: "open the arm first; if opening failed, correct its first error",
     5001: "check the file's path",
     5002: "free memory of this computer",
     5003: "check the file's permissions",

@@ -91,7 +91,7 @@ class Functions(Protocol):
 
 
 class Library:
-    """The vendor's shared library. Nothing is loaded before the first function is asked for."""
+    """The vendor's shared library. Nothing is loaded before the first call of a function."""
 
     def __init__(self, path: str | Path | None = None, connection: Connection = "usb") -> None:
         """path: the library, or the folder that holds it; None leaves the search to the system's loader."""
@@ -108,7 +108,7 @@ class Library:
         return self._path
 
     def load(self) -> ctypes.CDLL:
-        """The loaded library; raises LibraryMissing, saying where it was looked for."""
+        """The loaded library; raises LibraryMissing with the searched places."""
         if self._handle is None:
             try:
                 self._handle = ctypes.CDLL(self._path)
@@ -151,7 +151,7 @@ def call(functions: Functions, name: str, *arguments: object) -> None:
 
 
 def read(functions: Functions, name: str, kind: type[S]) -> S:
-    """Call a function that fills one structure, zeroed before: six-joint arms leave the seventh joint as it is."""
+    """Call a function that fills one structure, zeroed before: six-joint arms do not change the seventh joint."""
     response = kind()
     call(functions, name, response)
     return response

@@ -1,4 +1,4 @@
-"""When the next point is due: slots of 10 ms on an absolute schedule, and how well they were kept."""
+"""Time of the next point: slots of 10 ms on an absolute schedule, and statistics of their delays."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Reading the arm's state call by call, in the time that the commands leave.
 
-Over USB the vendor's library opens, claims, transfers and closes for each packet: a call takes 2.8 ms and more
-(kinova-ros issues 281, 372), a slot has 10. So a state needs one call, for the joint angles; the pose follows from
-them, and what else there is to read takes turns in the time that is left, or goes before the angles where none is left
-for too long.
+Over USB the vendor's library opens, claims, transfers and closes for each packet. A call takes 2.8 ms and more
+(kinova-ros issues 281, 372), a slot has 10. So a state needs one call, for the joint angles, from which the pose
+follows. Other readings take turns in the remaining time, or replace the angles after too long without any.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ SELDOM_NS = 1_000_000_000
 SLACK_NS = 1_000_000
 SMOOTHING = 0.2
 TURN_NS = 50_000_000
-"""Where no time is left beside points and angles, so often one of the other calls takes the place of the angles."""
+"""Without time besides points and angles, one of the other calls replaces the angles this often."""
 RATES_OVER_NS = 40_000_000
 """Angles this far apart give the joints' rates. Over one slot, angles off by 0.01 deg would be rates off by 1 deg/s."""
 

@@ -1,11 +1,11 @@
 """A simulated arm that lives in cycles of 10 ms: what its controller does with the points that it was sent.
 
-What it models, as in the protocol reference: a FIFO of 2000 trajectory points; one velocity point taken in each
-cycle, so that points sent faster pile up and the arm runs on after the sender stopped; Cartesian velocities ignored
-without a word after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62, 148,
-269); position points followed at a limited speed; joint ranges and speeds; fingers from 0 to 6800; control that must
-be started, and whose first start after a cold boot may be ignored; admittance to a push from outside. Where the real
-arm's behaviour is not public the simplest thing is done, and said beside it. Joints follow at once unless they have
+It models, as in the protocol reference, a FIFO of 2000 trajectory points. One velocity point is taken in each cycle, so
+that points sent faster pile up and the arm moves on after the sender stopped. Cartesian velocities are ignored without
+a report after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62, 148, 269).
+Position points are followed at a limited speed; there are joint ranges and speeds, and fingers from 0 to 6800. Control
+must be started, and its first start after a cold boot may be ignored; a push from outside causes admittance. If the
+real arm's behaviour is not public the simplest one is modelled, and marked. Joints follow at once unless they have
 greatest accelerations: there is no inertia but that of the admittance.
 """
 
@@ -34,7 +34,7 @@ class SimulatedArm:
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
     sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
-    grip: (3,) where each finger meets what it holds; cycles: that have passed. All may be set between cycles.
+    grip: (3,) position of each finger on its object; cycles: that have passed. All may be set between cycles.
     lag: rates that it will turn at, one a cycle: it follows its commands so late
     acceleration_deg_s2: of each joint at most, as it sets out and as it stops
     link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
@@ -44,7 +44,7 @@ class SimulatedArm:
     """
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
-        """start_deg: (n,) where the arm stands (default: home); cold_boot: the first `start_control` is ignored"""
+        """start_deg: (n,) first angles of the arm (default: home); cold_boot: the first `start_control` is ignored"""
         self.chain = chain
         self.joints_deg: FloatArray = chain.clip(chain.home_deg if start_deg is None else start_deg)
         self.rates_deg_s: FloatArray = np.zeros(chain.joint_count)
@@ -80,7 +80,7 @@ class SimulatedArm:
         self._cold = False
 
     def stop_control(self) -> None:
-        """Take no more points; those that wait are kept."""
+        """Take no more points; waiting ones remain."""
         self.control = False
         self._homing = self._opening = False
 
@@ -106,7 +106,7 @@ class SimulatedArm:
         self._homing = True
 
     def open_fingers(self) -> None:
-        """Open all fingers, after which they know where they are."""
+        """Open all fingers, after which they are referenced."""
         self._opening = True
 
     def power_up(self, cold_boot: bool) -> None:
@@ -266,15 +266,15 @@ class SimulatedArm:
         self.links = self.chain.forward(self.joints_deg)
 
     def _move_fingers(self, target: FloatArray) -> None:
-        """Move the fingers one cycle towards a target (n,), no faster than they can and no farther than what they
-        grip."""
+        """Move the fingers one cycle towards a target (n,), no faster than their limit and no farther than the gripped
+        object."""
         step = FINGER_SPEED * CYCLE_S
         self.fingers = np.minimum(self.fingers + np.clip(target - self.fingers, -step, step), self.grip)
 
     # What its sensors show -------------------------------------------------------------------------------------------
 
     def external_torque_nm(self) -> FloatArray:
-        """What the joints' sensors show beside gravity, (n,) [Nm]."""
+        """Torques of the joints' sensors without gravity, (n,) [Nm]."""
         torque: FloatArray = kinematics.jacobian_of(self.links).T @ self.wrench + self.torque_bias_nm
         if self.link_push is not None:
             link, force_n = self.link_push
@@ -291,7 +291,7 @@ class SimulatedArm:
         return self.external_torque_nm() + self.chain.gravity_torque_nm(self.links)
 
     def measured_wrench(self) -> FloatArray:
-        """What the arm makes of its joints' sensors, (6,) [N, Nm]: their bias shows as a push that is not there.
+        """The arm's wrench from its joints' sensors, (6,) [N, Nm]: their bias appears as a push.
 
         The sign the arm uses is not verified: here it is that of what the world does to the end effector.
         """
@@ -301,7 +301,7 @@ class SimulatedArm:
         return self.wrench + ghost
 
     def shown_rates_deg_s(self) -> FloatArray:
-        """What the firmware makes of the joints' rates (n,) [deg/s]: half of them, 181 to 360 for what is negative
+        """The firmware's output for the joints' rates (n,) [deg/s]: half of them, 181 to 360 for negative ones
         (kinova-ros `kinova_comm.cpp`, getJointVelocities; `kinova_arm.cpp`), and not near zero at rest (issue 366)."""
         noise = 1.5 * np.sin(7.3 * np.arange(self.chain.joint_count) + 0.41 * self.cycles)
         return np.asarray((0.5 * self.rates_deg_s + noise) % 360.0)

@@ -60,7 +60,7 @@ class JacoIdentity:
 
 
 def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], None]) -> JacoIdentity:
-    """Initialise the library, choose the arm, and take control of it; nothing moves unless the fingers are asked to.
+    """Initialise the library, choose the arm, and take control of it; nothing moves without a command to the fingers.
 
     pause: waits that many seconds. Raises the named exception of whatever goes wrong.
     """
@@ -92,8 +92,8 @@ def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], 
 def check_pose(functions: Functions, chain: Chain) -> None:
     """Raise SettingsRefused unless the arm reports its hand where its model's kinematics have it.
 
-    Everything else takes the hand's pose from the joint angles. An arm of another model than it says, or one with a
-    tool's offset stored in it, would move and touch beside where it should.
+    Everything else takes the hand's pose from the joint angles. An arm of another model than it reports, or one with a
+    stored tool offset, would move and touch at wrong places.
     """
     angles = read(functions, "GetAngularPosition", AngularPosition)
     pose = cartesian_values(read(functions, "GetCartesianPosition", CartesianPosition).Coordinates)
@@ -105,7 +105,7 @@ def check_pose(functions: Functions, chain: Chain) -> None:
     off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
     if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
         raise SettingsRefused(
-            f"the arm's hand within {POSE_MM:g} mm and {POSE_DEG:g} deg of where a {chain.name} has it at these angles",
+            f"the arm's hand within {POSE_MM:g} mm and {POSE_DEG:g} deg of the pose of a {chain.name} at these angles",
             f"one that the arm reports {off_mm:.1f} mm and {off_deg:.1f} deg away",
             "another `model`; or set the tool offset that is stored in the arm to zero (SetEndEffectorOffset, Kinova's "
             "Development Center): the tool belongs into the rig file",
@@ -180,7 +180,7 @@ def _choose(found: list[KinovaDevice], serial: str | None, where: str) -> Kinova
     if serial is None:
         if len(found) > 1:
             raise NotConnected(
-                "one arm, or the serial number of the one meant", f"arms {', '.join(serials)}", "give `serial`", where
+                "one arm, or the serial number of the one to use", f"arms {', '.join(serials)}", "give `serial`", where
             )
         return found[0]
     if serial not in serials:
@@ -195,11 +195,11 @@ def _identify(device: KinovaDevice, version: tuple[int, int, int], config: JacoC
         raise SettingsRefused(
             f"an arm whose geometry is known ({', '.join(sorted(CHAINS))})",
             f"one of type {device.DeviceType}",
-            "give `model` if it is one of them all the same",
+            "give `model` if it is one of them nevertheless",
             where,
         )
     if said is not None and said != model:
-        raise SettingsRefused(f"a {model}", f"an arm that says it is a {said}", "correct `model`", where)
+        raise SettingsRefused(f"a {model}", f"an arm that reports {said} as its model", "correct `model`", where)
     return JacoIdentity(
         serial=_text(device.SerialNumber),
         model=model,

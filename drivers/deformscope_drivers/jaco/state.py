@@ -1,4 +1,4 @@
-"""What the arm says of itself."""
+"""The status that the arm reports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deformscope_drivers.arm.state import ArmState
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JacoState(ArmState):
-    """One look at a Jaco; a six-joint arm has six values, never a seventh that means nothing.
+    """The state of a Jaco at one time; a six-joint arm has six values, never a meaningless seventh.
 
     Rates are from the angles of the last 40 ms, the pose is from the angles. wrench: the joints' torque sensors drift,
     so that some newtons are shown where nothing touches; its direction was never verified on an arm

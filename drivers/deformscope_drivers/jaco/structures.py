@@ -38,7 +38,7 @@ class PositionType(IntEnum):
 
 
 class ShapeType(IntEnum):
-    """Of a protection zone; the header says of all others that they are not used."""
+    """Of a protection zone; the header states that all others are not used."""
 
     PRISM_SQUARE_BASE_Z = 2
 
@@ -52,7 +52,7 @@ class HandMode(IntEnum):
 
 
 class RetractType(IntEnum):
-    """What the arm says of being at home ("ready"), in `QuickStatus`."""
+    """Status of the home pose ("ready"), in `QuickStatus`."""
 
     NORMAL_TO_READY = 0
     READY_STANDBY = 1
@@ -187,7 +187,7 @@ class EthernetCommConfig(ctypes.Structure):
 
 
 class GeneralInformations(ctypes.Structure):
-    """Nearly everything that the arm knows of itself; only what the header documents is worth reading."""
+    """Nearly all information of the arm; only documented fields of the header are useful."""
 
     _fields_ = [
         *_alike(c_double, "TimeAbsolute TimeFromStartup"),

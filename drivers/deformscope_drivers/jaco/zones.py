@@ -1,8 +1,8 @@
 """Protection zones that the arm's own firmware keeps its hand out of, also after this program has died.
 
-They are kept in the arm, for whichever program or joystick moves it next. Published of them: a zone is a prism on a
-base with four corners, and one whose speed is 0 is not entered; Cartesian motions keep to them, motions by joints as
-this driver sends them do not (kinova-ros issue 386). Not tried on a real arm.
+They are stored in the arm, for any program or joystick that moves it next. Published facts: a zone is a prism on a base
+with four corners, and one whose speed is 0 is not entered. Cartesian motions respect them, motions by joints as this
+driver sends them do not (kinova-ros issue 386). Not tried on a real arm.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from deformscope_drivers.jaco.library import Functions, call, read
 from deformscope_drivers.jaco.structures import ShapeType, Zone, ZoneList
 
 WITHIN_M = 1e-5
-"""Corners that are read back may be off by so much: they travel in single precision."""
+"""Tolerance of corners that are read back: they travel in single precision."""
 
 
 def zone_list(boxes: Sequence[Workspace]) -> ZoneList:
@@ -58,9 +58,9 @@ def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[
     kept = read(functions, "GetProtectionZone", ZoneList)
     if not _alike(boxes, kept):
         raise SettingsRefused(
-            f"an arm that keeps {len(boxes)} protection zones",
-            f"one that says it keeps {len(_closed(kept))}, or others",
-            "look at them in Kinova's Development Center; or leave protection_zones out of the rig file",
+            f"an arm that stores {len(boxes)} protection zones",
+            f"one that reports {len(_closed(kept))}, or others",
+            "check them in Kinova's Development Center; or leave protection_zones out of the rig file",
             functions.where,
         )
 
@@ -70,7 +70,7 @@ def _closed(zones: ZoneList) -> list[Zone]:
 
 
 def _alike(boxes: Sequence[Workspace], zones: ZoneList) -> bool:
-    """Whether these and no others are closed to the hand, in whatever order they are kept."""
+    """Whether the arm excludes these zones and no others, in any order."""
     left = _closed(zones)
     for box in boxes:
         same = next((number for number, zone in enumerate(left) if _is(box, zone)), None)

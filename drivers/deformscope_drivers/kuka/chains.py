@@ -24,7 +24,7 @@ def kuka_chain(
     """lengths_m: height of the second axis, its distance from the first, upper arm, offset and length of the forearm,
     flange from the wrist [m]; ranges_deg, speeds_deg_s: of each axis
 
-    The description's axes are -z, y, y, -x, y, -x of frames that stand alike at angle 0; here each is its frame's z.
+    The description's axes are -z, y, y, -x, y, -x of frames that are parallel at angle 0; here each is its frame's z.
     """
     high, out, upper, offset, forearm, flange = lengths_m
     frames = (

@@ -19,7 +19,7 @@ class KukaConfig:
     cycle_s: of RSI: 0.012 (#IPO) or 0.004 (#IPO_FAST)
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the flange that a command may ask for
     joint_limit_deg_s: greatest speed of any axis that a command may ask for
-    command_deadline_s: how long a velocity holds when its sender does not say so
+    command_deadline_s: default duration of a velocity
     wait_s: how long opening waits for the controller's program to be started
     check_pose: refuse a controller that reports the flange elsewhere than the model has it
     own_process: a process of its own answers the controller, whatever this one does

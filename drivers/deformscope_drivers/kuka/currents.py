@@ -13,7 +13,7 @@ MASSES_KG = ((3, 14.0), (5, 5.0), (6, 2.0))
 """At the frames of links."""
 COULOMB_NM = np.array([12.0, 15.0, 10.0, 4.0, 3.0, 2.0])
 TURNS_DEG_S = 0.02
-"""Friction turns its sign over so much of an axis' rate [deg/s]."""
+"""Width of the axis' rate over which friction changes its sign [deg/s]."""
 VISCOUS_NM_S_DEG = 0.05
 RIPPLE_NM, RIPPLE_DEG = 0.5, 3.6
 NOISE_NM = 0.8

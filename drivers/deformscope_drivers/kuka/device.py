@@ -1,9 +1,9 @@
 """A KUKA through RSI: each of the controller's cycles is answered at once, with the correction for that cycle.
 
-Corrections are relative: an answer of zeros lets the arm stand, so nothing waits in it that would have to be erased.
-A velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
-after. A missing answer lets the arm stand only where the controller is set up so (HOLDON="0"): opening tries it, with a
-correction of PROBE_DEG after which answers are left out, and refuses any other controller.
+Corrections are relative: an answer of zeros leaves the arm at rest, so no waiting points would have to be erased. A
+velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
+after. A missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it,
+with a correction of PROBE_DEG after which answers are left out, and refuses any other controller.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from deformscope_drivers.kuka.port import UdpPort
 from deformscope_drivers.transport import Transport
 
 SILENCE_S = 0.5
-"""A controller that sends nothing for so long has ended RSI."""
+"""Silence of a controller after which RSI has ended."""
 RATES_OVER_NS = 40_000_000
 POSE_MM, POSE_DEG = 5.0, 2.0
 CYCLES_SEEN = 5
 ZEROS_AT_CLOSE = 3
 """Answers of zeros before the port is closed: the controller may miss two of them."""
 REST_ANSWERS = 50
-"""Of these, so many in a row have to be in time as an arm is stopped. Not a time: this process may be held up."""
+"""Number of successive ones that must be in time while an arm is stopped. Not a time: this process may be held up."""
 PROBE_DEG, PROBE_LEFT_OUT, PROBE_SETTLES_S = 0.01, 2, 0.5
 """At opening: a correction of every axis, how many answers are then left out, and when the axes have settled. A
 correction that is held moves an axis by three times as much. Chosen: ten times what AIPos shows at rest."""
@@ -106,8 +106,8 @@ class Kuka(Arm[ArmState]):
         self._do(lambda: self._rest(1), 2 * SILENCE_S)
 
     def _rest(self, zeros: int) -> None:
-        """Answer with zeros until so many in a row are out that the controller did not count as late. Raises
-        NotStopped, or LinkLost where it asks no more."""
+        """Answer with zeros until a number of successive answers were sent that the controller did not count as late.
+        Raises NotStopped, or LinkLost where it asks no more."""
         self._resting = True
         try:
             for _ in range(REST_ANSWERS):
@@ -167,15 +167,16 @@ class Kuka(Arm[ArmState]):
         self._ipoc, self._late_before, self._heard_ns = message.ipoc, message.late, self._clock()
 
     def _check_missing(self) -> None:
-        """That one answer moves the axes once, and that they stand while answers are missing."""
+        """That one answer moves the axes once, and that they rest while answers are missing."""
         moved_deg = self._zero
         for _ in range(PROBES):
             moved_deg = self._probe_deg()
             if np.any(moved_deg > 1.5 * PROBE_DEG):
                 raise SettingsRefused(
-                    f"axes that move by {PROBE_DEG:g} deg for one answer, and stand while answers are missing",
-                    f"{_by_axis(moved_deg)} after one answer and {PROBE_LEFT_OUT} that were left out: the last "
-                    "correction is repeated, and the arm would go on when this program or the cable fails",
+                    f"axes that move by {PROBE_DEG:g} deg for one answer, and rest while answers are missing",
+                    f"{_by_axis(moved_deg)} after one answer and {PROBE_LEFT_OUT} that were left out: the "
+                    "last correction is repeated, and the arm would move on after a failure of this program "
+                    "or the cable",
                     f'HOLDON="0" for AK.A1 to AK.A6 in the file that ConfigFile of the ETHERNET object names; {FILES}',
                     self.name,
                 )
@@ -183,7 +184,7 @@ class Kuka(Arm[ArmState]):
                 return
             self._settled_deg()
         raise SettingsRefused(
-            f"axes that are {PROBE_DEG:g} deg further after one answer that says so",
+            f"axes that are {PROBE_DEG:g} deg further after one answer with that correction",
             f"{_by_axis(moved_deg)} in {PROBES} tries",
             f"RSI_ON(#RELATIVE) in place of #ABSOLUTE; AK.A1 to AK.A6 wired to AXISCORR; Precision 4 of the ETHERNET "
             f"object; RSI_MOVECORR() running with the drives on; {FILES}",
@@ -224,7 +225,7 @@ class Kuka(Arm[ArmState]):
         off_mm, off_deg = 1e3 * np.linalg.norm(error[:3]), np.degrees(np.linalg.norm(error[3:]))
         if not (off_mm <= POSE_MM and off_deg <= POSE_DEG):
             raise SettingsRefused(
-                f"the flange within {POSE_MM:g} mm and {POSE_DEG:g} deg of where a {self._chain.name} has it",
+                f"the flange within {POSE_MM:g} mm and {POSE_DEG:g} deg of the pose of a {self._chain.name}",
                 f"one that the controller reports {off_mm:.1f} mm and {off_deg:.1f} deg away",
                 "another `model`; or $TOOL = $NULLFRAME and $BASE = $NULLFRAME before RSI_ON: the tool belongs into "
                 "the rig file",
@@ -270,7 +271,7 @@ class Kuka(Arm[ArmState]):
         return (self._state(message, now_ns),)
 
     def _correction_deg(self, joints_deg: tuple[float, ...], now_ns: int) -> FloatArray:
-        """(6,) for one cycle: velocity times cycle, never more than an axis may; zero where nobody vouches for one."""
+        """(6,) for one cycle: velocity times cycle, within an axis's limit; zero without a valid velocity."""
         with self._commanded:
             streamed = self._streamed
             if streamed is not None and now_ns > streamed.expires_ns:
@@ -290,7 +291,7 @@ class Kuka(Arm[ArmState]):
         self._clamped += bool(np.any(correction_deg != wanted_deg))
         ahead_deg = np.asarray(joints_deg) + 2.0 * correction_deg
         if not self._chain.within_limits(ahead_deg):
-            self._forget(f"an axis came to the end of its range: {np.round(joints_deg, 1).tolist()} deg")
+            self._forget(f"an axis reached the end of its range: {np.round(joints_deg, 1).tolist()} deg")
             return zero
         return correction_deg
 

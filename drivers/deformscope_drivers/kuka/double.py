@@ -1,10 +1,10 @@
-"""A KUKA controller with its arm, simulated: RSI's datagrams in each cycle, and what it makes of the answers.
+"""A KUKA controller with its arm, simulated: RSI's datagrams in each cycle, and its response to the answers.
 
-As a controller does, it takes an answer only within its own cycle and with its own IPOC, counts those that are missing,
-and ends RSI after too many, or where a correction would turn an axis faster or further than it can. A missing answer is
-a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from where RSI
-began. What HOLDON and both modes do is from kuka_experimental (ros_rsi_ethernet.xml, pull request 119); no controller
-was asked. It is pure (`deformscope_drivers.doubles.Double`).
+As a controller does, it takes an answer only within its own cycle and with its own IPOC, and counts missing ones. It
+ends RSI after too many, or for a correction that would turn an axis faster or further than its limits. A missing answer
+is a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from where RSI
+began. The behaviour of HOLDON and of both modes is from kuka_experimental (ros_rsi_ethernet.xml, pull request 119), not
+from a real controller. It is pure (`deformscope_drivers.doubles.Double`).
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ class KukaDouble:
         acceleration_deg_s2: float = math.inf,
     ) -> None:
         """start_deg: (6,) where the axes are (default: upright, flange down); T_base_tool_offset_m: a $TOOL that is set
-        in the controller reaches so far beyond the flange [m]; again_s: somebody starts its program again so long after
-        RSI has ended, None = nobody does
+        in the controller reaches so far beyond the flange [m]; again_s: time after RSI's end at which a person restarts
+        its program, None = never
 
         holdon: HOLDON of the corrections, of all or (6,): 1 repeats the last one where an answer is missing; absolute:
         RSI_ON(#ABSOLUTE); timeout: missing answers in a row after which RSI ends, and the axes brake
-        lag_s: time constant with which the axes follow what they are sent, beside one cycle; acceleration_deg_s2: of
-        every axis at most
+        lag_s: time constant with which the axes follow their commands, in addition to one cycle; acceleration_deg_s2:
+        of every axis at most
         """
         self.chain = CHAINS[model]
         self.missed = self.corrections = 0
@@ -113,7 +113,7 @@ class KukaDouble:
     # The wire --------------------------------------------------------------------------------------------------------
 
     def power_up(self, now_ns: int) -> None:
-        """Somebody starts its program anew; the arm is where it was."""
+        """A person restarts its program; the arm has not moved."""
         with self._lock:
             self._start(now_ns)
 
@@ -176,7 +176,7 @@ class KukaDouble:
         self._joints_deg = np.where(arrives, target_deg, self._joints_deg + self._rates_deg_s * cycle_s)
 
     def _taken_deg(self) -> FloatArray:
-        """(6,) the correction of this cycle: the answer's, or what HOLDON makes of a missing one."""
+        """(6,) the correction of this cycle: the answer's, or by HOLDON for a missing one."""
         answer, self._answer = self._answer, None
         if answer is None:
             self.missed += 1
@@ -193,7 +193,7 @@ class KukaDouble:
         self._setpoint_deg = (self._begin_deg if self._absolute else before_deg) + taken_deg
         step_deg = np.abs(self._setpoint_deg - before_deg)
         if self.missed > self._timeout:
-            self.ended = f"{self.missed} answers in a row did not come in time"
+            self.ended = f"{self.missed} answers in a row were late"
         elif np.any(step_deg > self.chain.velocity_deg_s * self._cycle_ns / 1e9):
             self.ended = f"a correction by {step_deg.max():.3f} deg in a cycle"
         elif not self.chain.within_limits(self._setpoint_deg):

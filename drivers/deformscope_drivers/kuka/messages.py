@@ -1,8 +1,8 @@
-"""RSI's two messages: what the controller sends in each of its cycles, and the answer that it wants within it.
+"""RSI's two messages: the controller's in each of its cycles, and the answer that it requires within it.
 
 XML in a datagram each. The controller's `<Rob>` has the axes' angles, the flange's pose, and IPOC, the time of its
-cycle [ms]; the answer `<Sen>` repeats IPOC and says by how much the axes are to be corrected. What else a
-configuration lets the controller send is passed over. Formats: ros-industrial kuka_experimental (kuka_rsi_hw_interface,
+cycle [ms]; the answer `<Sen>` repeats IPOC and has the corrections of the axes. Other elements that a configuration
+lets the controller send are ignored. Formats: ros-industrial kuka_experimental (kuka_rsi_hw_interface,
 kuka_rsi_simulator; BSD-3), whose answers these are to the last byte.
 """
 
@@ -23,9 +23,9 @@ POSE = ("X", "Y", "Z", "A", "B", "C")
 
 @dataclass(frozen=True, slots=True)
 class RobMessage:
-    """joints_deg: (6,) where the axes are (AIPos); pose: (6,) X, Y, Z [mm] and A, B, C [deg] of the tool in the base
-    that the controller is set to (RIst), None where it is not sent; setpoint_deg: (6,) ASPos; late: answers that came
-    too late since the last one in time (Delay); ipoc: of this cycle [ms]; currents: (6,) of the motors (MACur), in the
+    """joints_deg: (6,) where the axes are (AIPos); pose: (6,) X, Y, Z [mm] and A, B, C [deg] of the tool in the
+    controller's present base (RIst), None if it is not sent; setpoint_deg: (6,) ASPos; late: answers that came too late
+    since the last one in time (Delay); ipoc: of this cycle [ms]; currents: (6,) of the motors (MACur), in the
     controller's own units, empty where they are not sent"""
 
     joints_deg: tuple[float, ...]
@@ -38,7 +38,8 @@ class RobMessage:
 
 @dataclass(frozen=True, slots=True)
 class SenMessage:
-    """corrections_deg: (6,) of the axes [deg]; ipoc: of the cycle that is answered; kind: as the controller wants it"""
+    """corrections_deg: (6,) of the axes [deg]; ipoc: of the cycle that is answered; kind: as configured in the
+    controller"""
 
     corrections_deg: tuple[float, ...]
     ipoc: int
@@ -83,7 +84,7 @@ def encode_sen(message: SenMessage) -> bytes:
 
 
 def decode_sen(data: bytes) -> SenMessage:
-    """What a controller makes of an answer. Raises ProtocolViolation."""
+    """A controller's decoding of an answer. Raises ProtocolViolation."""
     root = _root(data, "Sen")
     return SenMessage(_values(root, "AK", AXES), _ipoc(root), root.get("Type", ""))
 

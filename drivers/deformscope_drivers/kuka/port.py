@@ -62,7 +62,7 @@ class UdpPort(Transport):
 
     def write(self, data: bytes) -> None:
         if self._from is None:
-            raise LinkLost("a controller that has spoken", "none yet", where=self.name)
+            raise LinkLost("a controller that has sent a datagram", "none yet", where=self.name)
         try:
             self._opened().sendto(data, self._from)
         except OSError as error:
@@ -75,7 +75,7 @@ class UdpPort(Transport):
 
 
 def free_port() -> int:
-    """A port of this host that nobody has."""
+    """An unused port of this host."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
         tried.bind((LOOPBACK, 0))
         return int(tried.getsockname()[1])

@@ -15,7 +15,7 @@ class ManualArmConfig:
 
     start_m: (3,) where the mount of the stick is at the beginning, in the frame that `T_arm_surface` relates to the
     surface; theta_rad: its rotation about x, the new y, the new z; default: its z axis, along the stick, points down
-    resolution_m: finest step that its scale shows; a person is asked for no finer one
+    resolution_m: finest step of its scale; no finer one is requested of a person
     state_hz: how often the pose is reported again
     """
 

@@ -1,6 +1,6 @@
 """An arm that a person places: it is where they have confirmed that it is, and reports that until they say otherwise.
 
-Nothing is measured here: `place` is what a person vouches for, as they read it from a scale. No command moves it.
+Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves it.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class ManualArm(Arm[ArmState]):
 
     @property
     def chain(self) -> Chain:
-        raise self._no_commands("an arm whose joints are known")
+        raise self._no_commands("an arm with known joints")
 
     @property
     def speed_limits(self) -> SpeedLimits:
-        raise self._no_commands("an arm that moves by itself")
+        raise self._no_commands("an arm that moves on commands")
 
     @property
     def T_base_end_effector(self) -> FloatArray:
@@ -79,10 +79,10 @@ class ManualArm(Arm[ArmState]):
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
         """Raises NotMovedByCommands."""
-        raise self._no_commands("an arm that moves by itself")
+        raise self._no_commands("an arm that moves on commands")
 
     def stop(self) -> None:
-        """Nothing to stop: the arm stands by itself. Raises NotConnected where it is not open."""
+        """Nothing to stop: the arm does not move without a person. Raises NotConnected where it is not open."""
         self._require_open()
 
     def halt(self, reason: str) -> None:

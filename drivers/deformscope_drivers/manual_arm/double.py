@@ -1,4 +1,4 @@
-"""A stand with a stick, simulated: it is where somebody puts it."""
+"""A simulated stand with a stick: a person places it."""
 
 from __future__ import annotations
 
@@ -29,4 +29,4 @@ class StandDouble:
         return self.T_base_end_effector[None]
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """It stands firm; what yields under a push is not seen by a scale either."""
+        """It is rigid; a compliance under a push is not visible on a scale either."""

@@ -1,4 +1,4 @@
-"""A depth camera as OpenNI2 has it, set as asked and read back; and depth and colour of one moment put together."""
+"""A depth camera by OpenNI2, configured and read back; and depth and colour of one moment put together."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ WAITING = 4
 
 @dataclass(frozen=True, slots=True)
 class OpenniSettings:
-    """How a camera is opened; None = as it is. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is read"""
+    """Settings for opening a camera; None = unchanged. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is
+    read"""
 
     uri: str = ""
     width: int | None = None
@@ -40,7 +41,7 @@ class OpenniSettings:
 
 
 class OpenniCamera:
-    """A camera that was opened and set as asked, every setting read back. Raises SettingsRefused on a mismatch."""
+    """An opened and configured camera, every setting read back. Raises SettingsRefused on a mismatch."""
 
     def __init__(self, settings: OpenniSettings) -> None:
         self._settings = settings
@@ -78,7 +79,7 @@ class OpenniCamera:
         stream = self._openni.wait(self._streams(), timeout_s)
         for event, number in self._openni.take_events():
             if event == "disconnected":
-                raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._settings.uri)
+                raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._settings.uri)
             self._ended = self._ended or number == END_OF_FILE
         if stream is not None:
             return stream.read()
@@ -114,7 +115,7 @@ class OpenniCamera:
             self._device.register_depth_to_color()
 
     def _set_mode(self, stream: OpenniStream) -> None:
-        """Size, rate and unit, as far as they were asked for."""
+        """Size, rate and unit, if requested."""
         now, settings = stream.mode(), self._settings
         if stream.sensor is Sensor.COLOR:
             pixel_format = int(PixelFormat.RGB888)
@@ -136,8 +137,8 @@ class OpenniCamera:
 class Pairs:
     """Puts depth and colour of the same moment together: timestamps within half a period.
 
-    Streams may lag behind each other: a depth frame waits for its colour until a later colour frame shows that there
-    is none, or until WAITING depth frames wait.
+    Streams may lag behind each other. A depth frame waits for its colour until a later colour frame shows that there is
+    none, or until WAITING depth frames wait.
     """
 
     def __init__(self, fps: int, *, wanted: bool) -> None:

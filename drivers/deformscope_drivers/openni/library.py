@@ -1,6 +1,6 @@
 """OpenNI2's C interface, as much of it as reading a depth camera takes, through ctypes.
 
-The Python bindings on PyPI (`openni`, `primesense`) wrap the same functions; both call `oniShutdown` when the
+The Python bindings on PyPI (`openni`, `primesense`) wrap the same functions. Both call `oniShutdown` when the
 interpreter ends, which crashes (measured with Debian's 2.2.0.33), and need a file name that Debian does not have.
 Nothing here is called in the process that records.
 Sources: OpenNI2's public headers OniCAPI.h, OniCTypes.h, OniCEnums.h, OniCProperties.h (Apache-2.0).
@@ -162,7 +162,7 @@ class Openni:
         return OpenniDevice(self, handle, uri)
 
     def take_events(self) -> list[tuple[str, int]]:
-        """What happened to cameras since the last call: ("disconnected", 0) or ("state", number)."""
+        """Events of cameras since the last call: ("disconnected", 0) or ("state", number)."""
         events, self._events = self._events, []
         return events
 
@@ -316,7 +316,7 @@ def pixel_bytes(pixel_format: int) -> int:
 
 
 def load(library: str = "") -> ctypes.CDLL:
-    """Load OpenNI2; raises LibraryMissing. It finds its drivers in `OpenNI2/Drivers` beside itself."""
+    """Load OpenNI2; raises LibraryMissing. It finds its drivers in `OpenNI2/Drivers` in its own folder."""
     tried = _candidates(library)
     for path in tried:
         try:

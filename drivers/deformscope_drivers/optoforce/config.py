@@ -12,7 +12,7 @@ from deformscope_drivers.transport import check_way
 
 @dataclass(frozen=True, slots=True)
 class OptoforceConfig:
-    """One of `port` and `bus`, and what else differs from a DAQ as it is sold.
+    """One of `port` and `bus`, and other differences from a DAQ as sold.
 
     port: serial port or address (`/dev/ttyACM0`, `socket://host:port`); bus: CAN bus (`socketcan:can0`), with the ids
     of the DAQ's packets and of ours

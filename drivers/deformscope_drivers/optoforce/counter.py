@@ -11,17 +11,17 @@ from enum import Enum
 
 WRAP = 0x10000
 LEARNED_FROM = 8
-"""Steps from which the usual one is learned, and after which a new usual one is believed."""
+"""Number of steps from which the usual one is estimated, and after which a new usual one is accepted."""
 LATE_STEPS = 16
 """How far behind a reading may come that was overtaken by others."""
 JITTER_NS = 250_000_000
 """By how much the arrival of a reading may vary; a counter that is further ahead of the host's clock has jumped."""
 ANCHOR_NS = 10_000_000_000
-"""After how long the clocks are compared anew, so that their drift does not matter."""
+"""Period of comparing the clocks, so that their drift does not matter."""
 
 
 class CounterStep(Enum):
-    """What a reading's counter says of it."""
+    """The interpretation of a reading's counter."""
 
     FIRST = "first"
     NEXT = "next"
@@ -37,9 +37,9 @@ class CounterStep(Enum):
 class Gap:
     """What lies between a reading and the one before it.
 
-    lost: how many readings are missing; negative where that many were counted as missing before and were not (the
-    sum over a stream is what it lost). While the step is learned it is 0; the reading that completes the learning
-    carries what was lost meanwhile.
+    lost: number of missing readings; negative for readings that were counted as missing before and were not (the sum
+    over a stream is its loss). While the step is learned it is 0; the reading that completes the learning carries what
+    was lost meanwhile.
     """
 
     verdict: CounterStep
@@ -56,7 +56,7 @@ class CounterTrack:
     lost, late, repeated, damaged, restarts: how many there were
 
     period_ns: time between readings, by which a restart is distinguished from a loss; None = unknown: then a counter
-    that goes back has restarted. Where both may be, it is taken for a loss. A pause in which the counter goes once
+    that goes back has restarted. If both are possible, it counts as a loss. A pause in which the counter goes once
     round and more is not distinguished from a shorter one.
     """
 
@@ -65,7 +65,7 @@ class CounterTrack:
         self.restart(period_ns)
 
     def restart(self, period_ns: float | None) -> None:
-        """Begin anew, with the step to be learned again; the totals go on."""
+        """Restart, and estimate the step again; the totals continue."""
         self.step: int | None = None
         self._period_ns = period_ns
         self._last: int | None = None
@@ -78,8 +78,8 @@ class CounterTrack:
     def follow(self, counter: int, host_ns: int, *, twin: bool = False) -> Gap:
         """What the next reading's counter says.
 
-        host_ns: its arrival on the host's clock [ns]; twin: all of it is as in the reading before, which was sent
-        twice then; a damaged counter may come to be the same as the one before, but not all else
+        host_ns: its arrival on the host's clock [ns]; twin: all of it is as in the reading before, which was then sent
+        twice; a damaged counter may equal the one before, but not all else
         """
         last, self._last = self._last, counter
         if last is None:
@@ -168,7 +168,7 @@ class CounterTrack:
         self.repeated += times * (gap.verdict is CounterStep.REPEATED)
 
     def _correct(self, doubted: _Doubted, since: int, usual: int) -> Gap:
-        """The counter of the reading before was damaged, and what was said of it was wrong."""
+        """The counter of the reading before was damaged, and its interpretation wrong."""
         self._count(Gap(doubted.verdict, doubted.lost), times=-1)
         if doubted.verdict is CounterStep.LOST:
             self._ticks -= (doubted.lost + 1) * usual
@@ -199,7 +199,7 @@ class CounterTrack:
 class _Doubted:
     """The reading before, with an unusual step.
 
-    base: the counter of the one before it; verdict and lost: what was said of it
+    base: the counter of the one before it; verdict and lost: its interpretation
     """
 
     base: int

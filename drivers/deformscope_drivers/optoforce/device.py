@@ -1,4 +1,4 @@
-"""OptoForce's DAQ as a device: settings kept in a shadow copy, zeroing that is checked, losses found by its counter."""
+"""OptoForce's DAQ as a device: settings stored in a shadow copy, checked zeroing, losses found by its counter."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     """A DAQ with its sensors. `with Optoforce(OptoforceConfig(port="/dev/ttyACM0")) as sensor: ...`
 
     Opening sends the settings and waits for the first reading. After a lost link, or a restart of the DAQ, they are
-    sent again; a zero point that it lost is subtracted here from then on.
+    sent again; a lost zero point is subtracted here from then on.
     transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
     """
 
@@ -129,7 +129,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._do(clear, 10.0)
 
     def identity(self) -> Identity:
-        """What hangs on the DAQ, and its serial number if it was asked for."""
+        """The sensors of the DAQ, and its serial number if it was requested."""
         return Identity(f"OptoForce {self._measurer.kind.value}" if self._measurer.kind else "OptoForce", self._serial)
 
     def serial_number(self) -> str:
@@ -204,8 +204,8 @@ class Optoforce(StreamDevice[ForceMeasurement]):
     def _change(self, wanted: DaqSettings) -> None:
         """Send speed and filter, and see that readings come.
 
-        Every `Configure` says something about the zero point as well, and whether a second 255 keeps it or sets it
-        anew is not documented: so it is cleared, and what it was is subtracted here.
+        Every `Configure` affects the zero point as well, and the effect of a second 255 on it is not documented. So it
+        is cleared, and its value is subtracted here.
         """
         self._send_settings(replace(wanted, zeroed=False))
         if wanted.speed:
@@ -273,7 +273,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         cutoff_hz = self._settings.filter.cutoff_hz
         settling_s = 0.0 if cutoff_hz is None else SETTLED / (2.0 * math.pi * cutoff_hz)
         settle = math.ceil((ZERO_REST_S + settling_s) * rate_hz)
-        self._still_mean(count, still_counts, "the zero point is as it was")
+        self._still_mean(count, still_counts, "the zero point is unchanged")
         self._measurer.offset = None
         self._send_settings(replace(self._settings, zeroed=False))
         self._gather(settle)
@@ -294,15 +294,15 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         return self._measurer.offset
 
     def _still_mean(self, count: int, still_counts: float, state: str) -> FloatArray:
-        """(channels, axes) mean of so many readings; refused where they vary."""
+        """(channels, axes) mean of a number of readings; refused if they vary."""
         readings = self._gather(count)
         bad = next((reading for reading in readings if not reading.status.usable or reading.overload), None)
         if bad is not None:
-            raise SettingsRefused("a sensor that is well", f"{bad.status}; {state}", "unload it", self.name)
+            raise SettingsRefused("a sensor without faults", f"{bad.status}; {state}", "unload it", self.name)
         counts = np.array([reading.counts for reading in readings if not reading.doubts], float)
         if len(counts) < STILL_PARTS:
             raise SettingsRefused(
-                "plausible readings", f"{len(counts)} of {count}; {state}", "look at the cable", self.name
+                "plausible readings", f"{len(counts)} of {count}; {state}", "check the cable", self.name
             )
         means = np.stack([part.mean(axis=0) for part in np.array_split(counts, STILL_PARTS)])
         varies = max(float(np.ptp(means, axis=0).max()), float(counts.std(axis=0).max()))
@@ -310,13 +310,13 @@ class Optoforce(StreamDevice[ForceMeasurement]):
             raise SettingsRefused(
                 f"readings that vary by less than {still_counts:g} counts",
                 f"{varies:.3g}; {state}",
-                "let nothing move that touches the sensor; zero(still_counts=...)",
+                "keep what touches the sensor at rest; zero(still_counts=...)",
                 self.name,
             )
         return np.asarray(counts.mean(axis=0))
 
     def _gather(self, count: int) -> list[ForceMeasurement]:
-        """The next so many readings, which are published as well."""
+        """The next readings, a given number, which are published as well."""
         found: list[ForceMeasurement] = []
         wait_s = max(SILENCE_S, SILENCE_READINGS * self._settings.speed * 1e-3) + 2e-3 * count * self._settings.speed
         until_ns = self._clock() + round(wait_s * 1e9)
@@ -326,7 +326,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
                     found.append(reading)
                     self._publish(reading)
         if len(found) < count:
-            advice = "look at power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
+            advice = "check power, cable and port; is it an OptoForce DAQ with protocol 1.4 or later?"
             raise NoReply(f"{count} readings within {wait_s:.3g} s", str(len(found)), advice, self.name)
         return found
 

@@ -108,7 +108,7 @@ class OptoforceDouble:
     The filter is a first-order low-pass on samples at 1 kHz; the order of the real one is not known. An unknown
     setting is refused with result 1, which is an assumption: only 0 is documented.
 
-    unplugged: channels whose sensor is pulled off, which read 0 and say so; 0 is the first
+    unplugged: channels without their sensor, which read 0 and report it; 0 is the first
     silent: it hangs, and sends nothing
     """
 
@@ -166,7 +166,7 @@ class OptoforceDouble:
                     self._line.send(encode(SerialReply(self.sensors.serial)), now_ns)
 
     def due(self, now_ns: int) -> bytes:
-        """What has left the device by now and was not handed out before."""
+        """Bytes that have left the device by now and were not handed out before."""
         self._run_until(now_ns)
         return self._line.due(now_ns)
 

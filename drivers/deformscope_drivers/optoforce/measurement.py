@@ -30,9 +30,9 @@ class ForceMeasurement:
     per_count: (channels, axes) what a count is worth [N], [N m]; None = no sensitivity report was given
     offset_counts: (channels, axes) subtracted here, because the DAQ has lost the zero point that it was given
     lost_before: readings missing right before this one; negative where that many, counted as missing before, were not
-    follows: what the counter says of it
-    doubts: why it is not to be believed: `status` and `load` are beyond what can be, `counter` and `kind` do not follow
-    what came before, `zero` = it came while the zero point was changed or may have been lost
+    follows: the counter's interpretation
+    doubts: why it is unreliable: `status` and `load` are out of range, `counter` and `kind` do not follow the earlier
+    ones, `zero` = it arrived while the zero point was changed or may have been lost
     """
 
     stamp: Stamp
@@ -50,7 +50,7 @@ class ForceMeasurement:
         """(channels, axes) forces [N] and torques [N m]. Raises DeviceError without a sensitivity report."""
         if self.per_count is None:
             raise DeviceError(
-                "a sensitivity report, with what a count is worth",
+                "a sensitivity report, with the force of a count",
                 "none that fits this sensor: it differs from sensor to sensor",
                 "OptoforceConfig(sensitivity=Sensitivity(counts_at_nominal=..., nominal=...)); counts need none",
             )
@@ -100,8 +100,8 @@ class ForceMeasurer:
         self.doubted = self.unusable = self.overloaded = 0
 
     def follow(self, reading: Reading, host_ns: int) -> Gap:
-        """What the counter says of a reading. host_ns: when it arrived [ns]. Raises SettingsRefused where the first one
-        is of another sensor than the sensitivity reports."""
+        """The interpretation of a reading's counter. host_ns: when it arrived [ns]. Raises SettingsRefused where the
+        first one is of another sensor than the sensitivity reports."""
         if self.kind is None:
             self._learn_kind(reading.kind)
         gap = self.track.follow(reading.counter, host_ns, twin=reading == self._before)

@@ -16,7 +16,7 @@ SENSOR_NUMBERS = 4
 
 
 def doubts(reading: Reading, nominal_counts: Sequence[Sequence[float]] | None) -> tuple[str, ...]:
-    """Why a reading is not to be believed; empty where nothing speaks against it.
+    """Why a reading is unreliable; empty without a reason.
 
     nominal_counts: (channels, axes), what each axis reads at its nominal load, from the sensor's sensitivity report;
     None = not known, and then no load is too large

@@ -188,7 +188,7 @@ class Reading:
 class Configure:
     """Sets speed, filter and zero point, always all three. They cannot be read back.
 
-    speed: a `Speed`; filter: a `Filter`; zero: a `Zero`. Bytes that are none of these may come off a wire.
+    speed: a `Speed`; filter: a `Filter`; zero: a `Zero`. Bytes outside these may arrive on a wire.
     """
 
     speed: int
@@ -198,7 +198,7 @@ class Configure:
 
 @dataclass(frozen=True, slots=True)
 class ConfigReply:
-    """What the DAQ says to `Configure`: 0 = done. Some firmware says nothing."""
+    """What the DAQ says to `Configure`: 0 = done. Some firmware does not report it."""
 
     result: int
 
@@ -258,7 +258,7 @@ class _OptoforceDecoder(FrameDecoder[EventT]):
 
 
 class Decoder(_OptoforceDecoder[Reply]):
-    """What a DAQ sends. A header that stands within a packet is found if the packet is bad, and only then.
+    """What a DAQ sends. A header within a packet is found if the packet is bad, and only then.
 
     fill_to: zeros that fill a packet up to a multiple of this belong to it (8 on CAN, where some DAQs may do so)
     """
@@ -273,7 +273,7 @@ class Decoder(_OptoforceDecoder[Reply]):
 
 
 class CommandDecoder(_OptoforceDecoder[Command]):
-    """What a DAQ hears. Zeros with which some hosts fill up a CAN frame are skipped as noise."""
+    """Commands that a DAQ receives. Zeros with which some hosts fill up a CAN frame are skipped as noise."""
 
     def __init__(self) -> None:
         super().__init__(
@@ -283,7 +283,7 @@ class CommandDecoder(_OptoforceDecoder[Command]):
 
 
 def encode(message: Command | Reply) -> bytes:
-    """The packet that says so. Raises ValueError for what does not fit into one."""
+    """The packet of this message. Raises ValueError for what does not fit into one."""
     match message:
         case Reading(kind, counter, status, counts):
             values = [value for channel in counts for value in channel]

@@ -1,8 +1,8 @@
-"""A RealSense camera as librealsense has it: chosen by its serial number, set as asked, every setting read back.
+"""A RealSense camera by librealsense: chosen by its serial number, configured, every setting read back.
 
-Frames come through a frame queue. `pipeline.wait_for_frames` is left alone: once a camera is gone it blocks for up to
-15 s, and starts it again by itself, without the settings (librealsense, src/pipeline/pipeline.cpp).
-`rs`: the module pyrealsense2, or what stands in for it.
+Frames come through a frame queue. `pipeline.wait_for_frames` is not used: after the loss of a camera it blocks for up
+to 15 s, and restarts it without the settings (librealsense, src/pipeline/pipeline.cpp). `rs`: the module pyrealsense2,
+or its replacement.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ PRESETS = (
 )
 """Names of rs400_visual_preset's members."""
 CLOCK_ROUND_US = 2**32
-"""The hardware clock counts microseconds in 32 bits: it begins anew after 71.6 minutes."""
+"""The hardware clock counts microseconds in 32 bits: it wraps after 71.6 minutes."""
 FIRST_FRAME_S = 6.0
 QUEUE_FRAMES = 8
-"""Of the library's own 16: a frame that is kept is one that it cannot fill again."""
+"""Share of the library's own 16: it cannot fill a frame again while that is in use."""
 UNIT_STEP_M = 1.01e-6
 """The camera stores its unit in whole micrometres, cut off."""
 
@@ -35,7 +35,7 @@ UNIT_STEP_M = 1.01e-6
 @dataclass(frozen=True, slots=True)
 class RealsenseSettings:
     """How a camera is opened. serial: empty = the only one; preset: empty, unit_m: None = as the camera has it
-    warm_up_s: pictures are left out for so long, while the exposure settles; global_time: stamps on the host's clock"""
+    warm_up_s: time whose pictures are left out, while the exposure settles; global_time: stamps on the host's clock"""
 
     serial: str = ""
     width: int = 848
@@ -61,7 +61,7 @@ class ListedRealsense:
 
 
 def listed(rs: ModuleType) -> list[ListedRealsense]:
-    """The cameras that are plugged in; one with its trouble where the library cannot look at all."""
+    """The connected cameras; with its trouble for one that the library cannot open."""
     try:
         return [_described(rs, device) for device in rs.context().query_devices()]
     except RuntimeError as error:
@@ -69,7 +69,7 @@ def listed(rs: ModuleType) -> list[ListedRealsense]:
 
 
 class RealsenseCamera:
-    """A camera that streams, set as asked. Raises DeviceError."""
+    """A camera that streams, configured. Raises DeviceError."""
 
     def __init__(self, settings: RealsenseSettings, rs: ModuleType) -> None:
         self._rs, self._settings = rs, settings
@@ -231,7 +231,7 @@ class RealsenseCamera:
     def _frames(self, timeout_s: float) -> tuple[Any, int]:
         """Frames of one moment and when they came [ns]; None when none came in time. Raises LinkLost."""
         if self._gone.is_set():
-            raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._where)
+            raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._where)
         came, frame = self._queue.try_wait_for_frame(max(round(timeout_s * 1e3), 1))
         host_ns = time.monotonic_ns()
         return (frame.as_frameset() if came else None), host_ns
@@ -253,8 +253,8 @@ class RealsenseCamera:
         return self._unwrap(ticks % CLOCK_ROUND_US, host_ns) if domain == domains.hardware_clock else ticks
 
     def _distortion(self, lens: Any) -> tuple[float, ...]:
-        """OpenCV's k1, k2, p1, p2, k3; empty where there is none, as in all depth of the D400s. librealsense itself
-        projects by `inverse_brown_conrady` as by the forward model (rsutil)."""
+        """OpenCV's k1, k2, p1, p2, k3; empty if there is none, as in all depth of the D400s. librealsense itself
+        projects `inverse_brown_conrady` by the forward model (rsutil)."""
         models = self._rs.distortion
         coefficients = tuple(map(float, lens.coeffs))
         if not any(coefficients) or lens.model == models.none:
@@ -264,7 +264,7 @@ class RealsenseCamera:
         return coefficients
 
     def _remarks(self) -> list[str]:
-        """What the user should know of it as it is connected."""
+        """Remarks for a user on the connected camera."""
         rs, remarks = self._rs, []
         if self._known.usb.startswith("2"):
             remarks.append(f"it is on USB {self._known.usb}: low rates only; a USB 3 port and cable give all of them")

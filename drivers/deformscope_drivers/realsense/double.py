@@ -1,10 +1,10 @@
 """Stands in for the module pyrealsense2, as far as `camera.py` uses it, over cameras that a file describes.
 
 It behaves as librealsense 2.59 was seen to do on a camera made of software, and as its source and issues say:
-- frames have numbers and time stamps from a camera that runs by itself: who comes late finds numbers missing
-- a queue that nothing comes into says so after its time; a camera that was unplugged gives nothing more, and an event
-- the hardware clock begins anew after 2^32 us; without the kernel's metadata frames are stamped by the host
-- starting a camera that another process reads, or a mode that it has not, raises RuntimeError with the library's words
+- frames have numbers and time stamps from a camera on its own clock: a late reader finds numbers missing
+- an empty queue reports that after its time; a camera that was unplugged gives no more frames, and an event
+- the hardware clock wraps after 2^32 us; without the kernel's metadata the host stamps frames
+- starting a camera that another process reads, or in an unsupported mode, raises RuntimeError with the library's words
 The file that the environment names (CAMERAS_FILE) is read again whenever it changes; without it one camera is there.
 """
 
@@ -29,7 +29,7 @@ MODES = {"3.2": ((1280, 720, 30), (848, 480, 90), (640, 480, 30), (64, 48, 200))
 """Width, height and highest rate, by USB; as of a D435, and a small one that tests read quickly."""
 CLOCK_ROUND_US = 2**32
 WALL_M, NOISE_M = 0.6, 0.0008
-"""What it sees: a wall, and how much each pixel is off [m]."""
+"""Its scene: a wall, and the error of each pixel [m]."""
 FOCAL_OF_WIDTH = 0.5044
 """Focal length over width: 427.7 px at 848 px, as a D435's (issue 11511)."""
 
@@ -41,8 +41,9 @@ class DoubleCamera:
     usb: "3.2" or "2.1"; hidden: what keeps the library from knowing it; busy: what starting it raises
     silent: no frames; frozen: the same picture; hung: a call that never comes back; lost: frames lost so far
     clock_us: what its clock shows at the host's zero; metadata: the kernel passes its time stamps
-    drifting_unit_m: the unit of its frames, whatever was set; notes: what it complains of
-    deaf: it takes no setting; lens: distortion of its colour camera; color_late_ms: its stamps beside those of depth
+    drifting_unit_m: the unit of its frames, whatever was set; notes: its warnings
+    deaf: it takes no setting; lens: distortion of its colour camera; color_late_ms: delay of its stamps relative to
+    those of depth
     repeating: a picture of depth comes again with the next one's colour, as the library does where pairs do not match
     """
 
@@ -365,7 +366,7 @@ class frameset:
 
 
 class align:
-    """The double's two cameras stand at one place: depth is on colour's pixels as it is."""
+    """The double's two cameras are at one place: depth is on colour's pixels already."""
 
     def __init__(self, _: stream) -> None:
         pass

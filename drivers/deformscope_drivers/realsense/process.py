@@ -1,6 +1,6 @@
 """The process that reads one RealSense camera: a hang or a crash of the library ends neither program nor recording.
 
-`Realsense` starts it (`deformscope_drivers.hosted`). module: pyrealsense2, or what stands in for it
+`Realsense` starts it (`deformscope_drivers.hosted`). module: pyrealsense2, or its replacement
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ _ERROR = re.compile(r"E(\d{1,3})")
 
 
 class BadLine(ValueError):
-    """A line that the protocol does not know; `reason` is a word or two."""
+    """A line that is not in the protocol; `reason` is a word or two."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -40,7 +40,7 @@ class BadLine(ValueError):
 
 
 def encode_command(command: Command) -> bytes:
-    """The line of a command. Raises ValueError for what the protocol has no words for; limits are not looked at."""
+    """The line of a command. Raises ValueError for a command outside the protocol; limits are not checked."""
     name, values, axis = command.name, command.values, command.axis
     if name not in CODES:
         raise ValueError(f"the hand has no command {name!r}")

@@ -25,7 +25,7 @@ _REQUEST_LENGTHS = {1: 0, 1 + _VALUES.size: AXIS_COUNT}
 
 
 def encode_request(command: Command, *, checksummed: bool) -> bytes:
-    """Raises ValueError for what the protocol has no bytes for; limits are not looked at."""
+    """Raises ValueError for a request outside the protocol; limits are not checked."""
     values = command.values
     if command.name not in CODES:
         raise ValueError(f"the hand has no command {command.name!r}")
@@ -52,7 +52,7 @@ def encode_reply(event: Reading | ValueReply | ErrorReply, *, checksummed: bool)
 
 
 def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Event] | Refused | None:
-    """The reply whose code stands at `start`; checksummed: None = as its length says."""
+    """The reply whose code is at `start`; checksummed: None = as its length says."""
     body = _body(buffer, start, {_REPLY_LENGTH: AXIS_COUNT}, checksummed)
     if not isinstance(body, bytes):
         return body
@@ -78,7 +78,7 @@ def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> GoodFram
 
 
 def parse_request(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Command] | Refused | None:
-    """The request whose code stands at `start`, seen by the hand."""
+    """The request whose code is at `start`, as the hand decodes it."""
     body = _body(buffer, start, _REQUEST_LENGTHS, checksummed)
     if not isinstance(body, bytes):
         return body

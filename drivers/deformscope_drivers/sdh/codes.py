@@ -38,14 +38,14 @@ class Controller(IntEnum):
 
 
 class VelocityProfile(IntEnum):
-    """How the speed of a pose move goes over its time; `selgrip` and `grip` know SIN_SQUARE only."""
+    """Speed of a pose move over its time; `selgrip` and `grip` have SIN_SQUARE only."""
 
     SIN_SQUARE = 0
     RAMP = 1
 
 
 class Grasp(IntEnum):
-    """The grasps that the firmware knows."""
+    """The grasps of the firmware."""
 
     CENTRICAL = 0
     PARALLEL = 1
@@ -74,39 +74,39 @@ MEASURED_COUNT: Final = dict.fromkeys(("pos", "vel", "rvel", "state", "tpap", "t
 
 ERRORS: Final = (
     ("SUCCESS", ""),
-    ("NOT_AVAILABLE", "ask for something that this firmware has"),
+    ("NOT_AVAILABLE", "a request that this firmware has"),
     ("NOT_INITIALIZED", "wait until the hand has started (8 s), or switch it off and on"),
     ("ALREADY_RUNNING", "stop first"),
     ("FEATURE_NOT_SUPPORTED", "a newer firmware, or another command"),
-    ("INCONSISTENT_DATA", "look at the parameters that depend on each other"),
-    ("TIMEOUT", "again; then the hand's supply and cable"),
-    ("READ_ERROR", "again; then switch the hand off and on"),
-    ("WRITE_ERROR", "again; then switch the hand off and on"),
+    ("INCONSISTENT_DATA", "check the parameters that depend on each other"),
+    ("TIMEOUT", "try again; then check the hand's supply and cable"),
+    ("READ_ERROR", "try again; then switch the hand off and on"),
+    ("WRITE_ERROR", "try again; then switch the hand off and on"),
     ("INSUFFICIENT_RESOURCES", "switch the hand off and on"),
-    ("CHECKSUM_ERROR", "again; then the cable and its shield"),
+    ("CHECKSUM_ERROR", "try again; then check the cable and its shield"),
     ("NOT_ENOUGH_PARAMS", "give a value for each axis"),
     ("NO_PARAMS_EXPECTED", "send the command without values"),
-    ("CMD_UNKNOWN", "look at the firmware's release: older ones lack commands"),
-    ("CMD_FORMAT_ERROR", "again: half a command may have come before it"),
+    ("CMD_UNKNOWN", "check the firmware's release: older ones lack commands"),
+    ("CMD_FORMAT_ERROR", "try again: half a command may have arrived before it"),
     ("ACCESS_DENIED", "this command needs Schunk's password"),
     ("ALREADY_OPEN", "close the other connection"),
-    ("CMD_FAILED", "look at the axis states"),
-    ("CMD_ABORTED", "look at what stopped it"),
+    ("CMD_FAILED", "check the axis states"),
+    ("CMD_ABORTED", "find the reason for the stop"),
     ("INVALID_HANDLE", "open again"),
     ("DEVICE_NOT_FOUND", "switch the hand off and on"),
     ("DEVICE_NOT_OPENED", "switch the hand off and on"),
-    ("IO_ERROR", "on CAN the bus may be off: look at its terminators and bit rate"),
-    ("INVALID_PARAMETER", "look at the values"),
+    ("IO_ERROR", "on CAN the bus may be off: check its terminators and bit rate"),
+    ("INVALID_PARAMETER", "check the values"),
     ("RANGE_ERROR", "stay within the limits that `vlim`, `alim` and the range of the axes give"),
     ("NO_DATAPIPE", "switch the hand off and on"),
     ("INDEX_OUT_OF_BOUNDS", "axes are 0 to 6"),
     ("HOMING_ERROR", "reference the axis again"),
     ("AXIS_DISABLED", "switch the axis on"),
     ("OVER_TEMPERATURE", "switch the axes off and let the hand cool"),
-    ("MAX_COMMANDS_EXCEEDED", "send fewer commands at once"),
+    ("MAX_COMMANDS_EXCEEDED", "send fewer commands at a time"),
     ("INVALID_PASSWORD", "give the right password"),
     ("MAX_COMMANDLINE_EXCEEDED", "send a shorter line"),
-    ("CRC_ERROR", "again; then the cable and its shield"),
+    ("CRC_ERROR", "try again; then check the cable and its shield"),
     ("NO_COMMAND", "again"),
     ("INTERNAL", "switch the hand off and on"),
     ("UNKNOWN_ERROR", "switch the hand off and on"),

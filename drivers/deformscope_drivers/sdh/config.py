@@ -1,4 +1,4 @@
-"""How the hand is reached and asked."""
+"""How the hand is connected and polled."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class SdhConfig:
     bus: CAN bus (`socketcan:can0`); exactly one of them
 
     send_id, receive_id: CAN identifiers of the host and of the hand
-    protocol: `auto` speaks binary where firmware (0.0.2.15) and command know it, else ASCII
+    protocol: `auto` uses binary if firmware (0.0.2.15) and command support it, else ASCII
     checksum: of binary messages; None = on serial ports, not on CAN and `socket://`
-    rate_hz: how often positions, velocities and states are asked (about 90 Hz is what RS-232 has room for)
-    temperature_period_s: how often temperatures are asked
+    rate_hz: rate of requests for positions, velocities and states (RS-232 has room for about 90 Hz)
+    temperature_period_s: period of requests for temperatures
     reply_timeout_s: for one try of a command; there are three
     leave_powered: close() leaves axes on that this session switched on (Schunk's library switches them off as well)
     """

@@ -1,4 +1,4 @@
-"""The link to the hand: opening, asking and being answered, and the readings that are asked for again and again."""
+"""The link to the hand: opening, requests and answers, and repeated readings."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class SdhConnection(StreamDevice[HandReading]):
 
     @property
     def limits(self) -> Limits:
-        """What may be asked of the axes; before the hand was opened, Schunk's defaults."""
+        """Limits of the axes; before the hand was opened, Schunk's defaults."""
         return Limits() if self._about is None else self._about.limits
 
     # What the base class asks for ------------------------------------------------------------------------------------
@@ -111,7 +111,7 @@ class SdhConnection(StreamDevice[HandReading]):
         try:
             return self._round(timeout_s)
         except NoReply as error:
-            raise LinkLost("answers from the hand", "none", "look at its supply and cable", self.name) from error
+            raise LinkLost("answers from the hand", "none", "check its supply and cable", self.name) from error
 
     def _round(self, timeout_s: float) -> Iterable[HandReading]:
         """Wait for the time of the next reading, and take it. An answer that makes no reading is counted as refused."""
@@ -211,7 +211,7 @@ class SdhConnection(StreamDevice[HandReading]):
                 refusal.code, codes.error_name(refusal.code), doing, codes.error_advice(refusal.code), self.name
             )
         waited = f"{tries} x {timeout_s:g} s" if tries > 1 else f"{timeout_s:g} s"
-        raise NoReply(f"an answer to {doing} within {waited}", "none", "look at supply, cable and baud rate", self.name)
+        raise NoReply(f"an answer to {doing} within {waited}", "none", "check supply, cable and baud rate", self.name)
 
     def _answer(
         self, command: protocol.Command, kind: type[ReplyT], timeout_s: float
@@ -231,13 +231,13 @@ class SdhConnection(StreamDevice[HandReading]):
         return None
 
     def _overhear(self, timeout_s: float) -> None:
-        """Take what comes without having been asked for: debug lines, and answers that came too late."""
+        """Take unrequested data: debug lines, and late answers."""
         for event, _ in self._listen(timeout_s):
             if not isinstance(event, protocol.DebugLine):
                 self._count_refused("unasked")
 
     def _resync(self) -> None:
-        """Wait for the line to fall silent, and forget what came: a binary answer has no mark to be found by."""
+        """Wait for the line to fall silent, and discard its data: a binary answer has no start mark."""
         late = self._transport.drain(RESYNC_QUIET_S, RESYNC_QUIET_S, OPEN_DROP_BYTES)
         if late:
             self._record_raw(late, self._clock())

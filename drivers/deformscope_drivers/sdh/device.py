@@ -1,7 +1,7 @@
 """Schunk's SDH hand: `with Sdh(SdhConfig(port="/dev/ttyUSB0")) as hand: hand.move([0, -20, 20, -20, 20, -20, 20])`.
 
-Nothing moves unless a method here says so. The hand knows no watchdog: what was started goes on when the host is gone,
-a move to its targets, a velocity to the ends of the axes.
+Nothing moves without a call of a method here. The hand has no watchdog: after the loss of the host a motion continues.
+A move goes to its targets, a velocity to the ends of the axes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from deformscope_drivers.sdh.results import HandReading, MoveResult, Outcome, St
 from deformscope_drivers.transport import Transport
 
 SETTLE_S = 0.5
-"""For so long after a command an idle axis may not have noticed it yet: IPA's driver waits as long."""
+"""Time after a command in which an idle axis may not have started yet: IPA's driver waits as long."""
 MARGIN_S = 1.0
 LONGEST_MOTION_S = 15.0  # where old firmware does not report it: the whole range at 12 deg/s
 REFERENCE_TIMEOUT_S = 10.0
@@ -52,7 +52,7 @@ class Toward(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Started:
-    """A motion in progress. targets_deg: by axis that moves, None where the hand alone knows them"""
+    """A motion in progress. targets_deg: of each moving axis, None if the hand alone has them"""
 
     sent_ns: int
     duration_s: float | None
@@ -64,7 +64,7 @@ class _Started:
 class Sdh(SdhConnection):
     """The hand. Readings (`HandReading`) come at `config.rate_hz`, with the three reads of every device.
 
-    After a link was lost and made again the hand is stopped, a motion that was waited for raises LinkLost, and
+    After a lost link is restored the hand is stopped, a call that waits for a motion raises LinkLost, and
     `health().extra["stopped_after_reconnect"]` counts it. transport, clock: for a hand in memory
     """
 
@@ -94,10 +94,10 @@ class Sdh(SdhConnection):
         """Move to angles, all axes starting and ending together; the slowest one gives the time.
 
         targets_deg: (7,), or by axis, the others staying where they are; velocity_deg_s, acceleration_deg_s2: (7,) or
-        one for all (the sin² profile knows no acceleration); timeout_s: None = the hand's own duration and 1 s more,
-        after which the hand is stopped, as it is by Ctrl-C. Firmware switches all axes on by this.
-        A blocked axis raises nothing; `result.outcome` says so, since touching things is what hands are for.
-        Raises OutOfLimits (nothing was sent), CommandRefused, LinkLost, NoReply.
+        one for all (the sin² profile has no acceleration); timeout_s: None = the hand's own duration and 1 s more,
+        after which the hand is stopped, as it is by Ctrl-C. Firmware switches all axes on by this. A blocked axis
+        raises nothing; `result.outcome` reports it, because contact is a hand's purpose. Raises OutOfLimits (nothing
+        was sent), CommandRefused, LinkLost, NoReply.
         """
         speeds = self.limits.speeds(velocity_deg_s, self.name)
         accelerations = self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -137,7 +137,7 @@ class Sdh(SdhConnection):
         return self._wait(_Started(self._clock(), None, None, self._connections, self._stops), timeout_s)
 
     def stop(self) -> StopReport:
-        """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for what goes on."""
+        """Stop what `move` and `drive` started, at once; the axes stay on. See StopReport for motions that continue."""
         return self._do(self._stop_now, COMMAND_TIMEOUT_S)
 
     # Velocities ------------------------------------------------------------------------------------------------------
@@ -149,10 +149,10 @@ class Sdh(SdhConnection):
         keep_s: float = 0.2,
         acceleration_deg_s2: Sequence[float] | float | None = None,
     ) -> None:
-        """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to go on.
+        """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to continue.
 
         When no further call comes in time, the driver's thread sets all to 0. acceleration_deg_s2: ramp, given once;
-        None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would go on for ever.
+        None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for ever.
         """
         velocities = self.limits.velocities(velocity_deg_s, self.name)
         ramp = None if acceleration_deg_s2 is None else self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -184,7 +184,7 @@ class Sdh(SdhConnection):
         """
         wanted = (on,) * codes.AXIS_COUNT if isinstance(on, bool) else tuple(on)
         if len(wanted) != codes.AXIS_COUNT:
-            raise OutOfLimits(f"{codes.AXIS_COUNT} values, one an axis", f"{len(wanted)}", where=self.name)
+            raise OutOfLimits(f"{codes.AXIS_COUNT} values, one per axis", f"{len(wanted)}", where=self.name)
 
         def switch() -> None:
             self._controller = None  # the next motion takes it up again, and with it the axes
@@ -247,7 +247,7 @@ class Sdh(SdhConnection):
             raise
 
     def _wait(self, started: _Started, timeout_s: float) -> MoveResult:
-        """Read until the axes are still. An idle axis is believed once one was seen to move, or after a while."""
+        """Read until the axes are still. An idle axis counts once one was seen to move, or after a while."""
         until_ns = self._clock() + round(timeout_s * 1e9)
         seen_moving = timed_out = False
         last: HandReading | None = None
@@ -279,7 +279,7 @@ class Sdh(SdhConnection):
         except Stale:
             reading = None
         if self.link is not Link.CONNECTED or self._connections != started.connection:
-            advice = "see how it stands; it is stopped as soon as the link is back"
+            advice = "check its pose; it is stopped once the link is back"
             raise LinkLost("the end of a motion", "a lost link", advice, self.name)
         return None if reading is None or reading.stamp.host_ns < started.sent_ns else reading
 
@@ -323,7 +323,7 @@ class Sdh(SdhConnection):
             self._stopped_after_reconnect += 1
 
     def _stop(self) -> None:
-        """On closing: what can be stopped does not go on, and what was switched on is switched off."""
+        """On closing: stoppable motions end, and axes that were switched on are switched off."""
         if not self._switched_on:
             return
         self._switched_on = False
@@ -336,7 +336,7 @@ class Sdh(SdhConnection):
         return {**super()._extra_health(), "stopped_after_reconnect": self._stopped_after_reconnect}
 
     def _round(self, timeout_s: float) -> Iterable[HandReading]:
-        """No reading is waited for beyond the time that a velocity may go on."""
+        """No reading is waited for beyond the end of a velocity's duration."""
         if self._drive_until_ns is None:
             return super()._round(timeout_s)
         left_ns = self._drive_until_ns - self._clock()
@@ -408,4 +408,4 @@ class Sdh(SdhConnection):
         if not agrees:
             came = ", ".join(f"{value:g}" for value in reported) or "nothing"
             asked = ", ".join(f"{value:g}" for value in values)
-            raise SettingsRefused(f"{name} = {asked}", came, "wait until the hand is still", self.name)
+            raise SettingsRefused(f"{name} = {asked}", came, "wait until the hand is at rest", self.name)

@@ -1,7 +1,7 @@
 """A simulated SDH hand that speaks the real one's bytes: a state machine fed bytes and time.
 
-What it does with commands is in `firmware`, how it moves in `motion`; here are its line and its bytes. Assumed: that an
-empty line is answered with nothing, and numbers with two decimals.
+`firmware` carries out commands, `motion` moves the axes; here are its line and its bytes. Assumed: that an empty line
+is answered with nothing, and numbers with two decimals.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Port(Enum):
 class SdhDouble:
     """A simulated SDH hand.
 
-    firmware: decides what it knows: binary from 0.0.2.15 on, `con` and `rvel` from 0.0.2.6, `vlim` from 0.0.2.1, `alim`
-    from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m`, `selgrip` and `grip` without duration
+    firmware: determines its features: binary from 0.0.2.15 on, `con` and `rvel` from 0.0.2.6, `vlim` from 0.0.2.1,
+    `alim` from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m`, `selgrip` and `grip` without duration
     state_lag_s: how long after a command it reports the axis states from before (0.5 s is what IPA's driver waits)
     """
 
@@ -94,11 +94,12 @@ class SdhDouble:
         self._firmware.refusals.append(code)
 
     def say(self, data: bytes, now_ns: int) -> None:
-        """Send something without being asked: a debug line, noise."""
+        """Send something without a request: a debug line, noise."""
         self._line.send(data, now_ns)
 
     def position_deg(self, now_ns: int) -> tuple[float, ...]:
-        """The angles of the axes, (7,), at that moment; for who drives the double, not from beside a wire's thread."""
+        """The angles of the axes, (7,), at that moment; for the double's caller, not for use parallel to a wire's
+        thread."""
         self._run(now_ns)
         return tuple(axis.position_deg for axis in self.motion.axes)
 

@@ -25,7 +25,7 @@ class Reading:
 
     quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap` and `tvav`
     are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity
-    values: 7, by axis; 9 temperatures: the 7 motors, the FPGA, the board; 1 where one axis was asked for
+    values: 7, by axis; 9 temperatures: the 7 motors, the FPGA, the board; 1 if one axis was requested
     axis: None = all
     """
 

@@ -1,7 +1,7 @@
 """What a simulated SDH hand does with commands, and how its firmware answers them.
 
-Where no document says (marked "assumed"), it does the plain thing: what `stop` is answered with, that `selgrip` turns
-the base axis only, and what is refused while a grip goes on.
+Without documentation (marked "assumed") it takes the simplest behaviour: the answer to `stop`, that `selgrip` turns the
+base axis only, and the commands that are refused during a grip.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Firmware:
     """The commands of one release, on a hand that moves.
 
     busy_until_ns: until then it answers nothing: older releases while they grip, all while they reference
-    last_line: what it says then
+    last_line: its output then
     """
 
     def __init__(self, version: str, texts: dict[str, str], state_lag_s: float) -> None:

@@ -1,9 +1,9 @@
 """Where the fingers of the SDH are, from the angles of its seven axes. Pure arithmetic.
 
 Hand frame: origin at the foot of the palm, z away from the wrist, x from finger 2 to finger 0, y from finger 1 (the
-thumb) to the middle between the two others. The proximal joints stand on an equilateral triangle with side 66 mm,
-17 mm above the origin. Numbers and signs are those of Schunk's library (ipab-slmc/SDHLibrary-CPP, sdh.cpp); which pad
-of the tactile controller sits on which link is an assumption there, see package `dsa`.
+thumb) to the middle between the two others. The proximal joints are on an equilateral triangle with side 66 mm, 17 mm
+above the origin. Numbers and signs are those of Schunk's library (ipab-slmc/SDHLibrary-CPP, sdh.cpp); the assignment of
+the tactile controller's pads to links is an assumption there, see package `dsa`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ AXIS_NAMES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Finger:
-    """One finger: its axes, and how it stands on the palm.
+    """One finger: its axes, and its pose on the palm.
 
     base_axis: the axis that turns it about z; None = it does not turn (the thumb)
     base_m: its proximal joint in the hand frame
@@ -63,7 +63,7 @@ FINGERS: Final = (
 def finger_points(position_deg: FloatArray | tuple[float, ...], finger: int) -> FloatArray:
     """Proximal joint, distal joint and tip of finger 0, 1 (the thumb) or 2 in the hand frame: (3, 3) [m].
 
-    position_deg: (7,), by axis. At 0 a finger stands straight up; positive angles lean it over the palm.
+    position_deg: (7,), by axis. At 0 a finger is upright; positive angles lean it over the palm.
     """
     angles = np.radians(np.asarray(position_deg, dtype=np.float64))
     if angles.shape != (len(AXIS_NAMES),):

@@ -70,7 +70,7 @@ def _positive(name: str, unit: str, values: Sequence[float], highs: ByAxis, wher
 
 def _checked(name: str, unit: str, values: Sequence[float], lows: ByAxis, highs: ByAxis, where: object) -> ByAxis:
     if len(values) != codes.AXIS_COUNT:
-        raise OutOfLimits(f"{codes.AXIS_COUNT} values, one an axis, for {name}", f"{len(values)}", where=where)
+        raise OutOfLimits(f"{codes.AXIS_COUNT} values, one per axis, for {name}", f"{len(values)}", where=where)
     for axis, (value, low, high) in enumerate(zip(values, lows, highs, strict=True)):
         if not math.isfinite(value) or not low <= value <= high:
             raise OutOfLimits(f"{name} of axis {axis} within {low:g} to {high:g} {unit}", f"{value:g}", where=where)

@@ -1,11 +1,11 @@
 """How a simulated hand moves: seven axes with profiles, velocity control, limits, obstacles, and motors that warm up.
 
-Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together; the sin²
-profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42 points: the hand's
-cycle is 10 ms); the grasps' angles. Assumed: the ramp profile is a trapezoid; `stop` slows down by the set
-acceleration; "CW" is the direction of growing angles; the temperatures' time and size; that an axis which meets
-something soft goes on at its set speed as far as the limit of its current lets it, and reports to be blocked while it
-hardly moves; that gears hold an axis which does not move.
+Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together, and the
+grasps' angles. The sin² profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42
+points: the hand's cycle is 10 ms). Assumed: the ramp profile is a trapezoid; `stop` slows down by the set acceleration;
+"CW" is the direction of growing angles; the temperatures' time and size. Also assumed: an axis in soft contact
+continues at its set speed within its current limit, and reports to be blocked while it hardly moves; gears hold an axis
+at rest.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Compliance(Protocol):
     def reach_deg(
         self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
     ) -> Sequence[float]:
-        """(7,) angles that the axes reach within a cycle, between where they are and where they want to be, with motor
+        """(7,) angles that the axes reach within a cycle, between their present and their desired angles, with motor
         currents of at most `current_a`. Called in each cycle, also when no axis moves."""
 
 
@@ -62,7 +62,7 @@ def sin_square_duration_s(distance_deg: float, velocity_deg_s: float) -> float:
 
 
 def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Of a move that speeds up, goes on at the velocity if it gets there, and slows down."""
+    """Of a move that speeds up, continues at the velocity if it reaches it, and slows down."""
     distance = abs(distance_deg)
     if distance <= velocity_deg_s**2 / acceleration_deg_s2:
         return 2 * math.sqrt(distance / acceleration_deg_s2)
@@ -117,7 +117,7 @@ class Axis:
     ramp_part: float | None = None  # of a pose move with ramp profile
 
     def advance_to(self, wanted_deg: float) -> codes.AxisState | None:
-        """Go there, as far as obstacles and the range let; what was met."""
+        """Move there, as far as obstacles and the range allow; the obstacles."""
         low = max(self.low_deg, self.obstacle_low_deg)
         high = min(self.high_deg, self.obstacle_high_deg)
         met = None
@@ -296,7 +296,7 @@ class Motion:
             axis.halt(codes.AxisState.IDLE)
 
     def _press(self, compliance: Compliance, before: list[tuple[float, _Mode]]) -> None:
-        """Take the axes back to where what they press, and their currents, let them come to."""
+        """Move the axes back to the balance of their contacts and their currents."""
         wanted = [axis.position_deg for axis in self.axes]
         currents = [axis.move_current_a for axis in self.axes]
         reached = compliance.reach_deg([position for position, _ in before], wanted, currents, _CYCLE_S)

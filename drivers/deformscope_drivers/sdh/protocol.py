@@ -79,7 +79,7 @@ class Decoder(FrameDecoder[Event]):
     """What the hand sends.
 
     checksummed: whether binary replies must have their checksum (True: RS-232), must not (False: CAN, TCP), or may
-    (None: by their length). A line with a name that the protocol does not know is refused.
+    (None: by their length). A line with an unknown name is refused.
     """
 
     def __init__(self, *, checksummed: bool | None = None) -> None:
@@ -110,7 +110,7 @@ class Decoder(FrameDecoder[Event]):
 class Received:
     """What the host sent, seen by the hand.
 
-    command: None where the line says nothing that a hand knows; then `reason` says why, "empty" for an empty line
+    command: None for a line without a command of the hand; then `reason` has the cause, "empty" for an empty line
     binary: whether it came in binary, and is answered in binary
     """
 

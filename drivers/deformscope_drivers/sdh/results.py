@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 class HandReading:
     """Where the hand is. The protocol has motor current limits and no measured currents, so there are none here.
 
-    stamp: when the angles arrived; states and velocities were asked right before them (3.4 ms each on RS-232)
+    stamp: when the angles arrived; states and velocities were requested right before them (3.4 ms each on RS-232)
     position_deg, velocity_deg_s: (7,) by axis; state: of each axis
     temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before
     """
@@ -61,9 +61,9 @@ class MoveResult:
     """How a motion went.
 
     duration_s: what the hand planned, None where old firmware does not report it
-    elapsed_s: what it took until it was seen to be still
+    elapsed_s: time until it was seen at rest
     blocked, limited, disabled: axes in such a state; reading: the last one, None where it was not waited for
-    error_deg: largest distance of an axis from its target, None where the hand alone knows the targets
+    error_deg: largest distance of an axis from its target, None if the hand alone has the targets
     """
 
     outcome: Outcome
@@ -80,8 +80,8 @@ class MoveResult:
 class StopReport:
     """What `stop` could do: the hand confirmed it, and a move or a velocity ends.
 
-    grip_left_s: `stop` does not end what `select_grip` and `grip` started (nor does switching off, in Schunk's words);
-    so long may such a motion still take, 0 = there was none
+    grip_left_s: `stop` does not end a motion of `select_grip` and `grip` (nor does switching off, in Schunk's words);
+    remaining time of such a motion, 0 = there was none
     """
 
     grip_left_s: float = 0.0

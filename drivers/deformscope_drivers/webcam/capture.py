@@ -1,8 +1,8 @@
 """Access to a camera: OpenCV over Video4Linux (V4L2), behind an interface as small as a test's fake can be.
 
-OpenCV waits for an image without end, or 10 s, unless a timeout is set: `waitAny` waits as long as it is asked to.
-Only the first image after opening is waited for inside OpenCV; `OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT` bounds that [s],
-and is set to 2 where the user has not set it. The kernel's own calls (opening, setting) cannot be bounded from here.
+OpenCV waits for an image without end, or 10 s, unless a timeout is set: `waitAny` waits for its given time. Only the
+first image after opening is waited for inside OpenCV; `OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT` bounds that [s], and is set
+to 2 unless the user has set it. The kernel's own calls (opening, setting) cannot be bounded from here.
 Sources: OpenCV's documentation and its cap_v4l.cpp; V4L2's documents for the units of controls.
 """
 
@@ -96,12 +96,12 @@ class OpencvCapture:
         try:
             came, ready = self._cv2.VideoCapture.waitAny([self._capture], timeout_ns)
         except self._cv2.error as error:
-            advice = "look at the cable; dmesg"
+            advice = "check the cable; dmesg"
             raise LinkLost("an image", "an error (unplugged, or its driver failed)", advice, self._path) from error
         if came and len(ready) > 0:
             return True
         if came or not Path(self._path).exists():
-            raise LinkLost("a camera that is there", "none (unplugged?)", "look at the cable", self._path)
+            raise LinkLost("a camera that is there", "none (unplugged?)", "check the cable", self._path)
         return False
 
     def timestamp_us(self) -> int | None:

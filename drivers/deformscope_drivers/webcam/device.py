@@ -26,11 +26,10 @@ WRONG_SIZE = "size"
 class WebcamConfig:
     """How a webcam is opened and set.
 
-    port: a path (best one under /dev/v4l/by-id, which stays when cameras are numbered anew), or a number: 0 is
+    port: a path (best one under /dev/v4l/by-id, which is stable when cameras are renumbered), or a number: 0 is
     /dev/video0; width, height [px]; fps [Hz]; fourcc: the format on the wire, such as MJPG or YUYV
-    exposure_s, gain, white_balance_k, focus: None = as the camera has it (most choose by themselves); gain and focus
-    are in the driver's own units; autofocus: False switches it off where the camera has it, for a picture whose scale
-    stays
+    exposure_s, gain, white_balance_k, focus: None = the camera's own (most choose automatically); gain and focus are in
+    the driver's own units; autofocus: False switches it off where the camera has it, for a picture whose scale stays
     silence_s: no image for this long means a lost camera; stuck_after_s: the same image for this long means a frozen
     one, None = it may
     """
@@ -65,10 +64,9 @@ class WebcamConfig:
 class Webcam(Device[ColorImage]):
     """`with Webcam(WebcamConfig(port="/dev/v4l/by-id/...")) as camera: camera.next(1.0).image`
 
-    open() raises SettingsRefused when the camera runs otherwise than configured. `health().extra["gaps"]` counts
-    pauses between images longer than one and a half periods, by the camera's timestamps where it gives them: images
-    lost, or a camera that exposes longer in the dark (OpenCV gives no frame counter that would show it).
-    Never tried on a camera.
+    open() raises SettingsRefused when the camera runs otherwise than configured. `health().extra["gaps"]` counts pauses
+    between images longer than one and a half periods, by the camera's timestamps if it gives them. They are lost
+    images, or longer exposures in the dark (OpenCV gives no frame counter that would show it). Never tried on a camera.
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
@@ -108,7 +106,7 @@ class Webcam(Device[ColorImage]):
         if not self._capture.wait(timeout_s):
             silence_s = (self._clock() - self._heard_ns) / 1e9
             if silence_s > self.config.silence_s:
-                raise LinkLost("an image", f"none for {silence_s:.3g} s", "look at the camera", self._path)
+                raise LinkLost("an image", f"none for {silence_s:.3g} s", "check the camera", self._path)
             return []
         # Before decoding, which takes milliseconds that are not the camera's.
         self._heard_ns = host_ns = self._clock()

@@ -47,10 +47,10 @@ class Playback(Device[ColorImage]):
     """Pictures of a file, as from a camera.
 
     fps: pictures a second; None = as the file says, else 30
-    real_time: at that rate, as a camera would, so that a slow reader loses some; False = as fast as the readers take
-    them, and no reader loses any: nothing moves before one reads, and `next` goes on by one picture
-    loop: begin again at the end; otherwise the readers come to their end
-    A picture's device_ticks are its time in the file [us], which goes on from round to round.
+    real_time: at that rate, as a camera would, so that a slow reader loses some. False = as fast as the readers take
+    them, and no reader loses any. No picture is read before a reader starts, and `next` advances by one picture
+    loop: begin again at the end; otherwise the readers end A picture's device_ticks are its time in the file [us],
+    which continues from round to round.
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
@@ -152,7 +152,7 @@ class VideoFile(Playback):
         capture = cv2.VideoCapture(str(self.path.absolute()), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             capture.release()
-            raise NotConnected("a video", "a file that is none, or damaged", f"ffprobe {self.path}", self.path)
+            raise NotConnected("a video", "a damaged file, or one of another kind", f"ffprobe {self.path}", self.path)
         reported = float(capture.get(cv2.CAP_PROP_FPS))
         return _VideoPictures(capture), reported if math.isfinite(reported) and reported > 0 else None
 

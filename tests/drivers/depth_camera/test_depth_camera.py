@@ -258,7 +258,7 @@ def test_a_recording_is_checked_against_what_was_asked(recording: Path) -> None:
 def test_recordings_that_cannot_be_played_are_reported(tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.oni"
     damaged.write_bytes(b"no recording")
-    with pytest.raises(NotConnected, match="expected a recording that is there"):
+    with pytest.raises(NotConnected, match="expected an existing recording"):
         DepthCamera(DepthCameraConfig(port=str(tmp_path / "none.oni"))).open()
     with pytest.raises(NotConnected, match="expected a depth camera"):
         DepthCamera(DepthCameraConfig(port=str(damaged))).open()

@@ -993,7 +993,7 @@ def test_a_target_that_is_not_reached_in_time_stops_the_arm(lab: Simulated) -> N
 def test_a_move_whose_caller_vanished_is_stopped_by_the_cycle(lab: Simulated) -> None:
     lab.arm._position_until_ns = lab.clock() + 100_000_000  # as if the thread that waits had died
     lab.run(0.3)
-    assert "nobody waited" in lab.arm.stopped_because
+    assert "no caller waited" in lab.arm.stopped_because
 
 
 def test_one_thing_at_a_time(lab: Simulated) -> None:

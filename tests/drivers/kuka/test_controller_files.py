@@ -83,7 +83,7 @@ def test_the_command_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[s
     rig.write_text('[devices.arm]\ndriver = "kuka"\naddress = "10.0.0.7"\n')
     assert main(["arm", "files", str(rig), "--out", str(tmp_path / "files")]) == 0
     assert sorted(path.name for path in (tmp_path / "files").iterdir()) == NAMES
-    assert "no controller was asked" in capsys.readouterr().err + capsys.readouterr().out
+    assert "no controller has run these files" in capsys.readouterr().err + capsys.readouterr().out
     rig.write_text('[devices.arm]\ndriver = "jaco"\n')
     assert main(["arm", "files", str(rig), "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "none").exists()

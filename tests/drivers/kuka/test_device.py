@@ -123,7 +123,7 @@ def test_the_controller_ends_rsi_where_nobody_answers() -> None:
     double = KukaDouble()
     double.power_up(0)
     double.due(2_000_000_000)
-    assert "did not come in time" in double.ended
+    assert "were late" in double.ended
     np.testing.assert_array_equal(double.joints_deg, double.chain.home_deg)
 
 

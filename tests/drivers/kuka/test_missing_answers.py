@@ -55,7 +55,7 @@ def test_holdon_1_repeats_the_last_correction_until_the_timeout() -> None:
     double = KukaDouble(holdon=1)
     way = answered_once(double, cycles=200)
     assert way[20] - way[10] == pytest.approx(10 * STEP_DEG)
-    assert "did not come in time" in double.ended
+    assert "were late" in double.ended
     assert way[-1] == pytest.approx(100 * STEP_DEG, abs=2 * STEP_DEG)
     few = KukaDouble(holdon=1, timeout=5)
     assert answered_once(few)[-1] == pytest.approx(5 * STEP_DEG, abs=2 * STEP_DEG)

@@ -187,7 +187,7 @@ def test_zeroing_again_takes_the_new_load() -> None:
 def test_zeroing_is_refused_while_the_load_moves_and_changes_nothing(motion) -> None:
     simulation = Simulation(Sensors(scene=motion))
     with simulation as device:
-        with pytest.raises(SettingsRefused, match=r"vary by less than 30 counts.*the zero point is as it was"):
+        with pytest.raises(SettingsRefused, match=r"vary by less than 30 counts.*the zero point is unchanged"):
             device.zero()
         assert not device.settings.zeroed
         assert not simulation.double.zeroed

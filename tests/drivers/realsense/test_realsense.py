@@ -117,7 +117,7 @@ def test_an_unplugged_camera_is_reported_as_one(cameras: Callable[..., None]) ->
         events = camera.events()
         camera.next(PATIENCE_S)
         cameras()
-        assert "none (unplugged?) | try: look at the cable" in events.get(PATIENCE_S).reason
+        assert "none (unplugged?) | try: check the cable" in events.get(PATIENCE_S).reason
 
 
 def test_what_it_complains_of_is_a_remark(cameras: Callable[..., None]) -> None:

@@ -143,7 +143,7 @@ def test_what_is_no_video_is_reported(tmp_path: Path, folder: Path, capfd: pytes
     damaged.write_bytes(b"no video")
     empty = tmp_path / "empty"
     empty.mkdir()
-    with pytest.raises(NotConnected, match="got a file that is none, or damaged"):
+    with pytest.raises(NotConnected, match="got a damaged file, or one of another kind"):
         VideoFile(damaged).open()
     with pytest.raises(NotConnected, match="expected a file that is there"):
         VideoFile(tmp_path / "none.avi").open()

@@ -171,9 +171,9 @@ def test_signals_without_a_tap_are_refused() -> None:
     random = np.random.default_rng(7)
     x_time_s, x, y_time_s, y = signals(0.0, random)
 
-    with pytest.raises(InputError, match=r"second signal shows as a peak.*tap harder"):
+    with pytest.raises(InputError, match=r"appears in the second signal as a peak.*tap harder"):
         time_offset(x_time_s, x, y_time_s, 1.0 + 0.01 * random.standard_normal(len(y)))
     with pytest.raises(InputError, match=r"explained by the first"):
         time_offset(x_time_s, x, y_time_s, tap(y_time_s, np.array([1.5, 2.7])))
-    with pytest.raises(InputError, match="both signals saw"):
+    with pytest.raises(InputError, match="both signals have"):
         time_offset(x_time_s, x, y_time_s + 100.0, y)
