@@ -114,9 +114,14 @@ bench: setup
 bench-suite: setup
 	$(PYTEST) -p benchmark -m bench tests/bench
 
+# Whose words are checked; `python tools/words.py docs --long` lists those of a page or folder.
+WORDS := deformscope drivers/deformscope_drivers studies
+
 lint: setup
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) -m codespell_lib .
+	$(PY) tools/words.py $(WORDS)
 	$(PY) -m mypy
 
 format: setup

@@ -1,4 +1,4 @@
-"""Array types that the whole project shares. Shapes and units stand in each docstring."""
+"""Array types that the whole project shares. Each docstring has shapes and units."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def make_folder(path: Path) -> None:
 
 
 _named: set[Path] = set()
-"""What `new_recording` gave: the file may come later."""
+"""Paths of `new_recording`: the file may come later."""
 
 
 def new_recording(folder: Path, name: str, suffix: str = ".rrd") -> Path:

@@ -1,4 +1,4 @@
-"""What travels from devices, files and recordings to experiments and into recordings: stamped and frozen.
+"""Items from devices, files and recordings to experiments and into recordings: stamped and frozen.
 
 Every frame has its time (`stamp`), its device (`device`, its name in the rig) and its index in that device's stream
 (`index`, from 0; a missing index was lost).
@@ -85,7 +85,7 @@ class WrenchFrame:
 
 @dataclass(frozen=True, slots=True)
 class ArmFrame:
-    """Where an arm is, in its base frame.
+    """Pose of an arm, in its base frame.
 
     joint_deg, joint_velocity_deg_s, joint_torque_nm: (joints,) [deg], [deg/s], [N m]
     position_m: (3,) end effector [m]; rotation_rad: (3,) its Euler angles as the arm reports them [rad]
@@ -166,7 +166,7 @@ class SessionNote:
 
 
 Item = Frame | RawBytes | LinkChange | HealthReport | SessionNote
-"""What a recording of a rig holds."""
+"""Content of a rig's recording."""
 
 
 def host_ns(item: Item) -> int:
@@ -208,7 +208,7 @@ class StageResult:
 
 @dataclass(frozen=True, slots=True)
 class StageCost:
-    """What a computation took, without what was measured within it as other stages.
+    """Cost of a computation, without separately measured stages within it.
 
     stage: its name; wall_ms: on a clock; cpu_ms: of the thread that computed
     behind_ms: delay of its result behind the newest frame, None if frames wait for it
@@ -244,7 +244,7 @@ class Pad:
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """What is known of a device before its first frame.
+    """Description of a device before its first frame.
 
     simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device reports it
     channels: of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to

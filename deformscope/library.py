@@ -220,7 +220,7 @@ def predict(
     points_m: FloatArray | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
 ) -> PredictionResult:
-    """What a poke that was not fitted will do: deformed particles, depth and force with its interval.
+    """Predict a poke that was not fitted: deformed particles, depth and force with its interval.
 
     model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
     at: (2,) or (3,) place [m]; depth_m or force_n: how far or how hard; tip, size_m: flat (sides), disc or sphere
@@ -430,7 +430,7 @@ def classify(
     seed: int = 0,
     progress: Progress | bool | None = None,
 ) -> ClassificationResult:
-    """How well the content is known from each modality, and from all of them fused.
+    """Evaluate how well the content is classified from each modality, and from all of them fused.
 
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
     merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
@@ -574,7 +574,7 @@ def open_dataset(folder: Path | str) -> OpenDataset:
 
 
 def _messages(rig: str | Path, progress: Say | bool | None) -> AbstractContextManager[None]:
-    """Where lines about checks and touches go: of a rig file they are printed, unless there is a function."""
+    """Destination of lines about checks and touches: of a rig file they are printed, unless there is a function."""
     return messages_to(progress if str(rig).startswith("lab:") or callable(progress) else True)
 
 

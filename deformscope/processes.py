@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 SPAWN = multiprocessing.get_context("spawn")
-"""How they are made: what other threads hold does not survive a fork."""
+"""Start method of processes: locks of other threads do not survive a fork."""
 END_S = 5.0
 """Time limit of a process's own end, after which it is killed."""
 NICE, LAST_NICE = 10, 19

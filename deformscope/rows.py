@@ -2,9 +2,8 @@
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
 `CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat. An
-array's shape is `FIELD_shape` unless it is (n,). What is None is left out; a dataclass that may be None has at least
-one value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its
-place.
+array's shape is `FIELD_shape` unless it is (n,). None is left out; a dataclass that may be None has at least one value.
+Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its place.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ READABLE = (1, FORMAT)
 """Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
 
 Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
-"""What an exploration is computed from."""
+"""Inputs of an exploration."""
 Result = (
     SurfaceEstimate
     | TouchEstimate
@@ -213,7 +212,7 @@ def from_components(
     given: Mapping[str, Any] | None = None,
     read_image: Callable[[bytes, str], Any] = decode_image,
 ) -> T:
-    """What `to_components` took apart; raises KeyError where a part is missing that is not of `LATER`.
+    """Inverse of `to_components`; raises KeyError if a part is missing that is not of `LATER`.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
     read_image: replacement of an encoded image, which the second argument identifies
@@ -264,7 +263,7 @@ def to_json(value: object) -> str:
 
 
 def from_json(kind: type[T], text: str) -> T:
-    """What `to_json` made, of this kind."""
+    """Inverse of `to_json`, for this kind."""
     return msgspec.convert(json.loads(text), kind, dec_hook=_as_given)
 
 

@@ -24,7 +24,7 @@ SummaryT = TypeVar("SummaryT")
 ValueT = TypeVar("ValueT")
 
 BATCH_S = 0.1
-"""How long what devices give is gathered before it is recorded together: each call of a recorder's costs its time."""
+"""Time over which device items are gathered for one recorder call, because each call costs time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What an experiment has to say.
+    """Output of an experiment.
 
     results: stage results, each of a type with a view in `deformscope.log`
     frame: the index of the frame that the results belong to; None = the frame just sent
@@ -93,7 +93,7 @@ it waits for the answer."""
 
 
 class SessionRecorder(Protocol):
-    """Where a session's frames and results go (`deformscope.recording.recorder.Recorder`)."""
+    """Destination of a session's frames and results (`deformscope.recording.recorder.Recorder`)."""
 
     def write(self, items: object) -> None: ...
 
@@ -111,7 +111,7 @@ class SessionRig(Protocol):
 
 
 class SessionRobot(Protocol):
-    """What carries commands out (`deformscope.experiments.touching_robot`).
+    """The object that carries commands out (`deformscope.experiments.touching_robot`).
 
     stopped: fails once it must stop, also without a command
     """
@@ -179,7 +179,7 @@ def run(
 ) -> SummaryT:
     """Drive one experiment over one source to its end and return its summary. executor: computes; None = `Inline`
 
-    What `Compute` took, and over frames of a file what the experiment itself did, is recorded with the next results.
+    The time of `Compute`, and over frames of a file that of the experiment itself, is recorded with the next results.
     """
     executor = executor or Inline()
     frames = iter(source) if isinstance(source, Iterable) else None

@@ -22,7 +22,8 @@ SAY_EVERY_S = 20.0
 """Seconds between lines about long work where no bar can be shown."""
 
 _listener: ContextVar[Say | None] = ContextVar("listener", default=None)
-"""Who gets remarks instead of stderr. It belongs to the call that set it: other threads have their own."""
+"""The function that receives remarks instead of stderr. It belongs to the call that set it: other threads have their
+own."""
 
 
 def say(remark: str) -> None:
@@ -40,7 +41,7 @@ def is_watched() -> bool:
 
 @contextmanager
 def messages_to(progress: Say | bool | None) -> Iterator[None]:
-    """What a call of the library says within: to this function; True: to stderr; None: there where it is watched;
+    """Messages within a call of the library: to this function; True: to stderr; None: there where it is watched;
     False: no output."""
     shown = is_watched() if progress is None else progress
     token = _listener.set(shown if callable(shown) else None if shown else lambda remark: None)
@@ -70,7 +71,7 @@ def status_line() -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def shown_progress(progress: Progress | bool | None) -> Iterator[Progress | None]:
-    """How a call of the library reports long work: by this function; otherwise as `messages_to` takes it."""
+    """Progress of a call of the library: to this function; otherwise as in `messages_to`."""
     if callable(progress):
         yield progress
     elif is_watched() if progress is None else progress:

@@ -1,4 +1,4 @@
-"""What proves the claims in the documentation: how often intervals and verdicts hold, on data of known truth.
+"""Studies behind the claims in the documentation: how often intervals and verdicts hold, on data of known truth.
 
     python -m studies                    lists them
     python -m studies creep --objects 20 --json creep.json

@@ -58,7 +58,7 @@ THETA_BETA = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Disturbance:
-    """How observed positions err.
+    """Errors of observed positions.
 
     cells: over how many spacings neighbours share errors (0: not at all), 0.7 to 1.3 times it, exponential, Matern or
     Gaussian; white: share of the variance that they do not; held_noise: held positions have it too
@@ -168,7 +168,7 @@ def try_disturbed(case: DisturbedCase) -> DisturbedOutcome:
 
 
 def observed(body: Pushed, errors: Errors) -> Observation:
-    """What is handed to a calibration of a body of another solver; the noise is stated."""
+    """Input of a calibration of a body of another solver; the noise is stated."""
     count = len(body.rest)
     return Observation(
         body.rest,
@@ -219,7 +219,7 @@ class _Errors:
         return np.asarray(self.sigma * noise)
 
     def observe(self, model: Model, truth: float, share: float) -> Observation:
-        """What is seen when a share of the motion is done."""
+        """Observation at a share of the motion."""
         body = self.body
         start = body.rest[body.held]
         held = start + share * (body.held_position - start)
@@ -275,13 +275,13 @@ def _alarms(some: Sequence[DisturbedOutcome]) -> Rate:
 
 
 def _reasons(some: Sequence[DisturbedOutcome]) -> dict[DoubtCode, Rate]:
-    """How often each reason to doubt the value was named."""
+    """Number of each reason to doubt the value."""
     named = {code: Rate.of(code in one.codes for one in _fits(some)) for code in get_args(DoubtCode)}
     return {code: rate for code, rate in named.items() if rate.hits}
 
 
 def reasons_text(reasons: Mapping[DoubtCode, Rate]) -> str:
-    """How often each was named."""
+    """Number of each reason, as text."""
     return ", ".join(f"{code} {rate.rate:.2f}" for code, rate in reasons.items())
 
 

@@ -36,7 +36,7 @@ FAMILIES = {
     "zigzag": Family.ZIGZAG,
     "ring": Family.RING,
 }
-"""What the border of each scene is; lines may be straight or waves."""
+"""Kind of each scene's border; lines may be straight or waves."""
 
 GOOD = 0.85
 

@@ -163,7 +163,7 @@ class CreepCoverageConfig(StudyOptions):
     objects: flags.ManyFlag = 60
     """Foams that creep, from seed SEED on; each takes some 5 s."""
     hold: Annotated[float, arg(metavar="S")] = 8.0
-    """How long the force is held [s]."""
+    """Duration of the force [s]."""
 
     laws: Annotated[int, flags.least(0)] = 60
     """Touches of each law of viscoelasticity, by hereditary integrals that share no code with the fit; each takes less

@@ -57,7 +57,7 @@ EXPECTED: dict[Data, DoubtCode] = {
     "noise stated 15 times too small": "noise-contradicted",
     "other solver: clusters, x and y swapped": "axes-swapped",
 }
-"""What is wrong with the data, where something is; elsewhere such a reason is a false alarm."""
+"""Error of the data, if any; elsewhere such a reason is a false alarm."""
 
 MATERIALS: dict[Data, Floats] = {
     "other solver: whole face, nu 0": stiffness(1.0, 0.0),
@@ -136,7 +136,7 @@ def try_doubts(case: DoubtCase) -> Doubted:
 
 
 def _seen(body: RandomBody, data: Data, rng: np.random.Generator) -> tuple[Observation, tuple[float, ...]]:
-    """What is handed to the calibration, and the betas that are true of it."""
+    """Input of the calibration, and its true betas."""
     truths: tuple[float, ...] = (float(rng.uniform(*BOUNDS)),)
     if data in TWO:
         deformed, truths = _two_betas(body, data, rng)
@@ -186,7 +186,7 @@ CODES: tuple[DoubtCode, ...] = get_args(DoubtCode)
 
 
 def _named(some: Sequence[Doubted]) -> dict[DoubtCode, Rate]:
-    """How often each reason was named."""
+    """Number of each reason."""
     rates = {code: Rate.of(code in one.codes for one in some) for code in CODES}
     return {code: rate for code, rate in rates.items() if rate.hits}
 

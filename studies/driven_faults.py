@@ -1,6 +1,6 @@
 """Arms that are driven to forbidden poses, and programs that are killed: whether the arm stops in time.
 
-What `fault_study` injects strikes devices in the midst of a touch; here what commands the arm is itself wrong.
+`fault_study` injects faults of devices in the midst of a touch; here the commands of the arm are themselves wrong.
 """
 
 from __future__ import annotations

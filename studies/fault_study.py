@@ -124,7 +124,7 @@ class FaultRun:
 
 @dataclass(frozen=True, slots=True)
 class FaultScene:
-    """What one seed draws: the lab, its robot and a touch."""
+    """Random quantities of one seed: the lab, its robot and a touch."""
 
     lab: TouchLab
     robot: Robot

@@ -105,7 +105,7 @@ def _own_plate(body: FieldBody, seed: int) -> tuple[Observation, Young, Orthotro
 
 @dataclass(frozen=True, slots=True)
 class FieldOutcome:
-    """How one body's field was determined.
+    """Result of one body's field.
 
     right: the verdict and number of materials are the true ones; ratio: stiffest over softest, over the true one
     border: distance of the farthest wrong cell from one of its assigned material [spacings], 0 = none is wrong; NaN

@@ -2,7 +2,7 @@
 
     python -m studies figures --out figures
 
-What moves is in the recording of `deformscope reproduce shapes`; these are its pictures, lengths in centimetres.
+Motions are in the recording of `deformscope reproduce shapes`; these are its pictures, lengths in centimetres.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a controller would record while a tip comes down on foam with a memory, holds its force and goes back.
+"""A controller's record of a tip that comes down on foam with a memory, holds its force and retracts.
 
 As `deformscope.lab.touching`: no wires, no control loop.
 """

@@ -1,10 +1,10 @@
-"""How many lumps touches could distinguish from foam that scatters, were everything known of it but its draw.
+"""Number of lumps that touches could distinguish from foam that scatters, with all its parameters known.
 
     limit(0.07)        # share of lumps as `lab:buried` draws them, within 30 touches, in foam that scatters by 7 %
 
 An oracle with the scatter's deviation and length, and the inclusion's size, depth, contrast and place: 20 touches
 spread evenly and 10 around the inclusion, each where it adds most. It then needs readings that are FOUND times as
-probable with the lump as without one or with one elsewhere. Nobody who has to seek it finds more.
+probable with the lump as without one or with one elsewhere. No detector that has to search finds more.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ python -m studies materials --kinds axes viscous --objects 200 --json materials.
 
 Deformations and motions of known materials: how often `calibrate axes`, `yield` and `viscous` hold the truth.
 
-What is drawn for each: the material, how it is pushed, and the noise, which neighbours share over a reach.
+Random quantities of each: the material, its push, and the noise, which neighbours share over a reach.
 
 axes: a plate of this model, pushed anywhere at its top: its betas are the model's, so that no other truth of them is
 yield: a block of this model, pressed and released, that yields; beta is fitted with it

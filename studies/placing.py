@@ -123,7 +123,7 @@ class PlacedRun:
 
     @property
     def noticed(self) -> str:
-        """By what a container that was disturbed was noticed in time, `image` or `force`; empty = it was not."""
+        """Detection of a disturbed container in time, by `image` or `force`; empty = none."""
         if self.case.disturbed == DISTURBED[-1]:
             return "image" if self.changes[-1:] not in ((), ("stands",), ("hidden",)) else ""
         told = "image" if self.stop.startswith(CONTAINER) else "force" if self.stop in FORCES else ""
@@ -132,7 +132,7 @@ class PlacedRun:
 
 @dataclass(slots=True)
 class _Disturbance:
-    """Somebody moves or topples the container once. struck: how"""
+    """A person moves or topples the container once. struck: how"""
 
     trial: PlacedTrial
     random: np.random.Generator
@@ -204,7 +204,7 @@ def trials(options: PlacingStudyConfig) -> list[Trials[PlacingCase, PlacedRun]]:
 def report(
     options: PlacingStudyConfig, seconds: float, runs: Sequence[PlacedRun], disturbed: Sequence[PlacedRun]
 ) -> StudyReport:
-    """How many were placed, and why not; which grasps were refused; which disturbances were noticed, and by what."""
+    """Number of placed ones, and reasons of failures; refused grasps; detected disturbances, and their detection."""
     placed, stops = sum(one.placed for one in runs), Counter(one.stop for one in runs if one.stop)
     changes = Counter(change for one in runs for change in one.changes)
     refused, drawn = Counter(why for one in runs for why in one.refused), sum(one.drawn for one in runs)

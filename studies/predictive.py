@@ -1,4 +1,4 @@
-"""Where the particles go when something else is done to the body: predicted positions, with intervals.
+"""Predicted positions of the particles under another load, with intervals.
 
 Uncertain are the parameter (its posterior), the model (the misfit of the fit, scaled with the size of the deformation),
 and the noise of the prescribed positions through its effect on the simulation. For particles that will be measured as

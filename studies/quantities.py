@@ -1,4 +1,4 @@
-"""What is computed of many outcomes: quantities, each declared once for the table and the JSON."""
+"""Statistics of many outcomes: quantities, each declared once for the table and the JSON."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def of_cases(rate: Rate) -> str:
 
 
 def counts(names: Iterable[str]) -> dict[str, int]:
-    """How often each comes, in alphabetical order."""
+    """Number of each value, in alphabetical order."""
     every = list(names)
     return {name: every.count(name) for name in sorted(set(every))}
 
@@ -112,8 +112,8 @@ LEAST_TRUTH = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class KnownEstimate:
-    """What was estimated of one object. kind: of object; truth, value, low, high: (q,) of its quantities, nan where
-    there is none, infinite where the data leave it open"""
+    """Estimate of one object. kind: of object; truth, value, low, high: (q,) of its quantities, nan where there is
+    none, infinite where the data leave it open"""
 
     kind: str
     verdict: str

@@ -71,7 +71,7 @@ Truth = Literal["prior", "scenes", "maps"]
 
 @dataclass(frozen=True, slots=True)
 class RegionCondition:
-    """Where truths come from, and what the session keeps from the estimator.
+    """Source of truths, and hidden errors of the session.
 
     errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at this number of
     their standard deviations, with the sign by the seed, instead of random; materials: on maps of an independent
@@ -186,7 +186,7 @@ class KnownSurface:
 
 
 def known_surface(condition: RegionCondition, seed: int, prior: RegionPrior) -> KnownSurface:
-    """What is explored: the same for each seed."""
+    """The explored scene: the same for each seed."""
     if condition.truth == "maps":
         return _from_maps(condition.materials, seed)
     stream = zlib.crc32(condition.name.encode())  # sessions of two conditions have nothing in common

@@ -60,7 +60,7 @@ DOUBT_M: Mapping[About, float] = {"nothing": 0.0, "surface": OFF_M + 0.2 * OFF_R
 NOISE_PER_M: Mapping[Sensor, float] = {"plain": 1.425e-3, "primesense": 1.425e-3, "realsense": 3.75e-3}
 """Deviation of depth z is that times z^2 [m], as the cameras have it."""
 DEVIATIONS, STEP_M = 4.0, 0.002
-"""What differs from the foam's depth by more is none of it."""
+"""Points with a larger difference from the foam's depth are none of it."""
 BLEEDING_PX = 2
 """Distance in pixels from the robot within which a pixel may have its depth, or one between."""
 TILT_RAD = float(np.radians(10.0))
@@ -218,7 +218,7 @@ def removed(picture: RobotPicture, geometry: SetupGeometry, box: Box) -> Removed
 
 @cache
 def known_as(removal: Removal) -> RobotDescription:
-    """What is known of the robot: of capsules neither gripper nor cable, as without [shape] in the rig file."""
+    """The known description of the robot: of capsules neither gripper nor cable, as without [shape] in the rig file."""
     return AS_CAPSULES if removal == "capsules" else described_robot(removal)
 
 
@@ -405,7 +405,7 @@ def _shares(row: Row) -> str:
 
 
 def _time_table(lines: Sequence[Row]) -> Table:
-    """What a picture of 640 by 480 takes."""
+    """Time of a picture of 640 by 480."""
     written = [
         (removal, *(f"{1e3 * _median_s(lines, where, removal):.0f}" for where in TITLES)) for removal in REMOVALS
     ]

@@ -34,7 +34,7 @@ T_BASE_SURFACE = transform(rotation_from_rpy(0.0, 0.0, np.pi / 2), (0.75, -0.3, 
 
 
 class SensorFault(StrEnum):
-    """What is wrong with the force sensor, or with what the camera saw."""
+    """Fault of the force sensor, or error of the camera's measurement."""
 
     RIGHT = "nothing is wrong"
     DEAD = "the sensor measures nothing"

@@ -151,7 +151,8 @@ def _limit(injected: Injected) -> str:
 
 
 def _until_noticed(runs: Sequence[FaultRun]) -> str:
-    """What the arm did unseen, of the kinds that are judged by it: those noticed later than other faults of the arm."""
+    """The arm's undetected motion, of the kinds that are judged by it: those detected later than other faults of the
+    arm."""
     kinds = {run.injected for run in runs}
     later = [run for run in runs if run.noticed_s > ALLOWED_S[run.injected]]
     if kinds == {Injected.ARM_FROZEN}:

@@ -33,7 +33,7 @@ LAGS_S, ACCELERATIONS_DEG_S2 = (0.0, 0.004), (1000.0, 4000.0)
 
 
 class Silence(StrEnum):
-    """What ends the answers of an arm that moves."""
+    """Reason for the end of a moving arm's answers."""
 
     CABLE = "cable pulled"
     SIGSTOP = "SIGSTOP of the arm's process"

@@ -33,7 +33,7 @@ class PokeCase:
 
 @dataclass(frozen=True, slots=True)
 class UnseenPrediction:
-    """How well one unseen poke was predicted.
+    """Accuracy of one predicted unseen poke.
 
     coordinates: of its free particles; covered: of them within their intervals; width: median of these [m]
     error: root mean square of predicted - true [m]; motion: of true - rest [m]; both a coordinate

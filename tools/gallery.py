@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PIL import Image
+from screenshot import headless_viewer, shoot
 
 import deformscope as ds
-from screenshot import headless_viewer, shoot
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

@@ -2,13 +2,15 @@
 
     python tools/reference_pages.py commands     # print one page
 
-Notebooks become pages. Commands come from their own help, recordings from the classes that are recorded, quantities
-from their declaration, keys of a rig file from its sections, and the functions of Python from their docstrings
-(mkdocstrings). Files outside `docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
+Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
+keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Notebooks are
+shown with the outputs that they hold. Files outside `docs/` that pages link (`../drivers/README.md`, pictures) are
+copied into the site.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import importlib
@@ -32,7 +34,17 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 HELP_COLUMNS = "100"
 OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:drivers|recordings|studies)/[\w./-]+)")
+ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
 FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Have the notebooks below the tutorials."""
+    shown = [{_title_of(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
+    for section in config.nav or () if shown else ():
+        if "Tutorials" in section:
+            section["Tutorials"].append({"Notebooks": shown})
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -41,8 +53,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     for name, make in PAGES.items():
         files.append(File.generated(config, f"reference/{name}.md", content=make()))
-    for path in sorted((ROOT / "docs" / "notebooks").glob("*.ipynb")):
-        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=notebook(path)))
+    for path in notebooks():
+        page, pictures = notebook_page(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=page))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
     linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
     for path in sorted(linked):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
@@ -50,32 +65,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files outside `docs/` lead to their copies."""
+    """Let links to files outside `docs/` lead to their copies, and blocks of code have their file's name as title."""
     above = "../" * page.file.src_uri.count("/")
-    return OUTSIDE.sub(rf"]({above}files/\1", markdown)
-
-
-# Notebooks ------------------------------------------------------------------------------------------------------------
-
-
-def notebook(path: Path) -> str:
-    """A notebook as Markdown, with what its cells gave; pictures are within the page."""
-    parts = []
-    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
-        source = "".join(cell["source"])
-        if cell["cell_type"] == "markdown":
-            parts.append(source)
-            continue
-        parts.append(f"```python\n{source}\n```")
-        for one in cell["outputs"]:
-            if "text" in one:
-                parts.append(f"```text\n{''.join(one['text']).rstrip()}\n```")
-            elif picture := one.get("data", {}).get("image/png"):
-                parts.append(f"![What the cell above draws](data:image/png;base64,{''.join(picture.split())})")
-            elif "text/plain" in one.get("data", {}):
-                parts.append(f"```text\n{''.join(one['data']['text/plain'])}\n```")
-    title, *rest = parts[0].split("\n\n", 1)
-    return "\n\n".join([title, f"[Download this notebook]({path.name})", *rest, *parts[1:]]) + "\n"
+    titled = ABOUT.sub(lambda one: one[1] if one[2] == "skip" else f'{one[1]} title="{one[2]}"', markdown)
+    return OUTSIDE.sub(rf"]({above}files/\1", titled)
 
 
 # Commands ------------------------------------------------------------------------------------------------------------
@@ -319,13 +312,47 @@ def licences() -> str:
         if about["Name"] in found:
             continue
         classified = [one.split(" :: ")[-1] for one in about.get_all("Classifier") or () if one.startswith("License")]
-        named = about.get("License-Expression") or ", ".join(classified) or (about.get("License") or "").splitlines()[:1]
-        found[about["Name"]] = (about["Name"], about["Version"], named if isinstance(named, str) else "".join(named))
+        stated = (about.get("License") or "").partition("\n")[0]
+        named = about.get("License-Expression") or ", ".join(classified) or stated
+        found[about["Name"]] = (about["Name"], about["Version"], named)
         wanted = [Requirement(one) for one in metadata.requires(name) or ()]
         left += [one for one in wanted if one.marker is None or one.marker.evaluate({"extra": ""})]
     rows = [found[name] for name in sorted(found, key=str.lower)]
     about_it = "What `pip install deformscope` brings, from the packages' metadata where this page was made."
     return f"# Licences of dependencies\n\n{about_it}\n\n{_table(('package', 'version', 'licence'), rows)}\n"
+
+
+# Notebooks ------------------------------------------------------------------------------------------------------------
+
+
+def notebooks() -> list[Path]:
+    """In the order of their names."""
+    return sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
+    """A notebook as Markdown, and its pictures by their names."""
+    parts, pictures = [f"[{path.name}]({path.name}) is this page as a notebook."], dict[str, bytes]()
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(f"```python\n{source}\n```" if cell["cell_type"] == "code" else source)
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures)}.png"
+                pictures[name] = base64.b64decode("".join(data["image/png"]))
+                parts.append(f"![What the cell draws]({name})")
+            elif "text/html" in data:  # without an empty line, which would end it
+                parts.append("\n".join(line for line in "".join(data["text/html"]).splitlines() if line.strip()))
+            elif shown := "".join(output.get("text", data.get("text/plain", ""))).rstrip():
+                parts.append(f"```text\n{shown}\n```")
+    return "\n\n".join([*parts[1:2], parts[0], *parts[2:]]) + "\n", pictures
+
+
+def _title_of(path: Path) -> str:
+    """The heading of a notebook, else its name."""
+    heading = re.search(r"^# (.+)$", notebook_page(path)[0], re.MULTILINE)
+    return heading[1] if heading else path.stem
 
 
 # Markdown -------------------------------------------------------------------------------------------------------------

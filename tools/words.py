@@ -39,11 +39,24 @@ PRIVATE = {
     r"believe[sd]?": "estimated, assumed",
     r"wants?|wanted": "needs, requests",
     r"put right|beforehand": "corrected; before, prior",
+    r"somebody|someone|nobody": "a person, an operator, no person",
+    r"(?:came|comes?|become) of": "outcome, result",
+    r"keeps? nothing|lets? go\b(?! of)": "say who does what; release",
+    r"(?:from|since) (?:which|where) on": "from",
     r"(?:what|than|as) (?:it|they) (?:was|were|is|are|has|had|does|did)(?=[.,;:)]|$)": "name it",
-    r"[Ww]hat (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
+    r"what (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
 }
 """Patterns of whole words, and what to write instead."""
-EXCEPT = r"^told JSON|\[calibrated\.time\] device and beside|exact and told$|[Aa] stand\b|if its flags say so"
+EXCEPT = "|".join(
+    (
+        r"(?:A|a|simulated) stand\b",
+        r"exact and told$|^told JSON|told, truth",
+        r"\(\w, kept\)|^NOT kept",
+        r"\[calibrated\.time\] device and beside|beside `label`",
+        r"if its flags say so|the library (?:does not know|cannot say)",
+        r"\(\"want\",|that is None|kind: stands",
+    )
+)
 """Names of keys, columns and rows; a stand is a thing."""
 COMMANDS = ("deformscope ", "python ", "make ")
 """Beginnings of lines to type."""
@@ -121,7 +134,7 @@ def texts(path: Path) -> Iterator[Text]:
 def sentences(text: str) -> list[str]:
     """The sentences of a text: they end at a full stop, at an empty line, and at the bars of a message."""
     item = r"(?=\w+(?:, \w+)*(?: \([^()]*\))?: )"
-    full_stop = r"(?<=[.!?])[\")*_]*\s+(?=[\"'(*_`\[A-Z0-9]|--|\w+:)"
+    full_stop = r"(?<=[.!?])(?<!eq\.)(?<!fig\.)(?<!ch\.)(?<!al\.)(?<!e\.g\.)[\")*_]*\s+(?=[\"'(*_`\[A-Z0-9]|--|\w+:)"
     found = re.split(rf"{full_stop}|\n\s*\n|\s\|\s|\n\s*(?=[-*] )|;\s+{item}|\n\s*{item}|\n(?=[^\n]*\S  +\S)", text)
     flat = (" ".join(part.split()) for part in found if part)
     return [part for part in flat if part and not part.startswith(COMMANDS)]
@@ -137,7 +150,11 @@ def words(sentence: str) -> int:
 def private(sentence: str) -> list[str]:
     """The private words of a sentence, each with what to write instead."""
     prose = re.sub(rf"{EXCEPT}|^\w+(?:, \w+)*: |`[^`]*`|\]\([^)]*\)|--\w\S*", "", sentence)
-    found = ((hit[0], instead) for word, instead in PRIVATE.items() for hit in re.finditer(_whole(word), prose))
+    found = (
+        (hit[0], instead)
+        for word, instead in PRIVATE.items()
+        for hit in re.finditer(_whole(word), prose, re.IGNORECASE)
+    )
     return [f"{hit!r}: write {instead}" for hit, instead in found]
 
 

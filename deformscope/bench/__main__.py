@@ -16,7 +16,7 @@ from deformscope.plain import plain
 
 
 def main() -> int:
-    """Measure, with progress on stderr; whatever was measured is written, also when it ends early."""
+    """Measure, with progress on stderr; finished measurements are written, also after an interruption."""
     parser = argparse.ArgumentParser(prog="python -m deformscope.bench", description=__doc__)
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     parser.add_argument("--sizes", type=lambda text: tuple(int(part) for part in text.split(",")))

@@ -75,7 +75,7 @@ class _Judged:
         return float(found.x)
 
     def answer(self, name: str) -> dict[str, object]:
-        """What one of them found, and how far that is from the minimum."""
+        """Result of one of them, and its distance from the minimum."""
         away = {f"from_minimum_of_{error}": self.answers[name] - beta for error, beta in self.minimum.items()}
         return {"beta": self.answers[name], "truth": TRUE_BETA, **away}
 

@@ -1,4 +1,4 @@
-"""What a figure depends on besides the code: the machine, and what runs on it."""
+"""Conditions of a figure besides the code: the machine, and its load."""
 
 from __future__ import annotations
 

@@ -16,20 +16,21 @@ CUDA_SIZE = 9_938_375
 """215^3: only a GPU takes it on by default."""
 
 CLUSTER = 3
-"""Particles a side of a cluster, wherever nothing else is said."""
+"""Default particles per side of a cluster."""
 MIDDLE = 11
 """Side of the cube of 1331 particles, at which most is compared."""
 BETA = 0.7
 
 Note = Callable[[str], None]
-"""Gets what is being measured, in words."""
+"""Receives the name of the present case."""
 
 
 @dataclass(frozen=True, slots=True)
 class BenchPlan:
-    """What to measure.
+    """The cases to measure.
 
-    device: warp's name; sizes: particles of the cubes, each n^3; repeats: rounds of every comparison, None = what fits
+    device: warp's name; sizes: particles of the cubes, each n^3; repeats: rounds of every comparison, None = as many as
+    fit
     quick: short rounds and less of everything; peers: other engines too; only: which cases
     """
 
@@ -51,7 +52,7 @@ class BenchPlan:
 
     @property
     def longest_s(self) -> float:
-        """What is expected to take longer for one row is left out."""
+        """Cases of one row that are expected to take longer are left out."""
         return 3.0 if self.quick else 20.0
 
     def rounds(self, seconds: float, least: int = 1) -> int:

@@ -41,7 +41,7 @@ MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
 
 
 def check(plan: BenchPlan) -> None:
-    """Raises InputError for what cannot be measured."""
+    """Raises InputError for unsupported cases."""
     odd = [size for size in plan.sizes if side_of(size) < 4]
     if odd:
         raise InputError("sizes that are cubes of 4 or more", ", ".join(map(str, odd)), "--sizes 216,1331")

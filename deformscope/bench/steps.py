@@ -29,7 +29,7 @@ COPIED_BYTES, COPIES = 1 << 28, 8
 CACHES_BYTES = 1 << 27
 """Of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
 READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
-"""Fields of a lattice's passes: of particles, and what one pass leaves to the next."""
+"""Fields of a lattice's passes: of particles, and intermediate results between passes."""
 MEMORY_LEAST = 10_000
 """Particles below which the process's own memory, which comes in pages and pools, shows nothing."""
 
@@ -73,7 +73,7 @@ class Stepping:
         return Timing(wp.get_event_elapsed_time(began, ended) / 1e3, cpu_s)
 
     def waited(self, steps: int) -> None:
-        """The same as whoever calls it sees it: until the device is done."""
+        """The same as its caller sees it: until the device is done."""
         self._engine.advance(self.state, self._body.held_position, self._beta, steps=steps)
         wp.synchronize_device(self._engine.device)
 
@@ -100,7 +100,7 @@ def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
 
 
 def bandwidth_bytes_s(device: str) -> float:
-    """What the device's memory reads and writes in a second, by the best of some large copies."""
+    """Bytes that the device's memory reads and writes in a second, by the best of some large copies."""
     source, target = (wp.zeros(COPIED_BYTES // 4, dtype=wp.float32, device=device) for _ in range(2))
 
     def copied() -> None:
@@ -140,14 +140,14 @@ def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> 
 
 
 def _calls(plan: BenchPlan, engine: Msm, stepping: Stepping, what: str) -> Iterator[TimingRow]:
-    """What a call of two steps takes, and copying the positions to the host."""
+    """Time of a call of two steps, and of copying the positions to the host."""
     two = Contestant(f"{what}, a call of 2 steps", OURS, plan.turn(partial(stepping.waited, 2)))
     copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
     yield from compare("call", [two, copy], plan.rounds_of_steps)
 
 
 def _beside(plan: BenchPlan, note: Note, body: BenchBody, ours: Contestant) -> Iterator[TimingRow]:
-    """The engine's row, and those of whoever can do the same or something like it."""
+    """The engine's row, and those of engines with the same or a similar computation."""
     with contextlib.ExitStack() as stack:
         contestants = [ours]
         if plan.cpu:

@@ -19,7 +19,7 @@ OURS = "deformscope"
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """One run. wall_s: its duration [s]; cpu_s: what all threads of its process worked meanwhile [s]."""
+    """One run. wall_s: its duration [s]; cpu_s: processor time of all threads of its process [s]."""
 
     wall_s: float
     cpu_s: float
@@ -33,9 +33,9 @@ class Timing:
 class TimingRow:
     """One line of the table.
 
-    case: which part of the bench; what: was done; who: did it; unit: of the samples; samples: one a round
+    case: which part of the bench; what: the case; who: did it; unit: of the samples; samples: one a round
     costs: median over rounds of its cost over that of the row it is compared with, None where there is none
-    beside: what that row is; same: False where it solves another problem (context, no comparison of like with like)
+    beside: its reference row; same: False where it solves another problem (context, no comparison of like with like)
     facts: other values, by name with their unit; note: a remark for readers
     """
 
@@ -69,7 +69,7 @@ class TimingRow:
 
     @property
     def doubt(self) -> str:
-        """What speaks against the row's figure; empty where nothing does."""
+        """Reason against the row's figure; empty without one."""
         if not self.positive:
             return f"FAILED: a sample of {min(self.samples):.3g} {self.unit} is not positive"
         if self.median and self.spread is not None and self.spread > SPREAD * self.median:
@@ -103,7 +103,7 @@ class Contestant:
     """Something that can be run once, on the clock.
 
     run: once, and the time of it; amount: how many of the unit's things that was (steps, candidates)
-    beside: whom it is compared with; facts: what is known before it runs; found: what is known once it has
+    beside: its reference; facts: values before it runs; found: values after its run
     """
 
     what: str
@@ -118,7 +118,7 @@ class Contestant:
     note: str = ""
 
     def sample(self, timing: Timing) -> float:
-        """What the table shows of one run."""
+        """The table's text of one run."""
         if self.unit.endswith("/s"):
             return self.amount / timing.wall_s
         return timing.wall_s / self.amount * (1e3 if self.unit.startswith("ms") else 1.0)
@@ -135,7 +135,7 @@ def clock(work: Callable[[], object]) -> Timing:
 
 
 def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
-    """Every contestant once a round, in turn (A B C A B C...): what disturbs the machine disturbs all alike.
+    """Every contestant once per round, in turn (A B C A B C...): disturbances of the machine affect all alike.
 
     rounds: how many, given the seconds of the first; that one only warms up, unless there is no other.
     """

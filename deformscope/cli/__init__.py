@@ -40,7 +40,7 @@ class Command:
     """One command.
 
     summary: its line in `deformscope --help`; config: its class in `deformscope.config`;
-    module: where it lives; function: what runs it, called with the config
+    module: where it lives; function: runs it, called with the config
     """
 
     summary: str
@@ -134,7 +134,7 @@ HEADINGS = {
     "replay": "Recordings and data sets",
     "reproduce cubes": "Studies",
 }
-"""What `deformscope --help` has above a command."""
+"""Text of `deformscope --help` above a command."""
 
 BEGIN = (
     "deformscope: how soft a thing is, and where.\n\nFor a first run, map a simulated foam: open the printed "
@@ -192,8 +192,8 @@ class _Printable(logging.Formatter):
 
 @contextlib.contextmanager
 def _ended_by_signals() -> Iterator[list[int]]:
-    """A request to end, and a terminal that is closed, interrupt like Ctrl-C, once; yields which did. What is ignored,
-    as by nohup, stays so; a command that moves or records something attends to them itself."""
+    """A request to end, and a terminal that is closed, interrupt like Ctrl-C, once; yields which did. Ignored signals,
+    as by nohup, stay ignored; a command that moves or records something handles them itself."""
     came: list[int] = []
 
     def end(number: int, frame: FrameType | None) -> None:
@@ -339,14 +339,14 @@ def _help(group: str = "") -> str:
 
 
 class _UsageError(InputError):
-    """A flag that cannot be read, in the words of whoever refused it."""
+    """A flag that cannot be read, with the parser's own text."""
 
     def __init__(self, words: str, try_this: str) -> None:
         Exception.__init__(self, f"{words} | try: {try_this}")
 
 
 def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
-    """Read a command's flags; whatever is wrong is an InputError. Help goes to stdout and ends in SystemExit(0)."""
+    """Read a command's flags; every mistake is an InputError. Help goes to stdout and ends in SystemExit(0)."""
     import tyro
 
     with contextlib.ExitStack() as stack:
@@ -388,7 +388,7 @@ _CONVERSIONS = (
 
 
 def _usage_error(boxed: str, prog: str) -> InputError:
-    """One line out of tyro's box, whose sections are parted by rules: title, what is wrong, hints."""
+    """One line out of tyro's box, whose sections are separated by rules: title, error, hints."""
     lines = [_FRAME.sub("", line) for line in boxed.splitlines()]
     body = [line for line in lines[1:-1] if line.strip()]
     rules = [index for index, line in enumerate(body) if set(line.strip()) == {"─"}]
@@ -465,7 +465,7 @@ def _explain(error: Exception) -> str:
 
 
 def _missing_library(error: BaseException) -> str:
-    """The shared object that the loader did not find, from the error or what caused it."""
+    """The shared object that the loader did not find, from the error or its cause."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, ImportError | OSError):
@@ -477,7 +477,7 @@ def _missing_library(error: BaseException) -> str:
 
 
 def _pipe_closed(error: BrokenPipeError) -> int:
-    """Quiet where whoever read stdout has gone (`| head`); a device's pipe that broke is an error like any other."""
+    """Quiet if the reader of stdout has gone (`| head`); a device's pipe that broke is an error like any other."""
     try:
         descriptor = sys.stdout.fileno()
         poll = select.poll()

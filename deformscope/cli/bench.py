@@ -1,4 +1,4 @@
-"""`deformscope bench`: what MSM costs on this machine, as a table.
+"""`deformscope bench`: cost of MSM on this machine, as a table.
 
 deformscope bench
 deformscope bench --quick --only step,relax --json -
@@ -38,7 +38,7 @@ FACTS: dict[str, Callable[[Any], str]] = {
     "deviation_from_exact": lambda value: f"{value:.1e} from its deviation",
     "import_s": lambda value: f"imports {value:.2g} s more",
 }
-"""What of a row's facts the table shows, and how."""
+"""The facts of a row in the table, with their formats."""
 
 REMARK = (
     "costs: median over rounds of this row over its reference row (the first of its body by deformscope). "

@@ -27,7 +27,7 @@ from deformscope.stages.setup.board import CharucoSpec, board_image
 
 
 def run(config: SetupOptions) -> None:
-    """Measure, or read what was measured; print and write what is found."""
+    """Measure, or read a measurement; print and write the result."""
     if isinstance(config, CameraConfig) and config.print_board is not None:
         board = CharucoSpec(*config.board, config.square)
         write_file(config.print_board, cv2.imencode(".png", board_image(board))[1].tobytes())

@@ -1,4 +1,4 @@
-"""What the commands share: where their words, tables, JSON and files go."""
+"""Common output of the commands: text, tables, JSON and files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from deformscope.recording.recorder import Recorder
 
 EXIT_LOSSES = 3
-"""The exit status of a command whose result is whole, but of which something was lost; it names what."""
+"""The exit status of a command whose result is complete, but with losses; it names them."""
 PAGE_LOOK_S = 0.2
 """Seconds between checks whether a page's server still runs."""
 
@@ -85,7 +85,7 @@ def show_table(title: str, rows: Sequence[tuple[str, str]]) -> None:
 def recorder_of(
     config: RecordedOptions, application: Application | None = None, *, real_time: bool = False
 ) -> Iterator[Recorder]:
-    """What a command is recorded and shown with as its flags say; remarks where the recording is.
+    """The recorder and the view of a command, by its flags; remarks on the recording's place.
 
     The flags are the recording's settings. application: None = that of findings, with views of its own for each command
     """
@@ -133,7 +133,7 @@ def keep_page() -> None:
 def write_json(value: object, target: str | None) -> None:
     """Write `value` to a file, or to stdout where `target` is `-`; None writes nothing.
 
-    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; what is not finite becomes null.
+    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; nan and infinities become null.
     """
     if target is None:
         return
@@ -148,8 +148,8 @@ def write_json(value: object, target: str | None) -> None:
 
 @contextmanager
 def json_alone(target: str | None) -> Iterator[None]:
-    """With `--json -`, stdout carries the JSON and nothing else: all else that is printed goes to stderr, also what
-    libraries print below Python."""
+    """With `--json -`, stdout carries the JSON and nothing else: all other output goes to stderr, also that of
+    libraries below Python."""
     if target != "-":
         yield
         return
@@ -194,7 +194,7 @@ def write_file(path: Path | None, content: bytes) -> None:
 
 
 def check_writable(path: Path, flag: str, *, replace: bool = True) -> None:
-    """Find out before the work whether its result can be written, without touching what is there."""
+    """Find out before the work whether its result can be written, without touching existing files."""
     if path.is_dir():
         raise InputError(f"a file after {flag}", "a folder", where=path)
     if path.exists() and not path.is_file():  # a device or a pipe: opening it could wait for a reader

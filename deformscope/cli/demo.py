@@ -1,4 +1,4 @@
-"""`deformscope demo`: the main job on what is built in; leaves `runs/demo-<stamp>.rrd`.
+"""`deformscope demo`: the main task on simulated devices; leaves `runs/demo-<stamp>.rrd`.
 
 deformscope demo
 deformscope demo --images --viewer none --json -

@@ -1,4 +1,4 @@
-"""`deformscope devices`: what is plugged in, and its health.
+"""`deformscope devices`: connected devices, and their health.
 
 deformscope devices
 deformscope devices --no-probe --json -

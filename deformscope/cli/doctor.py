@@ -1,4 +1,4 @@
-"""`deformscope doctor`: whether a rig would work, and what to do if not.
+"""`deformscope doctor`: whether a rig would work, and the remedies if not.
 
 deformscope doctor rig.toml
 deformscope doctor --example > rig.toml
@@ -110,7 +110,7 @@ def _minutes(step: RigStep) -> str:
 
 
 def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
-    """What a look finds; whatever is raised in it is a finding too, and hides none of the others."""
+    """Findings of a check; an error in it is a finding too, and hides none of the others."""
     try:
         return look()
     except (InputError, DeviceError, OSError) as error:
@@ -213,7 +213,7 @@ def _disk(rig: Rig) -> Finding:
 
 
 def _real_time(rig: Rig) -> list[Finding]:
-    """Whether a robot's threads may run before whatever else the machine computes."""
+    """Whether a robot's threads may preempt other computations of the machine."""
     if not {"arm", "hand"} & {entry.driver.kind for entry in rig.devices}:
         return []
     if may_be_prompt():
@@ -240,7 +240,7 @@ def _device(entry: RigDevice, name: str, seconds: float) -> list[Finding]:
 
 
 def _doubts(health: Health) -> list[str]:
-    """What a healthy device does not show."""
+    """Deviations from a healthy device."""
     reasons = ", ".join(f"{count} {reason}" for reason, count in health.refused.items()) or "noise"
     doubts = (
         (health.skipped_bytes, f"{health.skipped_bytes} bytes fit no frame ({reasons}): cable, ground, baud rate"),

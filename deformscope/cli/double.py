@@ -1,4 +1,4 @@
-"""`deformscope double`: simulated devices on real transports, for whoever has no hardware at hand.
+"""`deformscope double`: simulated devices on real transports, for users without hardware.
 
 deformscope double optoforce dsa
 deformscope double lab:bench

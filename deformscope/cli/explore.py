@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def run(config: ExploreConfig) -> int:
-    """Explore a simulated scene, or what is before a rig. Returns the command's exit status."""
+    """Explore a simulated scene, or a rig. Returns the command's exit status."""
     if config.list_scenarios:
         _list()
         return 0
@@ -51,7 +51,7 @@ class _Outputs:
         self.unwritten: list[InputError] = []
 
     def write(self, explored: ExplorationResult) -> None:
-        """Write and print what was found."""
+        """Write and print the results."""
         config, written = self.config, []
         if (maps := explored.estimate) is not None:
             if config.map is not None and self._write(config.map, lambda: _map_file(config, maps)):

@@ -13,7 +13,7 @@ from deformscope.runs.importing import import_source, import_take, inspect_sourc
 
 
 def run(config: ImportConfig) -> int:
-    """Import it, or say what is in it. Returns the command's exit status."""
+    """Import it, or describe its content. Returns the command's exit status."""
     if config.inspect:
         found = inspect_source(config)
         if config.output.json != "-":

@@ -25,7 +25,7 @@ def live(config: LiveConfig) -> int:
 
 
 def _shown(run: RigRun, config: RigRunOptions) -> int:
-    """Print what was recorded; the command's exit status."""
+    """Print the summary of the recording; the command's exit status."""
     show(run.result)
     write_json(run.result.as_json(), config.output.json)
     recorded, losses = run.result.found["recording"] is not None, run.result.found["losses"]

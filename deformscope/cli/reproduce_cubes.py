@@ -129,7 +129,7 @@ def report(
     times: Sequence[dict[str, object]],
     seconds: dict[str, float],
 ) -> dict[str, Any]:
-    """What `cubes.json` holds; lengths in metres."""
+    """Content of `cubes.json`; lengths in metres."""
 
     def both(fit: Any) -> dict[str, object] | None:
         if fit is None:

@@ -41,7 +41,7 @@ HELD_WORDS = {"one": "one particle held", "clamp": "clamp held"}
 
 
 def run(config: FoamsConfig) -> None:
-    """Push, film and fit the foams; draw, print and write what was found."""
+    """Push, film and fit the foams; draw, print and write the results."""
     study.run(Study(FoamsConfig, trials, report), config)
 
 

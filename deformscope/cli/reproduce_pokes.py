@@ -1,4 +1,4 @@
-"""`deformscope reproduce pokes`: what a model fitted to a few pokes of a slab says about others.
+"""`deformscope reproduce pokes`: predictions of a model fitted to a few pokes of a slab.
 
 deformscope reproduce pokes
 deformscope reproduce pokes --quick --out figures --json -

@@ -1,4 +1,5 @@
-"""`deformscope reproduce shapes --record msm.rrd`: what beta and theta do to a body, as a recording to scrub."""
+"""`deformscope reproduce shapes --record msm.rrd`: effect of beta and theta on a body, as a recording with
+timelines."""
 
 from __future__ import annotations
 

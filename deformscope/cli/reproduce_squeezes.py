@@ -24,7 +24,7 @@ KEPT_TOGETHER = 20
 
 
 def run(config: SqueezesConfig) -> None:
-    """Squeeze what is not there yet, compare, draw."""
+    """Squeeze missing trials, compare, draw."""
     from deformscope.pictures.findings import Findings
     from deformscope.pictures.report import Figure, Table
     from deformscope.reproduce.squeeze_truth import truth_rows

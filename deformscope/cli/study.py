@@ -67,7 +67,7 @@ class StudyReport:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """options: the class of its flags, a `StudyOptions`; trials: what is tried with them
+    """options: the class of its flags, a `StudyOptions`; trials: its cases
     report: called with the options, the seconds that it took, and the outcomes of each of the trials"""
 
     options: type[Any]
@@ -168,7 +168,7 @@ def _resumed(trials: Trials[Any, Any], options: StudyOptions) -> list[Any]:
 
 
 def _plain(value: object) -> Any:
-    """What JSON holds, but for nan and infinities, which Python's reads and writes."""
+    """Content for JSON, including nan and infinities, which Python's reads and writes."""
     return msgspec.to_builtins(value, enc_hook=_numbers)
 
 

@@ -11,7 +11,7 @@ from deformscope.config import flags
 from deformscope.config.options import Flags, flags_of, marks_of
 
 LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
-"""Flags that say what is shown or opened, not what is computed."""
+"""Flags of views and output, not of the computation."""
 
 
 def command_line(name: str, options: Flags) -> list[str]:

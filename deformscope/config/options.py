@@ -103,7 +103,7 @@ class Flags:
 
 
 class CommandOptions(Flags):
-    """What the command line reads from any command's options before it runs the command."""
+    """Methods that the command line calls on any command's options before it runs the command."""
 
     __slots__ = ()
 

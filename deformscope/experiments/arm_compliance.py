@@ -40,9 +40,9 @@ class ComplianceTouch:
 
 @dataclass(frozen=True, slots=True)
 class CombinedCompliance:
-    """compliance_m_per_n: mean of the touches; compliance_sd: what is not known of it, the scatter between touches
-    included [m/N]; dome: mean dent of the tip itself at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)],
-    not in the compliance
+    """compliance_m_per_n: mean of the touches; compliance_sd: its uncertainty, with the scatter between touches [m/N];
+    dome: mean dent of the tip itself at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)], not in the
+    compliance
     off_m: height of the surface by the camera minus that by contact [m], off_sd_m: its scatter
     """
 
@@ -89,7 +89,7 @@ def touch_rigid(
 
 
 def combine_compliance(touches: list[ComplianceTouch]) -> CombinedCompliance:
-    """What the touches give together. Raises InputError without any."""
+    """Combined result of the touches. Raises InputError without any."""
     if not touches:
         raise InputError("a touch or more", "none")
     each = np.array([one.found.compliance_m_per_n for one in touches])

@@ -94,7 +94,7 @@ def _rigid(touched: TouchMeasurement, options: ExploreOptions) -> BetaEstimate:
 
 
 def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius_m: float) -> BallContact:
-    """Where the ball was when it was deepest."""
+    """Position of the ball at its greatest depth."""
     deepest = int(np.argmax(-(touched.position_m @ touched.normal)))
     bent_m = arm.compliance_m_per_n * fit.peak_force_n  # the arm reports it that much deeper
     return BallContact(

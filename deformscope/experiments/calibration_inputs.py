@@ -1,4 +1,4 @@
-"""What the options of `calibrate beta|theta` mean: which frames are read, how they become particles, what is fitted."""
+"""Meaning of the options of `calibrate beta|theta`: the frames to read, their particles, and the fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from deformscope.stages.see.particles import outlined
 
 
 def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
-    """How the parameter is searched, and of which model."""
+    """Method and model of the parameter's search."""
     search = config.search
     known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
     if isinstance(config, BetaConfig):
@@ -68,7 +68,7 @@ def particle_options(images: ParticleFlags, noise_px: float | None = None) -> Pa
 
 
 def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
-    """What the user named, as a source of frames."""
+    """The user's source, as a source of frames."""
     return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
 
 

@@ -1,4 +1,4 @@
-"""The stages that run with the devices: which frames each takes, and what it computes from them.
+"""The stages that run with the devices: which frames each takes, and its computation.
 
 A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
 """
@@ -35,7 +35,7 @@ from deformscope.stages.see.tactile import TactileContact, tactile_contact
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz
 
 StageName = Literal["flow", "particles", "beta", "theta", "field", "surface", "tactile", "contact"]
-"""What is computed while a rig is watched."""
+"""Stages that run while a rig is recorded or shown."""
 
 PARTICLES_ALONG = 9
 """Particles along the longer side of the region if neither shape nor spacing is given: a fit takes 0.2 s."""
@@ -52,7 +52,7 @@ ABOVE_M, BELOW_M = 0.02, 0.03
 TOUCHING_N = 0.5
 """Force from which an approach is in contact; it is over at half of it."""
 BEFORE_S, LONGEST_S = 0.5, 8.0
-"""What belongs to an approach before that, and how long it lasts at most."""
+"""Data of an approach before that, and its longest duration."""
 ALONG_WAY = 0.5
 """Least share of the force along the arm's way: within it are 60 degrees. An arm that is led through the air while its
 sensor is pressed, as on `lab:bench`, gives no stiffness."""
@@ -198,13 +198,13 @@ class Stage:
         return device
 
     def chooser(self) -> Chooser:
-        """What picks its frames out of all that comes."""
+        """Selects its frames from all items."""
         if self.name == "contact":
             return ApproachChooser(self.options.wrench, self.options.arm)
         return NewestFrame(self.device, REFERENCE.get(self.name, ""))
 
     def packed(self, frames: Sequence[Frame]) -> Any:
-        """What a process computes from, made of the frames that a result will name."""
+        """Input of a process, from the frames that a result will name."""
         return STAGES[self.name][0](frames)
 
     def compute(self, packed: Any) -> object:
@@ -281,7 +281,7 @@ def _particles(stage: Stage, packed: Any) -> ParticleMoment:
 
 
 def _field(stage: Stage, packed: Any) -> FieldMoment:
-    """How stiff each place is against the others, by the particles of the first image in the newest one.
+    """Relative stiffness of each place, by the particles of the first image in the newest one.
 
     Raises InputError where too few particles are seen.
     """
@@ -401,7 +401,7 @@ def _tactile(stage: Stage, packed: Any) -> TactileContact:
 
 @dataclass(frozen=True, slots=True)
 class ApproachReadings:
-    """What arm and force sensor gave of an approach.
+    """Readings of arm and force sensor of an approach.
 
     arm_ns: (m,) stamps; position_m: (m, 3) of the arm's end; rotation_rad: (m, 3) its Euler angles, in the arm's base
     force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame
@@ -488,7 +488,7 @@ def _approach(frames: Sequence[Frame]) -> ApproachReadings:
 
 
 def _contact(stage: Stage, packed: Any) -> TouchEstimate:
-    """How stiff the place is that an approach touched, by arm and force sensor alone."""
+    """Stiffness of the touched place, by arm and force sensor alone."""
     options = stage.options
     arm = ArmCompliance(options.compliance_m_per_n, options.compliance_sd)
     if options.R_tip_force:
@@ -551,7 +551,7 @@ STAGES: dict[StageName, tuple[Callable[[Sequence[Frame]], Any], Callable[[Stage,
     "tactile": (lambda frames: cast(TactileFrame, frames[-1]).pressure_pa, _tactile),
     "contact": (_approach, _contact),
 }
-"""What each takes of its frames, and computes from that."""
+"""Input of each from its frames, and its computation."""
 
 
 def compute(stage: Stage, packed: Any) -> object:

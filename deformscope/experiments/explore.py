@@ -107,7 +107,7 @@ class Unsteered:
 
 
 class RecordedSteering(Unsteered):
-    """Decides again what was recorded."""
+    """Repeats the recorded decisions."""
 
     def __init__(self, decisions: Sequence[SteeringDecision]) -> None:
         # of a touch that was broken off nothing is left to replay
@@ -125,13 +125,13 @@ class RecordedSteering(Unsteered):
 
 
 class ExploringRobot(Protocol):
-    """What looks and touches, one after the other; both raise ExplorationStopped."""
+    """A robot that looks and touches, one after the other; both raise ExplorationStopped."""
 
     def look(self) -> Any:
-        """What `ExplorationStages.look` takes."""
+        """Input of `ExplorationStages.look`."""
 
     def touch(self, command: Touch) -> Any:
-        """What `ExplorationStages.touch` takes."""
+        """Input of `ExplorationStages.touch`."""
 
 
 class AtOnce:
@@ -153,7 +153,7 @@ class AtOnce:
 
 @dataclass
 class Exploration:
-    """What was found so far, whatever ends it.
+    """Results so far, for any end.
 
     surface, touches, maps, failures: results; maps is the newest
     region_probability: of each number of regions, with `maps`
@@ -205,7 +205,7 @@ class Exploration:
         return computed.results
 
     def failed(self, touch: int) -> list[str]:
-        """What failed on a touch, from 1, in words."""
+        """Failures on a touch, from 1, as text."""
         return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
 
 
@@ -352,7 +352,7 @@ def within_loop(stages: ExplorationStages) -> Stage:
 
 @dataclass
 class RecordedRobot:
-    """Gives again what was recorded: what `read_inputs` found of a look and of touches, in their order."""
+    """Repeats a recording: the look and the touches of `read_inputs`, in their order."""
 
     given: list[Any]
 
@@ -361,7 +361,7 @@ class RecordedRobot:
         return self._next()
 
     def touch(self, command: Touch) -> Any:
-        """The next recorded touch, wherever this one was to be."""
+        """The next recorded touch, at any place."""
         return self._next()
 
     def _next(self) -> Any:

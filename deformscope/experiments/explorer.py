@@ -1,4 +1,4 @@
-"""What is computed of an exploration: pure stages in their order, the same every time.
+"""Computation of an exploration: pure stages in their order, the same every time.
 
 A stage that fails on one touch costs that stage's result. The failure is a result like the others (`StageFailure`), and
 the exploration continues with the usable touches, until too many in a row fail.
@@ -72,7 +72,7 @@ MOST_FAILED = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Computed:
-    """What one computation of an exploration gave.
+    """Results of one computation of an exploration.
 
     results: in their order; touch: that comes next, None where there is none; given_up: why it makes no sense to touch
     on; region_probability: of each number of regions; seconds: that it took; refused: why a place cannot be touched
@@ -87,7 +87,7 @@ class Computed:
 
 
 class ExplorationStages:
-    """What `explore` has computed, from the look on, with the geometry of its robot."""
+    """The computations of `explore`, from the look on, with the geometry of its robot."""
 
     def __init__(self, unseen: UnseenSurface, geometry: Geometry) -> None:
         self.geometry, self.unseen = geometry, unseen
@@ -114,7 +114,7 @@ class ExplorationStages:
         return self._computed((seen.surface.estimate, *_present(seen.surface.perception)), began)
 
     def plan(self) -> Computed:
-        """Where to touch next, and how; nothing where enough is known, or nothing can be planned any more."""
+        """The next touch, and its path; none if the goal is reached, or nothing can be planned any more."""
         began = time.perf_counter()
         explorer = self.explorer
         plan, touch = None, None
@@ -175,7 +175,7 @@ class ExplorationStages:
         return self._reachable
 
     def touch(self, touched: Any) -> Computed:
-        """What a touch says, and the maps after it."""
+        """The result of a touch, and the maps after it."""
         began = time.perf_counter()
         made = self.geometry.touch(touched)
         self._no_way.clear()  # from here there may be one
@@ -209,8 +209,8 @@ def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AfterTouch:
-    """What is known after a touch. estimate: of the touch; maps: None where it gave none; inclusions: None also where
-    none are sought; perception: None unless requested"""
+    """Results after a touch. estimate: of the touch; maps: None where it gave none; inclusions: None also where none
+    are sought; perception: None unless requested"""
 
     estimate: TouchEstimate
     maps: MapEstimate | None
@@ -221,7 +221,7 @@ class AfterTouch:
 class UnseenSurface:
     """An exploration before its look at the surface: only the `Explorer` that a look returns takes touches.
 
-    failed: by touch and stage, what failed when this was recorded
+    failed: recorded failures by touch and stage
     """
 
     def __init__(
@@ -289,7 +289,7 @@ class Explorer:
     # The next touch ---------------------------------------------------------------------------------------------------
 
     def next(self, reachable: BoolArray | None = None) -> PlannedTouch | None:
-        """Where to touch next, and why; None where that could not be planned. reachable: (rows, columns) mask"""
+        """The next touch, and its reason; None if it could not be planned. reachable: (rows, columns) mask"""
         return self._stage("plan", lambda: self._plan(reachable))
 
     def _plan(self, reachable: BoolArray | None) -> PlannedTouch:
@@ -331,7 +331,7 @@ class Explorer:
         return geometry.approach(xy_m, *self.surface.aim(xy_m), self.over_m(xy_m), self.known_m(xy_m))
 
     def over_m(self, xy_m: FloatArray) -> float | None:
-        """How high the surface may be on the straight way from the last touch to a place (2,) [m]; None before the
+        """Greatest height of the surface on the straight path from the last touch to a place (2,) [m]; None before the
         first touch."""
         return self.surface.highest_m(self.touches[-1].xyz_m[:2], xy_m) if self.touches else None
 
@@ -364,8 +364,8 @@ class Explorer:
     def touch(
         self, touched: TouchMeasurement, dent: Callable[[], tuple[FloatArray, SeenPixels | None]] | None = None
     ) -> AfterTouch:
-        """Take a touch in, and map what is known then. dent: computes its `after_m` and `pixels`, where these are not
-        known yet"""
+        """Take a touch in, and update the map. dent: computes its `after_m` and `pixels`, where these are not known
+        yet"""
         self._touch = len(self.touches) + 1
         if dent is not None and (seen := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=seen[0], pixels=seen[1])
@@ -423,8 +423,7 @@ class Explorer:
     def _sample(
         self, touched: TouchMeasurement, contact: TouchContact, creep: CreepFit | None
     ) -> tuple[TouchContact, StiffnessSample | None]:
-        """What the map takes of a touch, None where it has not what is mapped; and its contact, as on the level
-        layer."""
+        """A touch's sample for the map, None without the mapped quantity; and its contact, on the level layer."""
         felt = self.search.sample(touched.xy_m, contact.fit)
         stiffness = self._stage("creep", lambda: self._quantity.stiffness(felt, creep, contact.speed_m_s))
         if stiffness is None:
@@ -507,7 +506,7 @@ class Explorer:
         return self.search.beta_field(self.grid, places, values, sds)
 
     def _stage(self, name: str, compute: Callable[[], StageResult]) -> StageResult | None:
-        """What a stage computes; None where it fails, which `failures` then says. Raises NotThere for a place without a
+        """Result of a stage; None after a failure, which `failures` then has. Raises NotThere for a place without a
         way."""
         result = _guarded(name, self._touch, compute, self._failed_before)
         if not isinstance(result, StageFailure):
@@ -519,7 +518,7 @@ class Explorer:
 def _guarded(
     name: str, touch: int, compute: Callable[[], StageResult], failed: Mapping[tuple[int, str], StageFailure]
 ) -> StageResult | StageFailure:
-    """What a stage computes, or its failure: the recorded one where there is one. Raises NotThere for a place without a
+    """Result of a stage, or its failure: the recorded one if there is one. Raises NotThere for a place without a
     way."""
     if (before := failed.get((touch, name))) is not None:
         return before

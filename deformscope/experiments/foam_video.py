@@ -70,7 +70,7 @@ def foam_video(
 def last_pose(
     grid: ParticleGrid, history: Sequence[Tracked], particles: ParticleOptions
 ) -> tuple[Observation, dict[str, object]]:
-    """What is fitted of particles that were followed [px], and what is recorded of how it came to be."""
+    """Input of the fit from tracked particles [px], and the record of their tracking."""
     held, moved = hold_what_is_seen(grid, history[-1], particles.held, particles.contact_rect)
     seen = observe(grid, history[-1], held, particles)
     used: dict[str, object] = {

@@ -75,7 +75,7 @@ class StageCounts:
 
     @property
     def lag_ms(self) -> dict[str, float] | None:
-        """How far results were behind their frame; None where there were none."""
+        """Delay of results behind their frame; None without results."""
         if not self.late_s:
             return None
         return dict(zip(("p50", "p95", "max"), (1e3 * np.percentile(self.late_s, (50, 95, 100))).tolist(), strict=True))
@@ -110,8 +110,9 @@ def live_stages(
 ) -> RigExperiment[dict[str, StageCounts]]:
     """The experiment that passes items to stages, and yields their `StageResult`s; returns the counts.
 
-    executors: what computes each stage, by its name: each has its own, so that none waits for another; ended: sees
-    every batch with what stages note, and says when it is over; lossless: colour images are recorded as they are
+    executors: the executor of each stage, by its name: each has its own, so that none waits for another; ended: sees
+    every batch with the stages' notes, and returns whether it is over; lossless: colour images are recorded without
+    losses
     watch: sees every result; clock: the host's, or that of recorded items [ns]
     """
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
@@ -194,12 +195,12 @@ class _Running:
         return StageResult(self.stage.name, used, newest.stamp.host_ns, self._skipped, counts.late_s[-1], result)
 
     def costs(self) -> list[StageCost]:
-        """What the last result cost; none a second time."""
+        """Cost of the last result; none a second time."""
         costs, self._costs = self._costs, []
         return costs
 
     def end(self) -> StageCounts:
-        """The counts, with what nothing was computed from in the end among the skipped."""
+        """The counts, with unused frames at the end among the skipped."""
         counts = self._counts
         counts.nothing = "" if counts.results else self._lack
         left = self._chooser.skipped + (self._skipped if self._future is not None else 0)
@@ -268,7 +269,7 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
 
 
 def compute_stage(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
-    """A stage's result of live frames, and when it was there [ns]. What fails is a result too."""
+    """A stage's result of live frames, and when it was there [ns]. A failure is a result too."""
     from deformscope.experiments.device_stages import REFERENCE, compute
 
     images = packed if stage.name in REFERENCE else ()

@@ -46,7 +46,7 @@ MOST_FRAMES = 8
 
 @dataclass(frozen=True, slots=True)
 class UnloadingOptions:
-    """How the end of a push is known. released: the held parts that are released; at: the loaded and the unloaded
+    """How the end of a push is determined. released: the held parts that are released; at: the loaded and the unloaded
     frame, if given; force: of the tool, where it was recorded"""
 
     released: tuple[str, ...] = ("contact",)
@@ -56,7 +56,7 @@ class UnloadingOptions:
 
 @dataclass(frozen=True, slots=True)
 class MaterialFit:
-    """What was found. comparisons: of some frames, by their index; motion: what was fitted, where it was one"""
+    """Result of a material's fit. comparisons: of some frames, by their index; motion: the fitted one, if any"""
 
     estimate: MaterialEstimate
     comparisons: tuple[tuple[int, Comparison], ...]
@@ -104,13 +104,13 @@ def axes_of_pairs(
 
 
 def field_of_pair(seen: Observation, level: float, seed: int, device: str, progress: Progress | None) -> MaterialFit:
-    """How stiff each place is against the others."""
+    """Relative stiffness of each place."""
     estimate, comparison = fit_field(seen, level=level, seed=seed, device=device, progress=progress)
     return MaterialFit(estimate, ((0, comparison),))
 
 
 def pose_of(tracked: TrackedMotion, particles: ParticleOptions, frame: int | None) -> tuple[int, Observation]:
-    """The frame that is fitted, and what was seen at it. frame: None = the last one"""
+    """The fitted frame, and its observation. frame: None = the last one"""
     last = len(tracked.history) - 1
     if frame is not None and not 0 < frame <= last:
         raise InputError(f"--at FRAME from 1 to {last}, the last frame", str(frame))
@@ -196,7 +196,7 @@ def yield_of_camera(
     options: YieldOptions,
     progress: Progress | None,
 ) -> MaterialFit:
-    """Some frames are fitted; what was found is then simulated at every one."""
+    """Some frames are fitted; the result is then simulated at every one."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     time_s = np.asarray(tracked.times)
     rows = frames_to_fit(cycle, MOST_FRAMES, between=options.creep != "none")
@@ -211,7 +211,7 @@ def yield_of_camera(
 
 
 def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
-    """Every frame with what was simulated (T, K, d). first: index of the first frame"""
+    """Every frame with the simulation (T, K, d). first: index of the first frame"""
     return tuple(
         (
             frame,
@@ -257,7 +257,7 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
 def recovery_of_camera(
     tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions, level: float, seed: int
 ) -> MaterialFit:
-    """What a camera followed, with a force where it was recorded."""
+    """Recovery from a camera's images, with a force if it was recorded."""
     motion, cycle = camera_motion(tracked, particles, unloading)
     return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed)
 

@@ -1,4 +1,4 @@
-"""From frames to what was measured: the same functions while a robot explores, and when its recording is replayed."""
+"""From frames to measurements: the same functions during an exploration, and in its replay."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ LINK_MARGIN_M, STICK_MARGIN_M = 0.012, 0.005
 standard deviations of a depth at 0.8 m (0.9 mm), plus the arm's deflection (0.6 mm). A dent is seen best within 2 cm of
 the ball."""
 DENT_M = 0.08
-"""Half the side of what is seen around a dent."""
+"""Half the side of the observed area around a dent."""
 SOFT_STOP_SHARE = 0.75
 """Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
 DWELL_S, DWELL_AT_MOST_S = 0.5, 3.0
@@ -63,8 +63,8 @@ HOP_M, HOP_SPEED_M_S, HOP_PASSING_M, HOP_BRAKING_PER_S = 0.02, 0.05, 2e-3, 8.0
 """Over a known surface: the tip's height before and after a touch, its speeds down and up, its accuracy at the start,
 and its deceleration. Chosen."""
 HOP_MARGIN_M, HOP_SLOW_M = 5e-3, 0.015
-"""Height above the surface from which it is slow; the first touch uses the larger one, above the measured height. Where
-it may be higher than that, all is as at a careful pace. Chosen."""
+"""Height above the surface from which it is slow; the first touch uses the larger one, above the measured height. If it
+may be higher than that, all is as at a careful pace. Chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,7 @@ def _frame_data(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looked:
-    """A look at the surface. used: its frames, named; data: what is in them"""
+    """A look at the surface. used: its frames, named; data: its values"""
 
     used: LookFrames
     data: FrameData
@@ -116,19 +116,19 @@ class Looked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touched:
-    """A touch. used: its frames, named; data: what is in them"""
+    """A touch. used: its frames, named; data: its values"""
 
     used: TouchFrames
     data: FrameData
 
 
 def highest_m(options: ExploreOptions) -> float:
-    """Where the tip's middle is above all that a camera may find on the table [m]."""
+    """Height of the tip's middle above all objects that a camera may find on the table [m]."""
     return options.thickness_m + ABOVE_M + options.standoff_m + options.tip_radius_m + options.lift_m
 
 
 def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float = LOW_SHARE) -> Box:
-    """What belongs to the sample's surface: its edges are left out, where the camera sees its sides."""
+    """Box of the sample's surface: its edges are left out, where the camera sees its sides."""
     low = (EDGE_M, EDGE_M, low_share * thickness_m)
     return Box(low, (size_m[0] - EDGE_M, size_m[1] - EDGE_M, thickness_m + ABOVE_M))
 
@@ -137,7 +137,7 @@ def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float
 class SetupGeometry:
     """Poses of surface, arm and camera relative to each other, and their consequences; pure.
 
-    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: what the robot looks like
+    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: shape of the robot
     """
 
     size_m: tuple[float, float]
@@ -195,7 +195,7 @@ class SetupGeometry:
 
     @property
     def touch_error(self) -> TouchErrorModel:
-        """How wrong touches may be: the force sensor's gain as it was calibrated, else as any sensor's."""
+        """Errors of touches: the force sensor's gain as calibrated, else as any sensor's."""
         known_to = self.placement.tool.force_gain_sd
         return TouchErrorModel() if known_to is None else TouchErrorModel(gain_sd=known_to)
 
@@ -229,7 +229,7 @@ class SetupGeometry:
         return find_table(np.concatenate([cloud.points_m for cloud in clouds]), self.size_m)
 
     def touch(self, touched: Touched, options: ExploreOptions) -> TouchMeasurement:
-        """What arm and force sensor gave, without the dent."""
+        """Readings of arm and force sensor, without the dent."""
         used, data = touched.used, touched.data
         held_ns: IntArray = np.zeros(0, np.int64) if used.held_ns is None else used.held_ns
         arms = [data.arm[int(when)] for when in (*used.arm_ns, *held_ns)]

@@ -1,4 +1,4 @@
-"""How to explore: the options, the lengths that all of it keeps to, and the strategies that the options choose."""
+"""How to explore: the options, common lengths, and the strategies that the options choose."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
 PLAN_CELL_M = 0.02
 """Places that are considered for a touch are this far apart."""
 PLANNED_COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
-"""What the planner takes a touch for [s], and the speed of the way to it [m/s], by pace. Chosen near the measured
+"""Duration of a touch for the planner [s], and the speed of the path to it [m/s], by pace. Chosen near the measured
 times, and such that both paces weight a touch and its travel alike, and touch the same places."""
 DRY_RUN_M = 0.1
 """A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
@@ -104,7 +104,7 @@ class ExploreOptions(ExploreFlags):
 
     @property
     def planning(self) -> PlanOptions:
-        """What the planner weighs touches by."""
+        """Weights of the planner for touches."""
         touch_s, speed_m_s = PLANNED_COSTS[self.pace]
         return PlanOptions(
             planner=self.planner,
@@ -119,13 +119,13 @@ class ExploreOptions(ExploreFlags):
 
     @property
     def quantity(self) -> ApparentStiffness:
-        """What of a touch is mapped."""
+        """The mapped quantity of a touch."""
         if not self.hold_s:
             return ApparentStiffness()
         return {"apparent": StiffnessAtReferenceSpeed, "relaxed": RelaxedStiffness, "loss": EnergyLoss}[self.feel]()
 
     def search(self, grid: MapGrid, error: TouchErrorModel) -> SurfaceSearch:
-        """What is sought on a surface, before any touch. error: of touches' stiffness"""
+        """The goal on a surface, before any touch. error: of touches' stiffness"""
         error = self.quantity.error(error)
         if self.goal == "inclusions":
             prior = InclusionPrior(

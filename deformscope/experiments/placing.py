@@ -190,7 +190,7 @@ class PlacingArm:
             self._made.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Erase what waits in the arm; whether it was reached, or never commanded. It is watched no further."""
+        """Erase points that wait in the arm; whether it was reached, or never commanded. It is watched no further."""
         self._placed = None
         self.stands = self._made is None or self._made.halt(reason)
         return self.stands
@@ -261,7 +261,7 @@ def sight(
     before: ContainerFit | None = None,
     near: bool = False,
 ) -> ContainerSighting:
-    """The container in images that were taken while the robot stood; what is seen of the robot is left out.
+    """The container in images of a robot at rest; the robot's points are left out.
 
     before: how it was found then, near: it is sought close to that, also where the hand hides a part of it
     """

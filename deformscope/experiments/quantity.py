@@ -22,10 +22,10 @@ a third of the modulus relaxing evenly over three decades of time [assumed]."""
 
 
 class ApparentStiffness:
-    """Stiffness as each touch came down, at whatever speed."""
+    """Stiffness of each touch during its approach, at its own speed."""
 
     def error(self, error: TouchErrorModel) -> TouchErrorModel:
-        """How wrong the quantity may be, where stiffness is as wrong as this."""
+        """Errors of the quantity, given those of stiffness."""
         return error
 
     def stiffness(
@@ -39,7 +39,7 @@ class ApparentStiffness:
         return felt
 
     def sample(self, stiffness: StiffnessSample, creep: CreepFit | None) -> StiffnessSample:
-        """What the map takes of a touch of this stiffness. Raises InputError where it does not say the quantity."""
+        """The map's sample of a touch of this stiffness. Raises InputError where it does not say the quantity."""
         return stiffness
 
     def maps(self, maps: MapEstimate, stiffness: Sequence[StiffnessSample]) -> MapEstimate:

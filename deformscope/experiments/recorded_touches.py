@@ -1,5 +1,5 @@
-"""Touches of a recording: as an exploration named their frames, or found in what any robot's arm, force sensor and
-depth camera gave.
+"""Touches of a recording: as an exploration named their frames, or found in any robot's arm, force sensor and depth
+camera data.
 
 It names the frames of a recording as `touching_robot` names those of a look and of touches during a run; the same
 results are computed from them.
@@ -133,7 +133,7 @@ def _touch(
     setup: SetupGeometry,
     options: ExploreOptions,
 ) -> TouchFrames:
-    """A touch out of an approach's frames. Raises InputError for what is none."""
+    """A touch out of an approach's frames. Raises InputError if it is no touch."""
     placement, holds = setup.placement, options.hold_s > 0.0
     states = {one.stamp.host_ns: one for one in frames if isinstance(one, ArmFrame)}
     readings = {one.stamp.host_ns: one for one in frames if isinstance(one, WrenchFrame) and one.usable}
@@ -223,7 +223,7 @@ def _newest(of_ns: IntArray, at_ns: IntArray) -> IntArray:
 
 
 class RecordedTouches(AtOnce):
-    """Looks and touches as they were recorded; what the devices gave until then goes by. given: as `RecordedRobot`
+    """Looks and touches as they were recorded; earlier device items are passed over. given: as `RecordedRobot`
 
     count: of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
     asked: whether somebody asked to end: no further touch is given
@@ -253,13 +253,13 @@ class RecordedTouches(AtOnce):
         return done
 
     def rest(self) -> list[Item]:
-        """What the devices gave after the last touch, a portion at a time."""
+        """Device items after the last touch, a portion at a time."""
         self._source.until_ns = math.inf
         return self._source.take(0.0)
 
 
 def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup, RecordedTouches]:
-    """What a recording's arm did as a setup that is explored. Raises InputError where it made no touch."""
+    """A recording's arm as a setup that is explored. Raises InputError where it made no touch."""
     replay, streams = Replay(path, trust=True), read_streams(path, trust=True)
     names: list[str] = []
     for kind in ("arm", "wrench", "depth"):
@@ -294,7 +294,7 @@ def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup
 
 
 def recorded_inputs(path: Path) -> list[Any]:
-    """What the robot gave of its look and its touches, in their order, as `ExplorationStages` takes it.
+    """The look and the touches of a recording, in their order, in the form of `ExplorationStages`.
 
     Raises InputError where a frame that one of them names is not in the recording.
     """
@@ -311,7 +311,7 @@ def frame_inputs(path: Path, named: list[Any]) -> list[Any]:
 
 
 def _frames(path: Path, named: list[Any]) -> Any:
-    """What is in the frames that are named."""
+    """Content of the named frames."""
     images, states, readings = set[int](), set[int](), set[tuple[int, int]]()
     for one in named:
         images.update(map(int, one.depth_ns))

@@ -1,6 +1,6 @@
-"""What a rig's set-up is measured from: places where the arm was held, pushes, taps and views of a board.
+"""Measurements of a rig's set-up: places where the arm was held, pushes, taps and views of a board.
 
-A person follows each request, then frames are taken for a moment, and the next request follows. No robot commands
+A person follows each request, frames are recorded for a moment, and the next request follows. No robot commands
 anything here: the arm is moved by its joystick, by `deformscope arm jog`, or in the laboratory.
 """
 
@@ -27,7 +27,7 @@ HOLD_S = 0.6
 """For which the arm is held."""
 PUSH_S, REST_S, TAP_S = 1.5, 8.0, 8.0
 LOADS = 4
-"""How often the known load is put on."""
+"""Number of times that the known load is applied."""
 STILL_M, STILL_DEG = 0.0008, 0.3
 """Greatest motion within that of an arm that is held."""
 TRIES = 5
@@ -40,7 +40,7 @@ class SetupRequest:
     """A request to a person.
 
     kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
-    axis: of a push: what the finger does to the tip, surface frame; of a load its force [N]
+    axis: of a push: direction of the finger's force on the tip, surface frame; of a load its force [N]
     """
 
     kind: Literal["corner", "tilt", "push", "load", "rest", "tap", "view"]
@@ -87,7 +87,7 @@ class HeldArm:
 
 
 def held(frames: Sequence[ArmFrame]) -> HeldArm:
-    """Where the arm was while it was held."""
+    """Poses of the arm at rest."""
     places = np.array([frame.position_m for frame in frames])
     joints = np.array([frame.joint_deg for frame in frames])
     middle = frames[len(frames) // 2]
@@ -256,7 +256,7 @@ class Taps:
 
 
 def tap_tip(operator: Assistant, wrench: str, other: str, kind: type[Frame]) -> RigExperiment[Taps]:
-    """What the force sensor and another device give while the tip is tapped."""
+    """Readings of the force sensor and another device during taps on the tip."""
     words = "within the next eight seconds tap the tip from below with a finger, firmly, five times at uneven times"
     wanted: dict[str, type[Frame]] = {wrench: WrenchFrame, other: kind}
     frames: dict[str, list[Frame]] = {name: [] for name in wanted}
@@ -285,7 +285,8 @@ def taps_of(forces: Sequence[Frame], others: Sequence[Frame]) -> Taps:
 
 
 def moved_signal(frames: Sequence[Frame]) -> FloatArray:
-    """(n,) what a tap moves in a device's frames: an arm's joint torques, or a camera's picture, off their usual."""
+    """(n,) signal of a tap in a device's frames: an arm's joint torques, or a camera's picture, relative to their usual
+    values."""
     if isinstance(frames[0], ArmFrame):
         values = np.array([one.joint_torque_nm for one in frames if isinstance(one, ArmFrame)])
     else:

@@ -1,4 +1,4 @@
-"""What a robot can reach, and what its looks and touches say: of one that measures, or of one that gives frames."""
+"""Reach of a robot, and its readings of looks and touches: of one that measures, or of one that gives frames."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Touch:
 
 
 class Geometry(Protocol):
-    """What a robot can reach, and what its frames say."""
+    """Reach of a robot, and its readings."""
 
     size_m: tuple[float, float]
 
@@ -58,7 +58,7 @@ class Geometry(Protocol):
 
 
 class AsMeasured:
-    """Of robots that give measurements rather than frames, and reach what `reachable` says, all by default."""
+    """Of robots that give measurements rather than frames, and reach the places of `reachable`, all by default."""
 
     def __init__(self, size_m: tuple[float, float], reachable: Callable[[MapGrid], BoolArray] | None = None) -> None:
         self.size_m = size_m

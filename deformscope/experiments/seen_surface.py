@@ -50,7 +50,7 @@ class SeenSurface:
     def of(
         cls, looked: SurfaceMeasurement, grid: MapGrid, options: ExploreOptions, *, on_level_layer: bool
     ) -> SeenSurface:
-        """Fit it. on_level_layer: where what is sought asks for it; a narrow border does as well"""
+        """Fit it. on_level_layer: if the search needs it; a narrow border does as well"""
         process = fit_surface(
             looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), grid.size_m), outlier_sd=5.0
         )
@@ -74,7 +74,7 @@ class SeenSurface:
 
     @property
     def estimate(self) -> SurfaceEstimate:
-        """What is reported of it."""
+        """Reported estimate of it."""
         return SurfaceEstimate(
             points_m=self.points_m,
             height_m=self.heights.mean_m,
@@ -97,7 +97,7 @@ class SeenSurface:
         return float(self.process.at(xy_m[None]).mean[0]), self.process.normals(xy_m[None])[0]
 
     def highest_m(self, start_m: FloatArray, goal_m: FloatArray) -> float:
-        """How high it may be on the straight way from a place (2,) to another [m]."""
+        """Its greatest height on the straight path from a place (2,) to another [m]."""
         way = goal_m - start_m
         along = ((self.grid.centres_m - start_m) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
         off_m = np.linalg.norm(self.grid.centres_m - start_m - along[..., None] * way, axis=-1)
@@ -127,7 +127,7 @@ class SeenSurface:
         return shape_of(above_m, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
 
     def shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
-        """What the level layer would add to a log stiffness [N/mm] at a place (2,) [m]; None where it is one."""
+        """Addition of the level layer to a log stiffness [N/mm] at a place (2,) [m]; None if it is one."""
         shape, options, thickness_m = self.shape(xy_m), self.options, self.layer.thickness_m
         if shape is None or thickness_m is None:
             return None

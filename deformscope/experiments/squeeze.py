@@ -28,7 +28,7 @@ FEATURES_FAILED = "features not computed"
 class Squeezed:
     """The outcome so far, for any end.
 
-    features: with its events, None where there are none; posterior: what a model takes its content for
+    features: with its events, None where there are none; posterior: a model's classification of its content
     stop, stop_ns: why and when it ended before its time; untracked: why the container was not tracked on, or empty
     placement, sightings: of an arm that placed the hand; withdrawal: why it stopped on its way back
     """
@@ -53,9 +53,9 @@ def squeeze(
     placed: RigExperiment[None] | None = None,
     withdrawn: RigExperiment[None] | None = None,
 ) -> RigExperiment[None]:
-    """Pre-shape, squeeze once, compute the features; `found` holds what was found.
+    """Pre-shape, squeeze once, compute the features; `found` collects the results.
 
-    clock: the devices' [ns]; name: what names the content, None = nothing does
+    clock: the devices' [ns]; name: function that names the content, None = none
     permitted: steps before the hand may move; placed: before it closes; withdrawn: once it has opened again It returns
     also when the hand must stop: `found.stop` has the reason.
     """
@@ -112,7 +112,7 @@ def _tracked(observer: SqueezeObserver) -> RigExperiment[None]:
 
 
 def posterior_of(computed: TrialFeatures, name: Name) -> ContentPosterior:
-    """What a model takes the content for, by all features."""
+    """A model's posterior of the content, by all features."""
     events = computed.events
     modalities, labels, probability = name(computed.modalities)
     return ContentPosterior((events.steady_ns - events.first_ns) / 1e9, modalities, labels, probability, -1)

@@ -114,8 +114,8 @@ class SqueezeGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialFeatures:
-    """What was computed of a squeeze. tracked: in order of time, then the steady state; vision_series: (k, 121) the
-    small change of depth every 0.1 s since first contact, None = none"""
+    """Results of a squeeze. tracked: in order of time, then the steady state; vision_series: (k, 121) the small change
+    of depth every 0.1 s since first contact, None = none"""
 
     events: SqueezeEvents
     features: SqueezeFeatures = field(metadata=reported(flat=True))

@@ -91,7 +91,7 @@ class SqueezeFrames:
     all_images: bool = False
 
     def add(self, item: Item, first_ns: int) -> None:
-        """Keep what belongs to it. first_ns: of the first contact, 0 = not yet"""
+        """Store its own items. first_ns: of the first contact, 0 = not yet"""
         if isinstance(item, TactileFrame) and item.device == self.tactile_source.device:
             self.tactile.append(item)
         elif isinstance(item, HandFrame) and item.device == self.hand:
@@ -126,14 +126,14 @@ class SqueezeFrames:
 
 
 def frame_ns(frame: Frame) -> int:
-    """When it came, on the host's clock [ns]."""
+    """Its arrival, on the host's clock [ns]."""
     return frame.stamp.host_ns
 
 
 class Tracking:
-    """What tracks the container (`deformscope.experiments.squeeze_live`); this one does not.
+    """The tracker of the container (`deformscope.experiments.squeeze_live`); this one does not track.
 
-    found: all that was tracked; failed: why it stopped, or empty; waiting: the last of what is being computed
+    found: all that was tracked; failed: why it stopped, or empty; waiting: the last image in computation
     """
 
     waiting: Future[Any] | None = None
@@ -152,7 +152,7 @@ class Tracking:
 
 
 class SqueezeObserver:
-    """Takes what devices give, in order of time, keeps it for the features, and has results to show of each frame.
+    """Takes device items, in order of time, stores them for the features, and has results for the views of each frame.
 
     predict: a model's posterior from the features so far, None = no model; tracking: may be set. The results are
     functions of the frames, of the time when the fingers opened in the air (`phase`), and of the images tracked by each

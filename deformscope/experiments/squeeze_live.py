@@ -18,7 +18,7 @@ from deformscope.session import Inline, with_costs
 from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, TrackedContainer
 
 BEHIND_S = 0.25
-"""Where an image waits for longer than this, all but the newest one are left out. Devices' items come every 0.1 s."""
+"""Largest delay of an image, after which all except the newest one are left out. Devices' items come every 0.1 s."""
 FRESH_S = 0.5
 """An older change of depth does not describe the present."""
 
@@ -125,7 +125,7 @@ class LiveTracking(Tracking):
 
 
 class RecordedTracking(Tracking):
-    """The same from a recording: the images that were tracked are tracked again, each from what was known then. The
+    """The same from a recording: the tracked images are tracked again, each from the information of that time. The
     median at the steady state is no image."""
 
     def __init__(

@@ -58,7 +58,7 @@ class ContainerImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedImage:
-    """What was found in an image. when_ns: its time on the host's clock; measured: the change of depth, None = none
+    """Result of an image. when_ns: its time on the host's clock; measured: the change of depth, None = none
     costs: its computation time during the squeeze"""
 
     when_ns: int

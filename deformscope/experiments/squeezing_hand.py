@@ -74,8 +74,8 @@ class SqueezeEnded(InputError):
 
 @contextlib.contextmanager
 def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
-    """What computes the features. Devices on their own clock are not waited for: hand and features then have a thread
-    each."""
+    """The computation of the features. Devices on their own clock are not waited for: hand and features then have a
+    thread each."""
     if not setup.runs_itself:
         yield Inline()
         return
@@ -105,7 +105,7 @@ class CarryingArm(Protocol):
 
 
 def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None = None) -> SqueezeObserver:
-    """What takes in what its open devices give. predict: as of `SqueezeObserver`"""
+    """The observer of its open devices. predict: as of `SqueezeObserver`"""
     names = setup.names
     tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
     frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))
@@ -115,7 +115,7 @@ def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None 
 class SqueezingHand:
     """The hand over the devices of an open source; a `SessionRobot`.
 
-    arm: carries out what is no command of the hand, None = nothing does
+    arm: carries out other commands, None = none
 
     on_cycle: called in every control period; on_phase: with each phase as it begins
     observer: is informed of each phase
@@ -155,7 +155,7 @@ class SqueezingHand:
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
         """Begin with a `PreShape`, `SqueezeOnce` or `HandWait`: in the hand's thread, else at once.
 
-        What stops it is a SqueezeEnded.
+        The reason for its stop is a SqueezeEnded.
         """
         if self._pool is not None:
             return self._pool.submit(self._do, command)
@@ -163,7 +163,7 @@ class SqueezingHand:
         return Inline().submit(self._do, command)
 
     def reports(self) -> list[Step]:
-        """What began since the last call."""
+        """Actions since the last call."""
         taken, self._reports = self._reports, []
         return taken
 

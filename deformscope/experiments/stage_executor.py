@@ -1,4 +1,4 @@
-"""Where the stages of an exploration are computed: in a child process, or within its loop."""
+"""Place of an exploration's stage computations: a child process, or its loop."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: 
 
 @contextlib.contextmanager
 def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Executor, Stage]]:
-    """What computes, and how to have a stage computed there; its state lasts until the end of the context.
+    """The executor, and how to compute a stage with it; its state lasts until the end of the context.
 
     Devices on their own clock must not wait: then it is a child process, with one thread of BLAS and a low priority. On
     a simulated clock nothing runs meanwhile, and it is computed within the loop.

@@ -37,7 +37,7 @@ class StageProcesses:
     """
 
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, nice: int = LAST_NICE) -> None:
-        """start_engine: starts what simulates, in the process of a stage that does"""
+        """start_engine: starts the simulation engine, in the process of a stage that needs it"""
         self._warm_ups = {name: partial(warm_up, name, start_engine) for name in names}
         self._nice = nice
         self._processes: dict[str, StageProcess] = {}
@@ -54,7 +54,7 @@ class StageProcesses:
 
 
 class StageProcess(contextlib.ExitStack):
-    """One process; a new one where it has died. warm: is done once it has loaded what its stage needs"""
+    """One process; a new one where it has died. warm: is done once its stage is loaded"""
 
     def __init__(self, warm_up: Callable[[], None], nice: int) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class StageProcess(contextlib.ExitStack):
         self.warm = self._executor.submit(self._warm_up)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Have it computed after what was submitted before."""
+        """Have it computed after earlier submissions."""
         try:
             return self._executor.submit(function, *arguments)
         except BrokenProcessPool:
@@ -76,7 +76,7 @@ class StageProcess(contextlib.ExitStack):
 
 
 def warm_up(name: StageName, start_engine: Callable[[], None]) -> None:
-    """Do once what costs time the first time: imports, kernels."""
+    """Import modules and compile kernels in advance."""
     if name in ("beta", "theta", "field"):
         start_engine()
     if name in REFERENCE:

@@ -1,4 +1,4 @@
-"""What is fitted to one touch as it was measured: its contact, its creep; and the estimate that is reported of it."""
+"""Fits to one touch as measured: its contact, its creep; and its reported estimate."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CLOCK_SD_S = 0.002
 class TouchContact:
     """fit; law_n: (n,) its force at each reading [N]; modulus: of the layer, None where it is not known
     speed_m_s: at which the tip came down in it, None where that is not known
-    level_n_per_mm: stiffness of a level layer as thick as stated, None where that is what was touched"""
+    level_n_per_mm: stiffness of a level layer as thick as stated, None if the touched one is that"""
 
     fit: ContactFit
     law_n: FloatArray
@@ -48,7 +48,7 @@ class TouchContact:
 def fit_contact(
     touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, gain_sd: float
 ) -> TouchContact:
-    """The contact of a touch. gain_sd: as of `fit_approach`, which says what is raised"""
+    """The contact of a touch. gain_sd: as of `fit_approach`, with its errors"""
     options = surface.options
     fit = fit_approach(
         touched.time_s,
@@ -116,8 +116,8 @@ def touch_estimate(
     shape: LocalShape | None,
     tip_radius_m: float,
 ) -> TouchEstimate:
-    """What is reported of a touch. number: from 0; height_m: of the surface as it was seen there, None = not known:
-    then as low as the tip came; contact: None where it could not be fitted"""
+    """The reported estimate of a touch. number: from 0; height_m: of the surface as it was seen there, None = not
+    known: then as low as the tip came; contact: None where it could not be fitted"""
     along, force_n, nan = _along(touched), _force_along(touched), float("nan")
     lowest_m = float(touched.position_m[:, 2].min()) - tip_radius_m
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []

@@ -111,7 +111,7 @@ class TouchingRobot:
 
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
     reason_to_stand: called in each control period of a motion: a reason to stop and end it, empty = none
-    stopped: fails with what stops the robot while it carries nothing out
+    stopped: fails with the reason when the robot stops without a command
     largest_force_n: magnitude that the sensor measured in any touch so far, its tare taken off [N]
     """
 
@@ -159,7 +159,7 @@ class TouchingRobot:
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
         """Begin with a `CheckFirst`, `Look`, `Touch` or `Wait`: in the robot's thread, else at once.
 
-        Its answer is a `Preflight`, `Looked`, `Touched` or None; what stops it is an ExplorationStopped.
+        Its answer is a `Preflight`, `Looked`, `Touched` or None; the reason for a stop is an ExplorationStopped.
         """
         if self._commands is None:
             self._keep = keep
@@ -169,7 +169,7 @@ class TouchingRobot:
         return future
 
     def _do(self, command: object) -> Callable[[], Any]:
-        """Carry it out; what is returned puts the answer together, and may take longer than a control period."""
+        """Carry it out; the returned function puts the answer together, and may take longer than a control period."""
         answer: Looked | Preflight | None = None
         match command:
             case Touch(plan=TouchPlan() as plan):
@@ -199,7 +199,7 @@ class TouchingRobot:
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:
         """Carry commands out in a thread that continues to cycle between them, once the robot may move. The supervisor
-        checks every period, whatever is computed or recorded meanwhile."""
+        checks every period, under any computation or recording."""
         commands: queue.SimpleQueue[tuple[object, Future[Any]]] = queue.SimpleQueue()
         self._commands = commands
         over = threading.Event()
@@ -236,7 +236,7 @@ class TouchingRobot:
                 thread.join()
 
     def _held(self) -> bool:
-        """Stand still for a control period; whether that went well."""
+        """Rest for a control period; returns whether that succeeded."""
         try:
             with self._stopping():
                 self._robot.cycle()
@@ -282,7 +282,7 @@ class TouchingRobot:
 
     @property
     def format_forces(self) -> str:
-        """What a touch presses with, in words."""
+        """Force of a touch, as text."""
         set_n, more_n = self._options.set_force_n, self.geometry.more_force_n(self._options)
         return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N if the dent is below 2 mm")
 
@@ -310,8 +310,8 @@ class TouchingRobot:
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
-        """Go to a place (2,) [m], touch along the normal, keep the pictures of the dent, come back; what is returned
-        puts together what was measured.
+        """Go to a place (2,) [m], touch along the normal, store the pictures of the dent, come back; the returned
+        function puts the measurement together.
 
         Raises ExplorationStopped, and TouchHeld for a touch that was stopped: the arm is then at rest.
         """
@@ -416,7 +416,8 @@ class TouchingRobot:
             self._made.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Erase what waits in the arm, which takes no further command; whether it was reached, or never commanded."""
+        """Erase points that wait in the arm, which takes no further command; whether it was reached, or never
+        commanded."""
         return self._made is None or self._made.halt(reason)
 
     def _begin(self, phase: Phase, time_ns: int) -> None:
@@ -508,7 +509,7 @@ def _depths_m(pictures: list[DepthImage]) -> dict[int, Any]:
 
 
 def _dwells(record: TouchRecord) -> list[PhaseSpan]:
-    """When it pressed still: once, or with the set force and then with more."""
+    """Times of its dwells: one, or one with the set force and one with more."""
     return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
 
 

@@ -1,4 +1,4 @@
-"""All frames of a sequence in one fit, and the choice of what is fitted by held-out error (Thesis 3, future work).
+"""All frames of a sequence in one fit, and the selection of options by held-out error (Thesis 3, future work).
 
 Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
 `deformscope.stages.fit.shared_errors`, how ways of fitting are compared in `deformscope.stages.fit.held_out`. Cluster
@@ -233,7 +233,7 @@ def _ways(motion: TrackedMotion, particles: ParticleOptions, model: Model, choic
 
 
 def _judges(motion: TrackedMotion, ways: Sequence[Way]) -> BoolArray:
-    """(K,) particles that are free whatever is held: else holding more would always win."""
+    """(K,) particles that are free with every held set: else holding more would always win."""
     judged: BoolArray = ~np.any([held_mask(len(motion.grid.rest_px), way.held) for way in ways], axis=0)
     if np.count_nonzero(judged & motion.history[-1].seen) < JUDGES_LEAST:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Reading files of arrays (`.npz`): what pair, motion and model files have in common.
+"""Reading files of arrays (`.npz`): common parts of pair, motion and model files.
 
 Nothing in them is executed (no pickle).
 """
@@ -19,7 +19,7 @@ from deformscope.stages.msm.clusters import find_lattice
 
 T = TypeVar("T")
 Arrays = Mapping[str, npt.NDArray[Any]]
-"""What a file holds, by name."""
+"""Arrays of a file, by name."""
 
 
 DEFLATED_AT_MOST = 1100
@@ -33,7 +33,7 @@ LATTICE_CELLS = 10_000_000
 def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.NDArray[Any]]:
     """All arrays in a file's bytes, by name, as they are stored: of any shape.
 
-    expected, where: what the file should be, and its name, for messages. Raises InputError for bytes that are no such
+    expected, where: the expected kind of file, and its name, for messages. Raises InputError for bytes that are no such
     file or damaged. Nothing is allocated that the bytes cannot fill.
     """
     came = "a damaged file, or one of another kind"
@@ -108,7 +108,7 @@ def number(found: Arrays, name: str, hint: str = "") -> float | None:
 
 
 def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np.float64]:
-    """`rest` (K, d), d = 2 or 3, of a file that has what a file of this kind needs."""
+    """`rest` (K, d), d = 2 or 3, of a file with all arrays of its kind."""
     if missing := [name for name in needed if name not in found]:
         keys = ", ".join(sorted(found)) or "nothing"
         hint = f"{', '.join(needed)}, as {SAMPLES[kind]} has them"

@@ -1,4 +1,4 @@
-"""Classifier files: what `deformscope classify --save` leaves, as one `.npz` of plain arrays and a line of JSON.
+"""Classifier files: the result of `deformscope classify --save`, as one `.npz` of plain arrays and a line of JSON.
 
     format      "deformscope classifier 1"
     told        JSON text: labels, modalities with their columns and classifiers, steps, settings of the features,
@@ -95,7 +95,7 @@ def save_classifier(model: ContentModel, path: Path) -> None:
 
 
 def load_classifier(path: Path) -> ContentModel:
-    """Read a model. Raises InputError, in one line, for what is none, damaged, or of another format."""
+    """Read a model. Raises InputError, in one line, for another kind of file, a damaged one, or another format."""
     try:
         raw = path.read_bytes()
     except OSError as error:

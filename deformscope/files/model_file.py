@@ -1,9 +1,9 @@
-"""Model files: what a calibration leaves for predictions, as one `.npz` of plain arrays and a line of JSON.
+"""Model files: the result of a calibration for predictions, as one `.npz` of plain arrays and a line of JSON.
 
     format            "deformscope model 1"
     told              JSON text: body, law, rivals, tip, errors, provenance
     rest, toward, fixed, places, stiffness, left_out, rival_stiffness; shape and cell where the particles have a lattice
-    residual (2, k)   outward and upward, where pokes have in common what the law leaves beside a tip
+    residual (2, k) outward and upward, the law's residual around a tip, common to all pokes
 
 Nothing in it is executed when it is read (no pickle).
 """
@@ -56,7 +56,7 @@ def save_model(model: FittedModel, path: Path) -> None:
 
 
 def load_model(path: Path) -> FittedModel:
-    """Read a model. Raises InputError for what is none, damaged, or of another format."""
+    """Read a model. Raises InputError for another kind of file, a damaged one, or another format."""
     try:
         raw = path.read_bytes()
     except OSError as error:

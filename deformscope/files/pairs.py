@@ -1,4 +1,4 @@
-"""Pair files: a rest shape, the deformed shape, and what was held, in one `.npz`."""
+"""Pair files: a rest shape, the deformed shape, and the held particles, in one `.npz`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
     `tip` (flat, disc, sphere) with `tip_size_m`: the tip on `contact`, if particles do not show its size, and `tip_at_m
     (d,)`, the place of its axis: particles show that only within their spacing. Without `shape`, a rest shape that is
-    regular within 1 % is taken as a lattice. noise_m: instead of the file's. Raises InputError for what is missing,
-    does not fit together, is not finite, or cannot be metres.
+    regular within 1 % is taken as a lattice. noise_m: instead of the file's. Raises InputError for missing arrays, for
+    arrays that contradict each other, and for values that are not finite, or cannot be metres.
     """
     return parsed(raw, "pair", where, lambda found: _observation(found, noise_m))
 

@@ -97,7 +97,7 @@ def read_table(path: Path) -> pa.Table:
 
 
 def select_rows(table: pa.Table, where: str = "", sort: str = "") -> pa.Table:
-    """The rows for which a condition holds, in the order of a column. Raises InputError for what cannot be used.
+    """The rows for which a condition holds, in the order of a column. Raises InputError for an unusable condition.
 
     where: columns compared with values, with `and`, `or`, `not`, `in` and brackets, as in Python. `"word" in column`
     looks within texts; a column may be named by the end of its name, if that is unique

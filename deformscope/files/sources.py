@@ -34,8 +34,8 @@ RECORDING_SUFFIX = ".rrd"
 class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
-    name: the source's name, for a progress line; count: how many frames it will give, None where only reading shows
-    (the count of a video is what its container claims); problems: once all was read, what of it is missing or damaged
+    name: the source's name, for a progress line; count: expected number of frames, None if only reading shows it (the
+    count of a video is that of its container); problems: after reading, its missing or damaged parts
     """
 
     def __init__(
@@ -111,7 +111,7 @@ def open_source(
     mask: Path | None = None,
     camera: str | None = None,
 ) -> Source:
-    """A source of frames from what the user named.
+    """A source of frames from the user's names.
 
     paths: one video, folder, recording or `sample:NAME`, or two or more image files in their order
     stride: use every n-th frame; a frame's index counts the used ones

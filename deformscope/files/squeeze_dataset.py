@@ -1,7 +1,7 @@
 """A data set of squeezes: a folder of recordings, their index, and their features.
 
-    trials/ID.rrd       recordings; may be absent where only features are kept
-    index.parquet       one row a trial: what was squeezed, when, how, and why it is left out, if it is
+    trials/ID.rrd recordings; may be absent if only features are stored
+    index.parquet one row a trial: container, content, time, settings, and the reason for a discard
     features.parquet    trial, then tactile.0..., vision.0..., vision_small.0..., physical.0...; a row of null where a
                         modality is missing; `series` and `series_vision_small`: tactile features and small changes of
                         depth every 0.1 s since first contact, flat
@@ -45,8 +45,8 @@ NEW = "deformscope squeeze ... --dataset FOLDER"
 class TrialEntry:
     """One squeeze in the index.
 
-    trial: its name, unlike any other; content, container, container_type: what was squeezed; fill: share of the height
-    session, operator; T_hand_container: (16,) row by row, planned pose of the hand; seed: that it was drawn from
+    trial: its name, unlike any other; content, container, container_type: of the squeezed container; fill: share of the
+    height session, operator; T_hand_container: (16,) row by row, planned pose of the hand; seed: that it was drawn from
     software: versions; recorded_at: ISO 8601, UTC; recording: path from the folder, or empty
     first_s, steady_s: the events, since the recording's start [s], nan = none
     discarded: why it is left out, None = it is not
@@ -96,13 +96,13 @@ class SqueezeDataset:
         return (self.folder / INDEX).is_file()
 
     def recording_path(self, trial: str) -> Path:
-        """Where a trial's recording is, or will be."""
+        """Path of a trial's recording, existing or future."""
         return self.folder / TRIALS / f"{trial}.rrd"
 
     # Reading ---------------------------------------------------------------------------------------------------------
 
     def entries(self) -> list[TrialEntry]:
-        """All trials, discarded ones too. Raises InputError for what is no data set."""
+        """All trials, discarded ones too. Raises InputError if it is no data set."""
         rows = self._read(INDEX).to_pylist()
         try:
             return [TrialEntry(**{**row, "T_hand_container": tuple(row["T_hand_container"])}) for row in rows]
@@ -110,7 +110,7 @@ class SqueezeDataset:
             raise InputError("an index of squeezes", str(error), where=self.folder / INDEX) from error
 
     def settings(self) -> dict[str, Any]:
-        """What the features were computed with."""
+        """Settings of the features."""
         found: dict[str, Any] = self._metadata(self._read(INDEX))["settings"]
         return found
 

@@ -36,7 +36,8 @@ _FEATURE = re.compile(r"(.+)\.(\d+)")
 
 
 def read_table(path: Path) -> LabelledTable:
-    """A table, by the ending of its name. Raises InputError for what is none, damaged, or does not fit together."""
+    """A table, by the ending of its name. Raises InputError for another kind of file, a damaged one, or columns that
+    contradict each other."""
     if path.suffix.lower() not in SUFFIXES:
         came = "a folder" if path.is_dir() else repr(path.suffix or path.name)
         raise InputError(f"a table that ends in {', '.join(SUFFIXES)}", came, HOW, path)

@@ -1,4 +1,4 @@
-"""Whether a video gave all frames that it holds: what its container lists against what could be read, and the times.
+"""Whether a video gave all its frames: the container's list against the readable frames, and the times.
 
 A damaged video is read without an error: a decoder conceals, or leaves out, undecodable parts.
 """
@@ -47,7 +47,7 @@ class VideoCheck:
         self._failed += 1
 
     def problems(self) -> list[str]:
-        """What is missing, one line each; empty = nothing that can be noticed."""
+        """Missing parts, one line each; empty = none detected."""
         found = []
         count = len(self._times_s)
         layout = _layout(self._path)
@@ -68,13 +68,14 @@ class VideoCheck:
             short_s = self._claimed / self._rate_hz - (self._times_s[-1] - self._times_s[0] + period_s)
             if short_s > 2.5 * period_s:
                 found.append(
-                    f"its stated duration is {self._claimed / self._rate_hz:.3g} s, {short_s:.3g} s more than it has"
+                    f"its stated duration is {self._claimed / self._rate_hz:.3g} s, {short_s:.3g} s more than "
+                    "the real one"
                 )
         return found + [f"{missing} frames are missing after {time_s:.3g} s" for time_s, missing in gaps]
 
 
 class _Layout:
-    """What a container's own structure says.
+    """Structure of a container file, by its own tables.
 
     listed: it has a table of its frames; shown_s: how long it is to be shown, None = all of it; cut_off: it says that
     it is longer than the file; silent: without sound, so that its duration is the picture's
@@ -112,7 +113,7 @@ def _read_boxes(file: BinaryIO, size: int, found: _Layout) -> None:
 
 
 def _shown_s(file: BinaryIO, start: int, end: int, ticks_hz: int) -> float | None:
-    """How much of the picture its edit list shows [s]; None = it has none."""
+    """Shown part of the picture by its edit list [s]; None without one."""
     for kind, track_start, track_end in _boxes(file, start, end):
         inner = {kind: (low, high) for kind, low, high in _boxes(file, track_start, track_end) if kind != b"trak"}
         if kind != b"trak" or b"edts" not in inner or b"mdia" not in inner:

@@ -21,7 +21,7 @@ FIRST_M = 2e-5
 
 
 class World(Protocol):
-    """What can be touched."""
+    """A world that can be touched."""
 
     def press(self, center_m: FloatArray) -> FloatArray:
         """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""
@@ -40,8 +40,8 @@ class PushedArm(Protocol):
 class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
-    world: what is touched; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest
-    magnitude so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
+    world: the touched world; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest magnitude so
+    far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Simulated arms behind their own drivers, each with what a laboratory needs of it: where it is, and to be pushed."""
+"""Simulated arms behind their own drivers, each with a laboratory's interface: its pose, and pushes."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ UP = np.array([0.0, 0.0, 1.0])
 LOOKS = 5
 """Number of the look at which a simulated person answers."""
 ACROSS_SD_M, ALONG_SD_M = 5e-4, 3e-5
-"""How exactly a person places a stick across, and by the scale of a slide along it. Chosen."""
+"""Accuracy of a person who places a stick laterally, and by the scale of a slide along it. Chosen."""
 
 
 class ArmBody(PushedArm, Protocol):
-    """Where a simulated arm is (`JacoDouble`)."""
+    """Pose of a simulated arm (`JacoDouble`)."""
 
     @property
     def T_base_links(self) -> FloatArray:
@@ -43,7 +43,7 @@ class ArmBody(PushedArm, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, closed; body: what moves; person: places it; None = an arm with motors
+    """arm: the driver's device, closed; body: the moving arm; person: places it; None = an arm with motors
     wire: between them, to be entered before the arm is opened, None = no thread or process runs
     """
 

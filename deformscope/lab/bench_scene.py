@@ -41,7 +41,7 @@ def loads(time_s: float) -> tuple[float, float, float]:
 
 
 def view(time_s: float) -> View:
-    """What a depth camera has before it."""
+    """Scene of a depth camera."""
     return View(distances(time_s), picture(time_s))
 
 

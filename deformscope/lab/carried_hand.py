@@ -92,11 +92,11 @@ class StandingContainer(SqueezedContainer):
         return np.asarray(self._gripped @ self.world.T_hand_container)
 
     def place(self, T_table_container: FloatArray, *, toppled: bool = False) -> None:
-        """Somebody puts it there."""
+        """A person puts it there."""
         self._stood, self._gripped, self.toppled = np.asarray(T_table_container), None, toppled
 
     def shift(self, x_m: float, y_m: float, turn_deg: float = 0.0) -> None:
-        """Somebody pushes it aside, and turns it about its own axis."""
+        """A person pushes it aside, and turns it about its own axis."""
         pose = self.T_table_container.copy()
         pose[:3, :3] = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix() @ pose[:3, :3]
         pose[:2, 3] += x_m, y_m
@@ -291,7 +291,7 @@ def ready_deg(chain: Chain, placement: Placement) -> FloatArray:
 
 
 LOW_M, HIGH_M = (-0.35, -0.50, 0.03), (0.35, 0.35, 0.70)
-"""Where the middle between the pads may go, table's frame."""
+"""Range of the middle between the pads, table's frame."""
 
 
 def workspace_of(T_base_table: FloatArray) -> Workspace:

@@ -1,6 +1,6 @@
 """Constants of the laboratory's containers, contents, fingertips and sensors, each with its source.
 
-They were fixed before any classifier ran on data of this laboratory, and are not to be tuned to what classifiers find.
+They were fixed before any classifier ran on data of this laboratory, and are not to be tuned to classifiers' results.
 "Assumed" marks a value for which no measurement was at hand; its size is plausible and its effect is described.
 
 Sources:
@@ -37,12 +37,12 @@ ROOM_K: Final = 293.15
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What fills a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
+    """Content of a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
 
     density_kg_m3: in bulk; solid_share: of the filled volume that is no gas; lateral_ratio: horizontal over vertical
     stress at rest
-    friction_deg, cohesion_pa: of Coulomb's law, for what is granular
-    load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for what is granular
+    friction_deg, cohesion_pa: of Coulomb's law, for granular contents
+    load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for granular contents
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
     rate^index above it (Herschel-Bulkley), for fluids; a Newtonian liquid has index 1 and no yield
     """

@@ -1,9 +1,9 @@
-"""What a container's content does to its walls: gas above and within it, and a resistance behind each patch of wall.
+"""Effect of a container's content on its walls: gas above and within it, and a resistance behind each patch of wall.
 
 Gas: the rest of the closed container is air at one temperature. When the walls move inwards by a volume V, its pressure
 over the outside becomes p0 (T / T0) Vg / (Vg - V) - p0. A liquid passes it on to every wall.
 
-Patches: the content resists a wall that moves inwards by w with a traction q [Pa] over what it had at rest. It is
+Patches: the content resists a wall that moves inwards by w with a traction q [Pa] above its value at rest. It is
 elastic (q_e = k (w - w_p)) until it yields, and then flows or fails, with a viscous part (Perzyna):
 
     q = q_y(w_p) + N K (dw_p/dt / l)^n  while w_p grows,     q_y(w_p) = q_1 w_p / (w_p + a)
@@ -32,7 +32,7 @@ from deformscope.lab.container_constants import AIR_PRESSURE_PA, BEARING_FACTOR,
 
 ITERATIONS = 12
 LEAST_PA = 1e-9
-"""What yields by less does not."""
+"""Parts with smaller yield do not."""
 
 
 @dataclass(frozen=True, slots=True)

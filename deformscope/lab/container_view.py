@@ -1,4 +1,4 @@
-"""What a depth camera sees of a container on its table, with its dent, and of the hand that squeezes it.
+"""View of a depth camera on a container on its table, with its dent, and on the hand that squeezes it.
 
 The world is the hand's frame. The wall is the mesh of the shell's nodes, displaced along its normals; links of the
 fingers are capsules with the surface of their pads. The camera sees the side at +x, with the pressing finger, from a

@@ -68,7 +68,7 @@ TORQUE_CLOSE = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ContainerDraw:
-    """What varies from squeeze to squeeze and between instances.
+    """Variations from squeeze to squeeze and between instances.
 
     T_hand_container: (4, 4) its first pose [m]; fill: share of the height; softness: of the wall over nominal
     warming_k: since it was closed; room_k: of hand and pads over their calibration
@@ -86,8 +86,8 @@ class ContainerDraw:
     def draw(
         cls, shape: ContainerShape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
     ) -> ContainerDraw:
-        """One at random; the wall belongs to the instance, the temperature to the session, and none of it to what is
-        within. grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
+        """A random one; the wall belongs to the instance, the temperature to the session, and nothing to the content.
+        grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
         own = np.random.default_rng([seed, 0x15])
         wall = np.random.default_rng([instance, 0x16])
         room = np.random.default_rng([session, 0x17])
@@ -180,7 +180,7 @@ _TEXEL_ALONG, _TEXEL_ACROSS, _TEXEL_RECESS = _texels()
 
 @dataclass(slots=True)
 class _Balance:
-    """What a step leaves. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
+    """Result of a step. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
 
     y: FloatArray
     slid_m: float
@@ -204,7 +204,7 @@ class _Tangent:
 
 
 class ContainerWorld:
-    """A container with a content, and what the fingers do to it.
+    """A container with a content, and its response to the fingers.
 
     shape, content, trial: as given; mass_kg: of all of it
     """

@@ -1,4 +1,4 @@
-"""What a depth camera sees of a slab on its table, with a robot in front of it: rays cast into triangles and capsules.
+"""View of a depth camera on a slab on its table, with a robot in front of it: rays cast into triangles and capsules.
 
     view = DepthView(scene, DepthViewConfig(width=320, height=240))
     exact = view.render(world.displaced_m(contact, view.places_m), [Capsule(tip_m, wrist_m, 0.008)])

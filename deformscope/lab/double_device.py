@@ -1,4 +1,4 @@
-"""Doubles in the place of devices: what a rig file with `double = true` is given."""
+"""Doubles in the place of devices, for a rig file with `double = true`."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def reaching(config: object, port: str, *, is_bus: bool = False) -> Any:
 
 
 def _of_any_serial(config: Any) -> Any:
-    """The configuration, for a device with whatever serial number: a double has its own."""
+    """The configuration, for a device with any serial number: a double has its own."""
     return dataclasses.replace(config, serial=type(config)().serial) if hasattr(config, "serial") else config
 
 

@@ -1,4 +1,4 @@
-"""Small-strain linear elasticity of a box on hexahedra: what a foam does when part of it is held and part is moved.
+"""Small-strain linear elasticity of a box on hexahedra: a foam with a held part and a moved part.
 
     slab = ElasticBox(x, y, z, young=40e3, poisson=0.3)            # three axes of element corners [m]
     bottom, punch = slab.plane(2, z[0]), slab.plane(2, z[-1]) & (np.abs(slab.nodes[:, :2]) <= 0.01).all(axis=1)
@@ -47,8 +47,8 @@ SOLVED_TO = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """A static state. displacement: (N, 3) of every node [m]; force: (N, 3) that whatever holds a node exerts on it
-    [N], zero at nodes that nothing holds. Several displacements solved at once have a leading axis."""
+    """A static state. displacement: (N, 3) of every node [m]; force: (N, 3) of the support on each node [N], zero at
+    free nodes Several displacements solved at once have a leading axis."""
 
     displacement: FloatArray
     force: FloatArray

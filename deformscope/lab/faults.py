@@ -16,7 +16,7 @@ from deformscope.robot.touch import Phase
 
 
 class Injected(StrEnum):
-    """What goes wrong."""
+    """A fault."""
 
     FORCE_SILENT = "force sensor silent"
     FORCE_CABLE = "force sensor's cable out"
@@ -144,7 +144,7 @@ class FaultsToCome:
             self._waiting.append((fault, phase, round(random.uniform(0.0, within_s) * 1e9), random))
 
     def phase_began(self, phase: Phase, touch: int) -> None:
-        """Called by whoever touches, as each phase begins. touch: from 1"""
+        """Called by the touching code, as each phase begins. touch: from 1"""
         for one in list(self._waiting):
             fault, waited_for, delay_ns, random = one
             if (fault.touch, waited_for) == (touch, phase):

@@ -146,8 +146,8 @@ class LargeStrain(ABC):
 
     @abstractmethod
     def _begin(self, state: FloatArray, reached: float, depth: float) -> FloatArray:
-        """Where the search begins for a depth [m], from the state (N,) of one nearby that was reached; held parts are
-        in their place."""
+        """Start of the search for a depth [m], from the state (N,) of a solved one nearby; held parts are in their
+        place."""
 
     @abstractmethod
     def _smallest_volume(self, state: FloatArray) -> float:

@@ -38,7 +38,7 @@ DENSIFYING_EXPONENT, DENSIFIED_STRAIN = -4.0, 0.65
 
 @dataclass(frozen=True, slots=True)
 class Foam:
-    """What stands for one foam.
+    """Parameters of one foam.
 
     density [kg/m3]; hardness: force at 40 % indentation [N]; plateau: exponent of the yielding term;
     poisson: of small strains

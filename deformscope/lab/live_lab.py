@@ -1,6 +1,6 @@
 """A simulated table for devices on their own clock: the host's, each device with its own thread.
 
-What a rig file with `double = true` and `[surface] scene` is explored on; the same code as moves a real arm then moves
+The simulated table of a rig file with `double = true` and `[surface] scene`; the code that moves a real arm then moves
 a simulated one. The table lives in processes of its own, as a real one does not wait for this program's threads.
 `touch_lab` is the laboratory for studies: its clock is simulated, and every run of it the same.
 """
@@ -54,7 +54,7 @@ CAMERA = DepthViewConfig(width=320, height=240, azimuth_deg=-90.0)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Table:
-    """What the processes get of the table."""
+    """The processes' description of the table."""
 
     scene: str
     seed: int
@@ -65,7 +65,7 @@ class _Table:
 
 
 class _Shared:
-    """What the processes share, each value with one writer.
+    """Values that the processes share, each with one writer.
 
     wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
     finger_n: (3,) of a person on the tip, surface frame; board: a person has fixed it to the arm
@@ -144,7 +144,7 @@ class LiveLab:
 
     @property
     def T_surface_camera(self) -> FloatArray:
-        """(4, 4) where the camera stands [m]."""
+        """(4, 4) pose of the camera [m]."""
         return np.asarray(self.view.surface_from_camera, np.float64)
 
     @property
@@ -204,7 +204,7 @@ class LiveLab:
         return camera
 
     def _move(self) -> None:
-        """The table gets where the arm is, and the arm what pushes it."""
+        """The table gets the pose of the arm, and the arm its pushes."""
         be_prompt(SENDING)
         shared = self._shared
         while not shared.over:
@@ -265,7 +265,7 @@ def _feel(pipe: Connection, table: _Table, shared: _Shared, sensitivity: Sensiti
 
 
 def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> None:
-    """The process of what the camera sees."""
+    """The process of the camera's view."""
     scene = built_in(table.scene, table.seed)
     view = DepthView(scene, CAMERA, table.T_surface_camera)
     world = LayerWorld(scene, table.placement.tool.radius_m)
@@ -290,7 +290,7 @@ def _look(pipe: Connection, table: _Table, shared: _Shared, rate_hz: float) -> N
 
 
 def first_message(pipe: Connection, what: str) -> Any:
-    """What a process says when it is ready. Raises InputError if it sends none, or an error."""
+    """First message of a process when it is ready. Raises InputError if it sends none, or an error."""
     with contextlib.suppress(EOFError):
         if pipe.poll(START_S):
             if isinstance(message := pipe.recv(), InputError):

@@ -89,7 +89,7 @@ class LiveSqueezeLab:
             yield {entry.name: made[entry.driver.kind] for entry in entries}
 
     def truth(self) -> ContainerTruth:
-        """What is simulated, up to now, on the host's clock. Raises InputError where its process has ended."""
+        """The simulated truth, up to now, on the host's clock. Raises InputError where its process has ended."""
         try:
             self._questions.send(None)
             answer = self._questions.recv()

@@ -1,7 +1,7 @@
 """A rig whose doubles are not at the poses of its file: random poses that the calibration has to find.
 
-`[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` does what the calibrating commands ask for, with a
-hand that is a little off, as a person at a real rig would.
+`[surface] hidden = 7` in a rig file asks for one. `SimulatedHand` carries out the requests of the calibrating commands,
+with small errors, as a person at a real rig would.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ TAP_N, TAP_S = 4.0, 0.04
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RandomizedRig:
-    """Where things truly are.
+    """True poses of things.
 
     placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: as the
     sensor gives them over true ones

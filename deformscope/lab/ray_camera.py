@@ -1,4 +1,4 @@
-"""A simulated depth camera: rays cast into triangles and capsules, and what such a camera gets wrong.
+"""A simulated depth camera: rays cast into triangles and capsules, and the errors of such a camera.
 
 It is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length.
 """
@@ -17,7 +17,7 @@ from deformscope.solid import PosedSolid
 from deformscope_drivers.depth_camera.image import Intrinsics
 
 NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
-"""What a pixel fell on."""
+"""Surface that a pixel's ray hit."""
 
 NEAREST_M = 0.01
 """Corners nearer than this to the plane of the camera are sought in all of its picture."""
@@ -128,8 +128,8 @@ class RayCamera:
         return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
 
     def cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
-        """Draw a capsule of the robot into a picture (h, w), changed in place, wherever it is nearer. depth: along the
-        view [m]; seen: what each pixel shows; facing: cosine between ray and surface normal"""
+        """Draw a capsule of the robot into a picture (h, w), changed in place, where it is nearer. depth: along the
+        view [m]; seen: index of each pixel's surface; facing: cosine between ray and surface normal"""
         part = self.window(capsule)
         ray, length = self.ray[part], self._length[part]
         entered, normal = _enter(capsule, self.T_world_camera[:3, 3], ray, length)
@@ -141,7 +141,7 @@ class RayCamera:
     def cover_solids(
         self, solids: Sequence[PosedSolid], depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray
     ) -> None:
-        """Draw solids of the robot into a picture (h, w), changed in place, wherever they are nearer: see `cover`."""
+        """Draw solids of the robot into a picture (h, w), changed in place, where they are nearer: see `cover`."""
         meshes = [(one.vertices_m, one.solid.triangles) for one in solids]
         corners = np.concatenate([vertices for vertices, _ in meshes])
         inside = (corners - self.T_world_camera[:3, 3]) @ self.T_world_camera[:3, 2] > NEAREST_M
@@ -165,7 +165,7 @@ class RayCamera:
         return self.part(self.pixels(ends), reach[:, None])
 
     def part(self, pixel: FloatArray, around: float | FloatArray) -> tuple[slice, slice]:
-        """Rows and columns that hold all of some pixels (n, 2), and what is around them."""
+        """Rows and columns that hold all of some pixels (n, 2), with a margin."""
         low = np.clip(np.floor((pixel - around).min(axis=0)), 0, None).astype(int)
         high = np.clip(np.ceil((pixel + around).max(axis=0)) + 1, 0, None).astype(int)
         return slice(low[1], high[1]), slice(low[0], high[0])

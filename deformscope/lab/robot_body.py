@@ -42,7 +42,7 @@ CABLE_PIECES = 20
 
 
 def described_robot(removal: Removal | None = None) -> RobotDescription:
-    """What a careful user writes of this robot into [shape]: the cable's radius covers sag and sway."""
+    """A careful user's [shape] for this robot: the cable's radius covers sag and sway."""
     cable = CableSection(CABLE_M, CABLE_RADIUS_M + SAG_M + 2.0 * SWAY_M)
     return describe(ShapeSection(removal, URDF, closed=CLOSED, cables=(cable,)), J2N6S300, FOLDER)
 
@@ -59,7 +59,7 @@ class RobotBody:
     def seen(
         self, placement: Placement, T_base_links: FloatArray, center_m: FloatArray
     ) -> tuple[tuple[Capsule, ...], tuple[PosedSolid, ...]]:
-        """What a camera sees of it, surface frame: stick, ball and cable; all else.
+        """A camera's view of it, surface frame: stick, ball and cable; all else.
 
         T_base_links: (k, 4, 4) of joints and end; center_m: (3,) of the tip, which a push moves off the chain's own
         """

@@ -42,7 +42,7 @@ CREEP_S = 1.0
 CAMERA_AZIMUTH_DEG = -90.0
 """The camera looks across the long edge at y = 0: the arm is beyond the other, and hides what is behind it."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
-"""Where the tip may go, in the base frame: above the table, and to where the arm is parked."""
+"""Range of the tip, in the base frame: above the table, and to the arm's parking place."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
@@ -64,9 +64,9 @@ class SceneLab:
         travel_speed_m_s: float = 0.05,
     ) -> None:
         """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
-        none; sensor: of SENSORS, what the camera measures by, empty = noise alone
-        robot: that the camera sees, None = capsules; described: what is known of its shape; travel_speed_m_s: between
-        touches"""
+        none; sensor: of SENSORS, the camera's error model, empty = noise alone
+        robot: that the camera sees, None = capsules; described: the known description of its shape; travel_speed_m_s:
+        between touches"""
         self._robot, self._described = robot, described
         self._workspace = Workspace(low_m=BOX_LOW_M, high_m=BOX_HIGH_M, travel_speed_m_s=travel_speed_m_s)
         self.drawn = (errors or LabErrors.none()).draw([seed, scene.seed])
@@ -145,7 +145,8 @@ class SceneLab:
         return Relaxation((relaxes,), (CREEP_S,), keeps) if relaxes else Relaxation(keeps=keeps)
 
     def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) the slab's force [N] on a tip at (3,) [m], in the surface frame: what `TouchLab` asks of its world."""
+        """(3,) the slab's force [N] on a tip at (3,) [m], in the surface frame: the interface of a world of
+        `TouchLab`."""
         if isinstance(self._world, CreepingWorld):
             self._world.at(1e-9 * self.clock())
         self._contact = self._world.press(self._tip, center_m)
@@ -163,7 +164,7 @@ class SceneLab:
         return RigSource(members, clock=self.clock, opener=self.lab.open)
 
     def _see(self, time_s: float) -> View:
-        """What the camera sees now: the slab as it is pressed, the arm in its pose."""
+        """The camera's present view: the pressed slab, the arm in its pose."""
         moved = None
         if self._contact is not None and len(self._contact.node):
             moved = self._world.displaced_m(self._contact, self.view.places_m)

@@ -13,7 +13,7 @@ to be the plateau's, and the plateau 5 % of the initial modulus (Gibson and Ashb
 are then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 N sink by more than 17 mm.)
 **Rigid** pieces have RIGID_PA, 1000 times the foam of 60 N. **Poisson's ratio** is 0.2 everywhere.
 
-`DRAWN` says what each scene draws from its seed, each evenly between two values. Other hardnesses come by name:
+`DRAWN` has the random quantities of each scene, each uniform between two values. Other hardnesses come by name:
 `homogeneous-A`, `two-A-B`, `three-A-B-C`, `disc-A-B` (A around, B the disc), and so on. So do `soft-spot`, `corner`,
 `strip`, `patches`, `wavy`, `zigzag`, `ring`, `bumpy`, `thin-thick`, with one `wedge`, `step`, `egg-crate`, and with a
 third for the lump `lump`. A letter is a number of newtons or `rigid`. `60c30` is foam of 60 N that creeps: 30 % of its
@@ -64,7 +64,7 @@ RIGID_PA = 1000.0 * initial_modulus_pa(60.0)
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What a scene draws from its seed, evenly from `low` to `high`."""
+    """Random quantity of a scene, uniform from `low` to `high`."""
 
     what: str
     low: float
@@ -91,7 +91,7 @@ _HARDNESS = Range("hardness", 0.9, 1.1, "of the nominal one")
 
 
 def _metres(**drawn: tuple[float, float]) -> tuple[Range, ...]:
-    """From and to [m], by what is drawn."""
+    """From and to [m], of a random quantity."""
     return tuple(Range(what.replace("_", " "), *ends, "m") for what, ends in drawn.items())
 
 
@@ -148,7 +148,8 @@ DRAWN: dict[str, tuple[Range, ...]] = {
     ),
     "empty": (_HARDNESS,),
 }
-"""What each kind of scene draws. "turned" below 1 leaves the pieces' order as named from the left, else reverses it."""
+"""Random quantities of each kind of scene. "turned" below 1 leaves the pieces' order as named from the left, else
+reverses it."""
 
 Places = Callable[[FloatArray], FloatArray]
 Labels = Callable[[FloatArray], IntArray]
@@ -199,7 +200,7 @@ class Scene:
 
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
     size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
-    drawn: what the seed gave, by name; buried: the part in the foam below the surface. Its label is that of the places
+    drawn: the seed's values, by name; buried: the part in the foam below the surface. Its label is that of the places
     above it, and no modulus of a place has it
     """
 
@@ -273,7 +274,7 @@ class Scene:
 
     @property
     def lumps_m(self) -> FloatArray:
-        """(n, 4) what is buried: x and y of each ball's middle, its radius, and how deep its uppermost point is [m]."""
+        """(n, 4) buried balls: x and y of each one's middle, its radius, and the depth of its uppermost point [m]."""
         ball = self.buried
         return np.zeros((0, 4)) if ball is None else np.array([[*ball.centre_m, ball.radius_m, ball.depth_m]])
 

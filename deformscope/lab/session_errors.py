@@ -1,4 +1,4 @@
-"""What a laboratory keeps from the estimator, drawn once for each session: nothing of it is in what is measured.
+"""Hidden errors of a laboratory, drawn once for each session; no measurement contains them.
 
     errors = LabErrors().draw(seed)        # LabErrors.none() is the old, clean laboratory
     errors.arm_n_per_m, errors.gain, errors.scatter(xy_m)
@@ -23,20 +23,20 @@ from deformscope.lab.scenes import Scene
 TOUCHES_S = 100.0
 """In which ten touches are made."""
 HERTZ = 1.5
-"""Log modulus for log stiffness at a set force, under a ball: what scatters is the stiffness."""
+"""Log modulus for log stiffness at a set force, under a ball: the stiffness scatters."""
 WAVES = 96
 """Cosines that a random field is made of."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabErrors:
-    """What sessions differ by.
+    """Differences between sessions.
 
-    arm: deviation of the arm's compliance as a share of what its calibration says; gain: deviation of the force
-    sensor's; drift: deviation of what that changes by in TOUCHES_S
+    arm: deviation of the arm's compliance as a share of its calibrated value; gain: deviation of the force sensor's;
+    drift: deviation of its change in TOUCHES_S
     scatter: between which the deviation of log stiffness within one material lies, drawn evenly in logarithms;
     scatter_length_m: over which it changes
-    thickness: deviation of the true thickness as a share of what is stated; overshoot_m: overshoot of the arm after the
+    thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the
     stop, uniform from 0; friction: of the tip on the surface, evenly from 0
     """
 
@@ -82,8 +82,8 @@ class LabErrors:
 class SessionErrors:
     """One session's.
 
-    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: what is added to
-    it in TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
+    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: its change in
+    TOUCHES_S; scatter_sd: of log stiffness within a material; thickness: true over stated; overshoot_m; friction:
     sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) of the scatter's field
     """
 
@@ -115,11 +115,11 @@ class SessionErrors:
         return np.asarray(self.gain_at(time_s) * felt)
 
     def slab(self, scene: Scene) -> Scene:
-        """As thick as it truly is: what the map's truth is taken from."""
+        """With the true thickness: source of the map's truth."""
         return dataclasses.replace(scene, thickness_m=scene.thickness_m * self.thickness)
 
     def foam(self, scene: Scene) -> Scene:
-        """The slab whose foams scatter, too: what is touched."""
+        """The slab whose foams scatter, too: the touched one."""
         slab = self.slab(scene)
         return dataclasses.replace(slab, _modulus=partial(self._modulus_pa, slab)) if self.scatter_sd > 0.0 else slab
 
@@ -127,6 +127,6 @@ class SessionErrors:
         return np.asarray(slab.modulus_pa(xy_m) * np.exp(HERTZ * self.scatter(xy_m)))
 
     def plain(self) -> dict[str, Any]:
-        """What was drawn, for JSON; the scatter's field by its deviation."""
+        """The drawn values, for JSON; the scatter's field by its deviation."""
         left_out = ("wave_rad_m", "phase_rad")
         return {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.name not in left_out}

@@ -69,12 +69,12 @@ MOST_PATCHES = 3
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """A tip at one place, and what the foam does.
+    """A tip at one place, and the foam's response.
 
     center_m: (3,) where the tip is (middle of a ball, of a flat tip's face); normal: (3,) of the rest surface below it
     depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
     gap_m: from tip to foam, along the normal; 0 in contact [m]
-    force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, and what the table adds
+    force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, plus the table's
     place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each, along the normal [N]: its contact
     force, on foam without a memory
     tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
@@ -99,7 +99,7 @@ class Contact:
 
 
 class Patch:
-    """The foam around one place, its equations factorised: what tips of one kind can touch there.
+    """The foam around one place, its equations factorised: for tips of one kind there.
 
     xy_m: (2,) the place [m]; reach_m: (2,) farthest from it, along x and y, that a tip's edge may come [m]
     fine_m: (2,) size of the elements there [m]

@@ -40,7 +40,7 @@ EDGE_FINENESS = 8
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What the camera sees: width x height [px], the block's middle at column `middle_px`, its top in row `top_px`."""
+    """View of the camera: width x height [px], the block's middle at column `middle_px`, its top in row `top_px`."""
 
     width: int
     height: int
@@ -82,7 +82,7 @@ class SpeckleMotion:
         return np.column_stack([spline.ev(y, x) for spline in self._spline])
 
     def rest_of(self, place: FloatArray, start: FloatArray) -> FloatArray:
-        """Where at rest that is which is now seen at (k, 2), from a guess."""
+        """Rest positions of the points now seen at (k, 2), from a guess."""
         rest = start.copy()
         left = np.arange(len(rest))
         for _ in range(30):

@@ -72,7 +72,7 @@ NAMES: Final = ("hand", "pads", "camera")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerTruth:
-    """What is simulated, up to now.
+    """The simulated truth, up to now.
 
     content, container: their names; fill: share of the height; mass_kg: of all that is squeezed
     contact_ns: when a finger first pressed the wall; steady_ns: from when on the pressing joints turned less than
@@ -103,7 +103,7 @@ class ContainerCase:
     container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
     seed: of grasp, fill, temperatures and noise; session: of the room's temperature
     grasp: (4, 4) container to hand as planned, from which the true pose differs a little; None = a random one
-    alike: every content has the physics of water, whatever it is called
+    alike: every content has the physics of water, under any name
     """
 
     content: str
@@ -116,13 +116,13 @@ class ContainerCase:
 
 
 class SqueezedContainer:
-    """A container between the fingers of a simulated hand, in a camera's view: what the doubles are over.
+    """A container between the fingers of a simulated hand, in a camera's view: the world of the doubles.
 
-    hand, pads: the doubles; shape, world, view: the container's form, what the fingers press, the camera
+    hand, pads: the doubles; shape, world, view: the container's form, the pressed body, the camera
     """
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
-        """clock: that the hand's double runs on; port: what the hand hangs on"""
+        """clock: that the hand's double runs on; port: the hand's port"""
         if case.content not in CONTENTS:
             raise InputError(f"a content of {', '.join(CONTENTS)}", repr(case.content))
         self.case, self._clock = case, clock
@@ -141,7 +141,7 @@ class SqueezedContainer:
         self.pads = DsaDouble(scene=self._felt, pa_per_count=PA_PER_COUNT, noise_counts=NOISE_COUNTS, seed=case.seed)
 
     def truth(self) -> ContainerTruth:
-        """What is simulated, up to now."""
+        """The simulated truth, up to now."""
         return ContainerTruth(
             content=self.case.content,
             container=self.case.container,
@@ -204,7 +204,7 @@ class SqueezedContainer:
 class SqueezeLab:
     """The laboratory with one container in it, closed.
 
-    hand, pads, camera: the real drivers' devices, to be opened by `open`; simulated: what is behind them
+    hand, pads, camera: the real drivers' devices, to be opened by `open`; simulated: the world behind them
     """
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
@@ -227,7 +227,7 @@ class SqueezeLab:
         )
 
     def _made(self, case: ContainerCase) -> SqueezedContainer:
-        """What the devices are over."""
+        """Configuration of the devices."""
         return SqueezedContainer(case, self.clock, Port.TCP)
 
     @property
@@ -276,7 +276,7 @@ class SqueezeLab:
                     device.poll(0.0)
 
     def truth(self) -> ContainerTruth:
-        """What is simulated, up to now."""
+        """The simulated truth, up to now."""
         return self.simulated.truth()
 
     @property
@@ -298,7 +298,7 @@ def members(hand: Device[Any], pads: Device[Any], camera: Device[Any]) -> list[R
 
 
 def camera_config(intrinsics: Intrinsics, rate_hz: float, seed: int) -> SyntheticDepthConfig:
-    """What the camera's double adds to a view."""
+    """Errors that the camera's double adds to a view."""
     return SyntheticDepthConfig(
         name="simulated camera", rate_hz=rate_hz, missing=0.02, seed=seed, intrinsics=intrinsics
     )

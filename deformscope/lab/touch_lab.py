@@ -75,7 +75,7 @@ class TouchLab:
 
         start_deg: (n,) first angles of the Jaco; default: the six-joint arm ready above the middle of the table
 
-        view: what the camera sees at a time since its opening [s]; None = no camera
+        view: the camera's view at a time since its opening [s]; None = no camera
         """
         self.clock = clock if clock is not None else SimulatedClock()
         self.placement = Placement(np.asarray(T_base_surface, dtype=float), tool if tool is not None else Tool())
@@ -308,6 +308,6 @@ class Spoiled:
 
 
 def _structure(argument: Any) -> ctypes.Structure:
-    """What a by-reference argument refers to."""
+    """Object of a by-reference argument."""
     structure: ctypes.Structure = getattr(argument, "_obj", argument)
     return structure

@@ -1,4 +1,4 @@
-"""What a controller would record while a tip comes down on the foam and stops: for statistics over many touches.
+"""A controller's record of a tip that comes down on the foam and stops: for statistics over many touches.
 
 No wires, no control loop: the foam's force against depth is found once, and read where the arm is at each sample.
 """

@@ -1,4 +1,4 @@
-"""What a recording is of, as far as it decides something before devices are opened."""
+"""Kind of a recording, as far as it decides something before devices are opened."""
 
 from __future__ import annotations
 

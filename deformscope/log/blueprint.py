@@ -1,4 +1,4 @@
-"""What is seen when a recording opens: one glance, no tabs, no empty views."""
+"""The first view of an opened recording: one glance, no tabs, no empty views."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ WIDE_FROM = 3.0
 
 
 def blueprint(layout: PictureLayout, canvas: Canvas, chart: str = CHART, body: str = "") -> rrb.Blueprint:
-    """The views for a layout over this picture. chart: content of the chart next to the particles; body: what lies on
-    the body, before where the model is wrong; empty = nothing"""
+    """The views for a layout over this picture. chart: content of the chart next to the particles; body: view of the
+    body, before the view of the model's error; empty = none"""
     if layout == "flow":
         root: rrb.Container | rrb.View = rrb.Horizontal(
             _flat_view("flow", canvas), _summary_view(), column_shares=[3, 1]

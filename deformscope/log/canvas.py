@@ -1,4 +1,4 @@
-"""What every twin shares: colours, the picture that is drawn upon, its legend and its colour bar."""
+"""Common parts of every twin: colours, the picture below, its legend and its colour bar."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from deformscope.pictures.palette import Rgb, colors, readable
 TEXT: Rgb = (225, 225, 225)
 
 SIDE_LEGEND_FROM = 3.5
-"""Height over width from which the legend is beside the picture rather than below it."""
+"""Height over width from which the legend is at the picture's side rather than below it."""
 COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
-"""Size of the legend beside the picture, of its width, or below it, of its longer side."""
+"""Size of the legend at the picture's side, of its width, or below it, of its longer side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +27,8 @@ class Canvas:
     spacing: between neighbouring particles, in the same unit; 0 = not known yet
     particles: (K, 2) where the particles are now [px], so that nothing is drawn where the thing is not; None = anywhere
     image: the path of the image under the results; empty = none
-    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of what is
-    drawn
+    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of the
+    drawing
     """
 
     low: tuple[float, ...] = (0.0, 0.0)

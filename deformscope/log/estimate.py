@@ -1,5 +1,5 @@
-"""What a calibration found: simulated against observed particles, their residuals, where the model is wrong, the error
-curve with the posterior, the verdict."""
+"""Results of a calibration: simulated against observed particles, their residuals, the model's error over the body, the
+error curve with the posterior, the verdict."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.see.triangulation import raster, triangulate
 
 RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
-"""Shares of the spacing. In space observed spheres are larger, so that red is what departs from them."""
+"""Shares of the spacing. In space observed spheres are larger, so that red marks deviations from them."""
 
 NET = 1.2
 """Largest distance, in spacings, of a surface's particles that a net joins."""
@@ -135,8 +135,8 @@ def _worst(comparison: Comparison, length: FloatArray) -> str:
 
 
 def _log_deep(rec: rr.RecordingStream, comparison: Comparison, length: FloatArray, canvas: Canvas, end: float) -> None:
-    """Log a body in space: of a surface, what the picture holds; what lies beyond goes into the recording alone, where
-    no view shows it. length: (K,) error of each particle"""
+    """Log a body in space: of a surface, the picture's part; the rest goes into the recording alone, where no view
+    shows it. length: (K,) error of each particle"""
     radius, surface = canvas.spacing, bool(canvas.scale)
     inside = _inside(comparison, canvas)
     log_place(rec, canvas, *(f"particles/{name}" for name in ("rest", "observed", "simulated", "net")))

@@ -1,4 +1,4 @@
-"""What a study or a command found, as views: its pictures and bodies, and its tables as text."""
+"""Results of a study or a command, as views: its pictures and bodies, and its tables as text."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BODY = "on_body/points"
 """A result on the body that it is of."""
 UNKNOWN: Rgb = (150, 155, 165)
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
-"""Where the scale of its colours may end."""
+"""Possible ends of its colour scale."""
 ACROSS = 3
 """Pictures side by side, at most."""
 
@@ -73,7 +73,7 @@ def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> No
 
 
 def log_numbers(rec: rr.RecordingStream, estimate: object, canvas: Canvas) -> None:
-    """Every field of what was found of a material, for `replay` to compare."""
+    """Every field of a material's result, for `replay` to compare."""
     kind = type(estimate).__name__
     numbers = rr.DynamicArchetype(kind, components=to_components(estimate))
     rec.log("calibration/estimate", numbers, static=bool(canvas.image))

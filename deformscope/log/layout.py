@@ -1,4 +1,4 @@
-"""What an experiment with devices brings to its recorder: the views that a viewer opens with, and those of results."""
+"""The part of an experiment with devices in its recorder: the views that a viewer opens with, and those of results."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ class RecordingLayout(ABC):
         """Log constants, and the devices' descriptions."""
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
-        """The touch that what devices give next belongs to, after these results at a moment of this touch."""
+        """The touch of the next device items, after these results at a moment of this touch."""
         return touch
 
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
     ) -> Batch:
-        """Make results ready, those of one moment: what a robot that touches gives, unless a layout takes others.
+        """Make results ready, those of one moment: items of a robot that touches, unless a layout takes others.
 
         session_ns: when, since the recording's start [ns]; place: on the timelines of an exploration
-        cell_m: of maps that do not say it themselves [m]; failed: takes what could not be shown
+        cell_m: of maps that do not say it themselves [m]; failed: receives errors of views
         """
         from deformscope.log.exploration.results import prepare_results
 

@@ -15,10 +15,10 @@ from deformscope.log.stages import prepare_stage_results
 
 
 class LiveStream:
-    """What is logged to `rec` goes out at once; items of devices are gathered, and thinned when it is flushed.
+    """Entries of `rec` are sent immediately; items of devices are gathered, and thinned when it is flushed.
 
     check: raises TimeoutError where the viewer does not answer within a time [s], another error where it is gone
-    passing: gets what a viewer that comes later can do without, None = `rec` does
+    passing: receives items that a later viewer does not need, None = `rec` does
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class LiveStream:
         self._results += results
 
     def send(self, batch: Batch, *, lasting: bool = False) -> None:
-        """Show what of it is in a view: a page's time goes by the number of entities."""
+        """Show its visible part: a page's time goes by the number of entities."""
         batch.send(self.rec if lasting else self._passing, visible_in(self._streams))
 
     def flush(self, *, timeout_sec: float) -> None:
-        """Send what was gathered, and return once the viewer has all. Raises TimeoutError where that takes longer,
+        """Send the gathered items, and return once the viewer has all. Raises TimeoutError where that takes longer,
         another error where the viewer is gone."""
         for touch, items in sorted(self._items.items()):
             place = self._places[touch]

@@ -33,7 +33,7 @@ class Merged:
         self._growing: dict[tuple[object, ...], _Growing] = {}
 
     def add(self, chunk: Chunk) -> Iterator[Chunk]:
-        """What is complete with this portion, which is not static."""
+        """Chunks that are complete with this portion, which is not static."""
         batch = chunk.to_record_batch()
         session_ns = batch.column("session").cast(pa.int64())
         columns = ((column.name, column.type) for column in batch.schema)

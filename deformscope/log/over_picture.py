@@ -1,4 +1,4 @@
-"""Results over a picture: of images, of pairs of particle sets, and what studies find."""
+"""Results over a picture: of images, of pairs of particle sets, and of studies."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def log_over_picture(rec: rr.RecordingStream, shown: Sequence[tuple[object, Canv
 
 
 def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
-    """What shows each result on this canvas."""
+    """The view of each result on this canvas."""
     numbers = (ESTIMATE, partial(log_numbers, canvas=canvas))
     findings = log_findings if canvas == Canvas() else partial(log_evidence, canvas=canvas)
     return {

@@ -1,4 +1,4 @@
-"""The images of a sequence: recorded without loss, and what is drawn upon."""
+"""The images of a sequence: recorded without loss, and the picture below the results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What beta and theta do to a body: its static states on timelines of the parameters, to be scrubbed."""
+"""Effect of beta and theta on a body: its static states on timelines of the parameters."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The registry of views: what logs a result of each type, and which stages it is a result of. What is recorded brings
-one, and all are looked up here."""
+"""The registry of views: the logging function of each type of result, and the stages that it is a result of. Every
+recorded type has one, and all are looked up here."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SOMETIMES = "sometimes"
 class ShownStage:
     """A stage of computation, as recordings have it.
 
-    name: as its costs are named; chapter: of the thesis, 0 = what is recorded of the run itself; gives: in words
-    entity: where its rows are, with what is below it, "" = that of its type of result
+    name: as its costs are named; chapter: of the thesis, 0 = records of the run itself; gives: in words
+    entity: place of its rows, with entities below it, "" = that of its type of result
     field: of the result, without which a row holds nothing of the stage, "" = each does
     costs: names of other stages that are computed for it
     when: the setting of a recording that requests it, as `explore.hold_s`, or with one of its values, as

@@ -27,8 +27,8 @@ FREE_NS = -1_200_000_000, -200_000_000
 
 
 def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[float, float]]:
-    """Serve what the devices of two recordings measured, to play; its address is printed. Also when the first contact
-    of each was, since its start [s].
+    """Serve the measurements of the devices of two recordings, to play; its address is printed. Also when the first
+    contact of each was, since its start [s].
 
     Raises InputError for a recording without a contact in a force sensor or a tactile array.
     """
@@ -48,8 +48,8 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
 def aligned_series(
     first: Replay, second: Replay, names: tuple[str, str] = ("first", "second")
 ) -> tuple[list[AlignedSeries], tuple[float, float]]:
-    """What the devices of two recordings measured since the first contact of each, and when that was, since its start
-    [s]. Raises InputError for a recording without a contact in a force sensor or a tactile array."""
+    """Measurements of the devices of two recordings since the first contact of each, and its time since the start [s].
+    Raises InputError for a recording without a contact in a force sensor or a tactile array."""
     from deformscope.experiments.first_contact import KINDS, first_contact_ns
 
     series: list[AlignedSeries] = []

@@ -1,4 +1,4 @@
-"""How a rig's devices are, on its page and at the terminal: rates, losses, drift, alarms."""
+"""Health of a rig's devices, on its page and at the terminal: rates, losses, drift, alarms."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from deformscope.terminal import say
 from deformscope_drivers.health import Health
 
 SHOW_EVERY_S = 0.3
-"""From one word on what a robot does to the next."""
+"""Shortest time between one state text of a robot and the next."""
 UNTOUCHED = ("look", "plan", "travel", "tare", "done")
 """Phases of an exploration in which nothing touches the force sensor: its force is then drift, no load."""
 
 
 class ShownDevices:
-    """Shows on a page how devices are, by all that they give, and what a robot does with them.
+    """Shows on a page the health of devices, by all their items, and a robot's use of them.
 
     touching: whether something may touch a force sensor, whose drift is then not known
     """
@@ -34,7 +34,7 @@ class ShownDevices:
         self._shown_s = -1e9
 
     def __call__(self, doing: str) -> None:
-        """doing: what the robot does, in words; shown seldom enough for a control period"""
+        """doing: the robot's state, as text; shown seldom enough for a control period"""
         now_s = self._session.state.now_s
         if now_s - self._shown_s >= SHOW_EVERY_S:
             self._shown_s = now_s
@@ -83,7 +83,7 @@ class ShownDevices:
 
 class WatchedDevices:
     """A recorder, while a robot acts, that also reports at the terminal when an alarm of a sensor begins and ends, and
-    shows new data on a page, if there is one. line: shows what the robot does, and nothing for an empty text"""
+    shows new data on a page, if there is one. line: shows the robot's state, and nothing for an empty text"""
 
     def __init__(self, recorder: SessionRecorder, shown: ShownDevices | None, line: Callable[[str], None]) -> None:
         self._recorder, self._shown, self._line = recorder, shown, line

@@ -1,4 +1,5 @@
-"""A fit that is set on a page, in its own process: what is changed is simulated at once, and the newest change wins.
+"""A fit whose settings are made on a page, in its own process: changes are simulated immediately, and the newest change
+wins.
 
 Images of a followed camera are in no file. A picture that is held, also by a whole fit, is written together with the
 one at rest, and the command line names both.
@@ -66,12 +67,12 @@ class _SetAnew(Exception):
 
 
 class PageFit:
-    """One thread computes, in `run`; another may `handle` what pages ask for.
+    """One thread computes, in `run`; another may `handle` requests of pages.
 
-    config: of the command, with which it begins; subject: what is fitted
+    config: of the command, with which it begins; subject: source of the fit
     send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
     camera: that is followed: each of its pictures becomes the subject, until one is held
-    keeps_last: what is shown in the end is held
+    keeps_last: the final picture is held
     """
 
     def __init__(
@@ -120,7 +121,7 @@ class PageFit:
             self._news.notify()
 
     def run(self) -> None:
-        """Simulate and fit what pages ask for, until one of them stops it. `config` is then what was set last."""
+        """Simulate and fit on requests of pages, until one of them stops it. `config` then has the last settings."""
         while True:
             with self._news:
                 self._wait()
@@ -171,7 +172,7 @@ class PageFit:
     # Of a camera -----------------------------------------------------------------------------------------------------
 
     def _follow(self, camera: FollowedCamera, *, holds: bool) -> None:
-        """Carry out its requests; else show its newest picture. holds: what is shown is to stay"""
+        """Carry out its requests; else show its newest picture. holds: the shown picture is to stay"""
         with self._news:
             command, self._for_camera = self._for_camera, None
         match command:
@@ -194,7 +195,7 @@ class PageFit:
         self._set(self._shown, self._offer_images())
 
     def _hold(self, camera: FollowedCamera) -> None:
-        """What is shown becomes files."""
+        """The shown state becomes files."""
         try:
             camera.keep()
         except Exception as problem:
@@ -267,7 +268,7 @@ class PageFit:
         }
 
     def _begun_curve(self, seen: Observation, body: Msm, model: Model) -> dict[str, Any]:
-        """What is known of it at once: while a camera is followed all of it, where that is swift; else nothing yet."""
+        """Immediate values of it: for a followed camera all of it, if that is fast; else none yet."""
         spread = np.linspace(*self.state.bounds, VALUES)
         self._curve = []
         nothing: dict[str, Any] = {"values": (), "errors": ()}
@@ -338,8 +339,8 @@ class PageFit:
         return seen, self._body[2], model
 
     def _config_of(self, asked: FitSettings) -> BetaConfig | ThetaConfig:
-        """The command's options with what was set; those that are as they began stay unsaid. Raises InputError where
-        they do not go together."""
+        """The command's options with the settings; unchanged ones are left out. Raises InputError where they do not go
+        together."""
         config, began = self._base, self._began
         if any(getattr(asked, name) != getattr(began, name) for name in IN_PICTURE):
             config = dataclasses.replace(config, images=images_with(self._images, asked))
@@ -371,7 +372,7 @@ def found_of(estimate: Estimate, command: str) -> FitResult:
 
 
 def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
-    """What a page begins with."""
+    """First settings of a page."""
     images = images_of(config)
     corners = images.outline or ()
     beta = config.beta if isinstance(config, ThetaConfig) else 0.5 if config.at is None else config.at
@@ -397,8 +398,8 @@ def run_fit(
 ) -> None:
     """Go on until a `StopRun` comes, or the pipe ends. next_folder: for pictures of a camera, None = a fit of files
 
-    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given what a `PageFit`
-    sends, ("note", what is done before that), and ("end", the options set last where keeps_last, or what went wrong).
+    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given the messages of a
+    `PageFit`, ("note", a step before it), and ("end", the last options if keeps_last, or an error).
     """
     quiet_warp()
 

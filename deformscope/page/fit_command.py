@@ -33,9 +33,9 @@ from deformscope.stages.fit.estimate import Estimate
 def set_on_page(
     config: BetaConfig | ThetaConfig, note: Callable[[str], None]
 ) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]:
-    """Have a page set a fit, until it is stopped there. Yields the options that were set, and what shows the result.
+    """Have a page set a fit, until it is stopped there. Yields the chosen options, and the view of the result.
 
-    The page is served on until the process ends. Raises InputError for what cannot be read.
+    The page is served on until the process ends. Raises InputError for unreadable sources.
     """
     if (reason := not_on_a_page(config)) is not None:
         if config.from_rig:
@@ -65,7 +65,7 @@ def set_on_page(
 def _set(
     config: BetaConfig | ThetaConfig, page: PageServer, note: Callable[[str], None]
 ) -> tuple[BetaConfig | ThetaConfig, FitState]:
-    """The options as they were set, and what was shown last."""
+    """The chosen options, and the last picture."""
 
     def changed(fit: FitProcess) -> None:
         if fit.goes_on:

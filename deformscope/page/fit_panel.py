@@ -1,4 +1,4 @@
-"""A fit on the page of a rig that is watched or recorded: of what one of its cameras sees, without holding it up."""
+"""A fit on the page of a rig that is shown or recorded: of one of its cameras' images, without delaying it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class FitPanel:
             page.session.show_secondary(("open-fit",))
 
     def on_items(self, items: Sequence[object]) -> None:
-        """What the devices gave. From the thread that takes it, which does not wait."""
+        """The devices' items. From the thread that takes it, which does not wait."""
         fit = self._fit
         if fit is not None:
             camera = fit.state.camera

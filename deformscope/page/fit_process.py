@@ -23,7 +23,7 @@ from deformscope.processes import END_S, RENEW_S, child_process
 from deformscope.terminal import say
 
 NICE = 5
-"""What reads devices and moves a robot goes first; what computes the flow comes after it."""
+"""Threads that read devices and move a robot have priority over the flow."""
 MOST_CHANGES = 1000
 """Number of newest pictures whose delay until display is stored."""
 
@@ -35,7 +35,7 @@ class FitProcess:
     config: with which it begins; state: as it was shown last, at first as given; commands: that are possible then
     changed: is called with it after every change, in the thread that listens to the process
     next_folder: for pictures of a camera that are held, None = it is a fit of files
-    keeps_last: what is shown in the end is held
+    keeps_last: the final picture is held
     drawn_ms: from a change on the page until the page has drawn it [ms]
     """
 
@@ -63,7 +63,7 @@ class FitProcess:
         self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
 
     def start(self) -> FitProcess:
-        """Begin. What is interrupted meanwhile can still be closed."""
+        """Begin. An interrupted start can still be closed."""
         self.thread.start()
         return self
 
@@ -83,7 +83,7 @@ class FitProcess:
         return "begun", ""
 
     def result(self) -> BetaConfig | ThetaConfig:
-        """The options that were set last, once a page has stopped the fit. Raises what went wrong with it."""
+        """The options that were set last, once a page has stopped the fit. Raises its error."""
         while self.thread.is_alive():
             self.thread.join(RENEW_S)
         if isinstance(self.outcome, Exception):
@@ -142,7 +142,7 @@ class FitProcess:
                 return
 
     def _take(self, kind: str, *what: Any) -> None:
-        """What the process gives."""
+        """Results of the process."""
         match kind:
             case "want":
                 self._wanted = True
@@ -161,7 +161,7 @@ class FitProcess:
 def _fit(
     config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
 ) -> None:
-    """In the process, which alone loads what simulates."""
+    """In the process, which alone loads the simulation."""
     from deformscope.page.fit import run_fit
 
     run_fit(config, next_folder, keeps_last, pipe)

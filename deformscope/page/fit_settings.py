@@ -1,4 +1,4 @@
-"""What is set on the page of a fit, and the options of its command."""
+"""Settings on the page of a fit, and the options of its command."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ IN_PICTURE = ("roi", "grid", "spacing_px", "outline", "contact", "held")
 
 
 def images_with(images: ImageOptions, asked: FitSettings) -> ImageOptions:
-    """The options with what was set in the picture. Raises InputError where it does not go together."""
+    """The options with the settings made in the picture. Raises InputError where it does not go together."""
     outline = tuple(value for corner in asked.outline for value in corner) or None
     same = {name: getattr(asked, name) for name in ("roi", "grid", "spacing_px", "contact")}
     images = dataclasses.replace(images, **same, outline=outline, held=None)
@@ -22,7 +22,7 @@ def images_with(images: ImageOptions, asked: FitSettings) -> ImageOptions:
 
 
 def not_on_a_page(config: BetaConfig | ThetaConfig) -> str | None:
-    """What keeps a fit from being set on a page; None = nothing."""
+    """The reason against a fit on a page; None = none."""
     pairs = [source for source in config.sources if ending_of(source) == ".npz"]
     if pairs and len(config.sources) > 1:
         return f"{len(config.sources)} files"

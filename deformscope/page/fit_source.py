@@ -48,7 +48,7 @@ class ImagesSubject:
         self.images = tuple(encode_jpeg(_eight_bits(one, low, high)) for one in both)
 
     def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
-        """What was seen with these options, and what a fit records of it. Raises InputError where there is nothing."""
+        """The observation with these options, and a fit's record of it. Raises InputError where there is nothing."""
         images = images_of(config)
         height, width = self._motion.first.shape[:2]
         mask = mask_of(config.sources, images, (height, width))
@@ -90,7 +90,7 @@ FitSubject = ImagesSubject | PairSubject
 
 
 def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> FitSubject:
-    """Of the files that a command's options name. note: of what is done, in words"""
+    """Of the files that a command's options name. note: of the present step, as text"""
     if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
     images = images_of(config)
@@ -151,11 +151,11 @@ class FollowedCamera:
 
     @property
     def is_ready(self) -> bool:
-        """Whether what was requested is there."""
+        """Whether the requested motion is ready."""
         return self._requested is not None and self._requested.done()
 
     def motion(self) -> CachedFlow:
-        """What was requested, once it is there. Raises what went wrong with it."""
+        """The requested motion, once it is computed. Raises its error."""
         requested, self._requested = self._requested, None
         assert requested is not None
         assert self._pair is not None

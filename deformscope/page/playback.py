@@ -54,7 +54,7 @@ def show_comparison(
 
 
 def playback_of(path: Path) -> Playback:
-    """How long a recording of devices lasted, and its chapters."""
+    """Duration of a recording of devices, and its chapters."""
     rows = list(read_rows(Replay(path, trust=True), (HealthReport, SessionNote, PhaseStart, SqueezePhase)))
     until_ns = max((row.session_ns for row in rows), default=0)
     return Playback("session", until_ns, STEP_NS, tuple(chapters_of(rows, until_ns)))

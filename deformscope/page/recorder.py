@@ -54,9 +54,9 @@ class _FileTake:
     def write(
         self, items: object, source: RigSource | None, streams: tuple[Stream, ...], lossless: Sequence[str]
     ) -> None:
-        """Record what the devices of this source gave; a file that begins meanwhile begins with the first of it.
+        """Record the device items of this source; a file that begins meanwhile begins with the first of them.
 
-        streams: of the devices as they were opened; one that reconnects may not know its kind
+        streams: of the devices as they were opened; one that reconnects may have no kind
         """
         if isinstance(items, Sequence):
             if not self.begun and items:
@@ -118,7 +118,7 @@ class EpisodeNotes:
 
 
 class BackgroundWork:
-    """What takes its time, each in a thread of its own. failed: receives the error; ended: is called after each"""
+    """Slow tasks, each in its own thread. failed: receives the error; ended: is called after each"""
 
     def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
         self.busy: set[str] = set()
@@ -146,7 +146,7 @@ class BackgroundWork:
 
 
 class MakeRecorder(Protocol):
-    """A recorder into this file, or none, with this viewer; at_once: of what is there already, so that it may wait"""
+    """A recorder into this file, or none, with this viewer; at_once: of existing items, so that it may wait"""
 
     def __call__(self, file: Path | None, viewer: Literal["page", "none"], *, at_once: bool = False) -> Recorder: ...
 
@@ -156,7 +156,7 @@ class PageRecorder:
 
     file: to begin with, None = no file yet; next_file: a name for each that follows
     ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
-    fit: that can be set meanwhile; at_end: a file for what of them is held at the end
+    fit: that can be set meanwhile; at_end: a file for items that are held at the end
     """
 
     def __init__(
@@ -269,7 +269,7 @@ class PageRecorder:
                 self._take.recorder.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
-        """Of the last file; where there was none, of what was watched."""
+        """Of the last file; without one, of the whole view."""
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:
@@ -351,7 +351,7 @@ class PageRecorder:
             self.session.recording_began(str(take.path), **changes)
 
     def _found(self, words: str) -> None:
-        """What a fit found is said, and a note in what is recorded."""
+        """A fit's result is reported, and noted in the recording."""
         with self._lock:
             self._notes.note("note", words)
         self.session.remark(words)

@@ -15,13 +15,13 @@ from deformscope.page.server.page_session import PageSession
 class RobotPage(ABC):
     """`PageRun` of a robot's page.
 
-    robot: what stops, in words; button: what a page asks for a motion with
+    robot: the moving part, as text; button: a page's button for a motion
     """
 
     robot = button = ""
 
     def __init__(self, session: PageSession, ended: Interruption, shown: ShownDevices | None, reason: str = "") -> None:
-        """reason: the first activity, as text; shown: shows what the robot does, None = nothing"""
+        """reason: the first activity, as text; shown: shows the robot's state, None = nothing"""
         self.session = session
         self._ended, self._shown = ended, shown
         self._what = ""
@@ -32,7 +32,7 @@ class RobotPage(ABC):
 
     @abstractmethod
     def wait_for(self, what: str) -> None:
-        """Have the page ask for what moves next, and confirm it. what: will move"""
+        """Have the page confirm the next motion. what: the motion"""
 
     @abstractmethod
     def go_on(self) -> None:
@@ -47,7 +47,7 @@ class RobotPage(ABC):
         return self.session.absent() if self._by_hand else ""
 
     def show(self, doing: str) -> None:
-        """What the robot does, in words."""
+        """The robot's state, as text."""
         if self._shown is not None:
             self._shown(doing)
 

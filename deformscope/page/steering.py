@@ -81,7 +81,7 @@ class PageSteering(RobotPage):
     # Before it moves -------------------------------------------------------------------------------------------------
 
     def wait_for(self, what: str) -> None:
-        """As `RobotPage.wait_for`. what: how many touches, and of what force"""
+        """As `RobotPage.wait_for`. what: number of touches, and their force"""
         self._what = f"{self._arm} continues: {what}"
         self.session.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 
@@ -138,7 +138,7 @@ class PageSteering(RobotPage):
             self._choice = self._confirm = None
 
     def on_results(self, results: Sequence[object]) -> None:
-        """What the loop found."""
+        """Results of the loop."""
         for result in results:
             if isinstance(result, TouchEstimate) and (curve := self.session.state.curve) is not None:
                 near = np.hypot(result.xyz_m[0] - curve.x_m, result.xyz_m[1] - curve.y_m) < 1e-3

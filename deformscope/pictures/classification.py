@@ -1,4 +1,4 @@
-"""What is known of contents, as PNG: the thesis's figures 2.6, 2.7 and 2.9 to 2.14, transfer, fusion, calibration."""
+"""Results on contents, as PNG: the thesis's figures 2.6, 2.7 and 2.9 to 2.14, transfer, fusion, calibration."""
 
 from __future__ import annotations
 
@@ -270,7 +270,7 @@ def accuracies_png(scores: Sequence[ClassificationScore]) -> bytes:
 
 
 def fusion_png(found: Evaluation) -> bytes:
-    """Of each class, what is named rightly from each modality, and from all fused late."""
+    """Right answers in each class, by each modality, and by late fusion."""
     late = found.best
     shown = [*(found.score(name, "pooled") for name in found.table.fused[0]), late]
     count = len(found.table.classes)

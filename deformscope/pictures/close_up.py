@@ -1,4 +1,4 @@
-"""What to show of a body in space: where something moved, and how much its heights must be drawn out to see it."""
+"""View of a body in space: its moved part, and the magnification of its heights."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CloseUp:
 
 
 def close_up(comparison: Comparison) -> CloseUp:
-    """All of a volume; of a surface, the surroundings of what moved, with heights drawn out until they are seen."""
+    """All of a volume; of a surface, the surroundings of the moved part, with magnified heights."""
     rest = comparison.rest
     every = np.concatenate([rest, comparison.observed[comparison.seen], comparison.simulated])
     every = every[np.isfinite(every).all(axis=1)]

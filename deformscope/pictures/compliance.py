@@ -1,4 +1,4 @@
-"""The compliance of an arm as a picture: each touch with its deviation, and what is concluded from all."""
+"""The compliance of an arm as a picture: each touch with its deviation, and the estimate from all."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ COLUMNS, BINS, DPI = 3, 24, 110
 
 
 def distributions_png(quantities: Mapping[str, Mapping[str, Sequence[float]]]) -> bytes:
-    """How many cases gave which value, a panel for each quantity. quantities: finite values by what was varied"""
+    """How many cases gave which value, a panel for each quantity. quantities: finite values by the varied setting"""
     rows = -(-len(quantities) // COLUMNS)
     drawn = canvas(3.6 * COLUMNS, 2.7 * rows, layout="constrained")
     flat = list(np.ravel(drawn.subplots(rows, COLUMNS, squeeze=False)))

@@ -1,4 +1,4 @@
-"""Pictures of what a calibration found, as PNG: particles, where the model is wrong, the error curve, the posterior.
+"""Pictures of a calibration's results, as PNG: particles, the model's error, the error curve, the posterior.
 
 The same drawings go into recordings, the `--picture` of a command and its report.
 """
@@ -51,7 +51,7 @@ DPI = 110
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One estimate and what shows it: (n,) comparisons, each with a name; image: under the particles, None = none."""
+    """One estimate and its views: (n,) comparisons, each with a name; image: under the particles, None = none."""
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
@@ -79,7 +79,7 @@ def verdict_color(estimate: Estimate) -> str:
 
 
 def where_wrong(comparison: Comparison) -> str:
-    """Where the model is wrong, in a sentence."""
+    """Place of the model's error, in a sentence."""
     error = errors(comparison)
     if not np.isfinite(error).any():
         return "No particle was observed."
@@ -449,8 +449,8 @@ def _quartered(corners: FloatArray) -> FloatArray:
 
 
 def _frame(axes: Axes, comparison: Comparison, image: ImageArray | None, shown: CloseUp | None = None) -> float:
-    """Set limits and labels, and draw the image (h, w) or (h, w, 3) below; the factor that turns a position into what
-    is drawn."""
+    """Set limits and labels, and draw the image (h, w) or (h, w, 3) below; the factor from a position to the
+    drawing."""
     scale, unit = _length_unit(comparison)
     if shown is not None:
         low, high = shown.low[:2] * scale, shown.high[:2] * scale

@@ -1,4 +1,4 @@
-"""Pictures of an exploration, as PNG: the maps, why the next touch goes where it goes, and what a touch measured.
+"""Pictures of an exploration, as PNG: the maps, the gain of each next place, and a touch's measurement.
 
 The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
 frame; touches are numbered from 1, in their order.
@@ -383,7 +383,7 @@ def draw_touch_comparison(
 
 
 def _legend_above(axes: Axes, title: str, handles: Sequence[Any]) -> None:
-    """Names of what is drawn, below a title and above the axes."""
+    """Names of the drawn items, below a title and above the axes."""
     names = [textwrap.fill(handle.get_label(), 46) for handle in handles]
     above: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (-0.03, 1.0), "frameon": False, "alignment": "left"}
     bold = {"size": 10, "weight": "bold"}
@@ -391,7 +391,7 @@ def _legend_above(axes: Axes, title: str, handles: Sequence[Any]) -> None:
 
 
 def _with_interval(touch: TouchEstimate, quantity: str) -> tuple[float, float, float] | None:
-    """Value, low, high of what a touch gave; None where it gave none."""
+    """Value, low, high of a touch's result; None without one."""
     if quantity == "beta":
         return None if touch.beta is None else (touch.beta, *(touch.beta_interval or (touch.beta, touch.beta)))
     if not touch.usable:
@@ -696,7 +696,7 @@ height_png = _picture(draw_height)
 region_comparison_png = _picture(draw_region_comparison, (0.12, 0.12, 0.84, 0.62))
 """Where the regions end: of a recorded map, and of the one that other settings, which are named, give."""
 touch_comparison_png = _picture(draw_touch_comparison, (0.16, 0.14, 0.8, 0.62))
-"""What each touch gave, with its interval: as recorded, and with other settings, which are named."""
+"""Result of each touch, with its interval: as recorded, and with other settings, which are named."""
 inclusions_png = _picture(draw_inclusions)
 """How probably each cell lies above an inclusion, those that were found, and the true ones where they are known."""
 miss_probability_png = _picture(draw_miss_probability, (0.15, 0.155, 0.8, 0.62))

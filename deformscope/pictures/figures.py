@@ -21,7 +21,7 @@ LINES = ("-", "--", ":", "-.")
 def canvas(
     width: float, height: float, *, dpi: float | None = None, layout: Literal["constrained"] | None = None
 ) -> Figure:
-    """An empty figure [inch], drawn off screen whatever display there is."""
+    """An empty figure [inch], drawn off screen on any display."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

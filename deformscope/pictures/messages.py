@@ -1,4 +1,4 @@
-"""What was found, in words: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
+"""Results as text: the same words and digits in the terminal, a notebook, recordings, pictures and reports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def format_verdict(maps: MapEstimate) -> str:
 
 
 def format_regions(maps: MapEstimate) -> str:
-    """How many regions there are, and between what."""
+    """Number of regions, and their levels."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
     return counted(maps.region_count, "region") + " or more" * maps.at_least + between
 
@@ -47,7 +47,7 @@ def format_stop(stop_reason: str) -> str:
 
 
 def stiffness_kind(maps: MapEstimate) -> str:
-    """What the map's stiffness is."""
+    """Kind of the map's stiffness."""
     return "apparent" if maps.levelled_m is None else f"as on a level layer {100 * maps.levelled_m:.2g} cm thick"
 
 
@@ -57,7 +57,7 @@ def format_travel(travel_m: float) -> str:
 
 
 def format_iou(maps: MapEstimate) -> str:
-    """How good the map is, and against what; empty where the truth is not known."""
+    """Quality of the map, and its reference; empty without a known truth."""
     return "" if maps.iou is None else f"IoU {maps.iou:.3f} with the truth"
 
 
@@ -67,7 +67,7 @@ def format_inclusions(found: InclusionsResult) -> str:
 
 
 def format_failure(failed: StageFailure) -> str:
-    """What failed, and why."""
+    """A failure, and its reason."""
     where = f"touch {failed.touch}: " if failed.touch else ""
     return f"{where}{failed.stage} failed: {failed.reason}"
 

@@ -1,4 +1,4 @@
-"""What a recording holds, over touches and over time, as PNG (as figures 2.4, 2.7, 4.5 to 4.7 of the thesis)."""
+"""Content of a recording, over touches and over time, as PNG (as figures 2.4, 2.7, 4.5 to 4.7 of the thesis)."""
 
 from __future__ import annotations
 

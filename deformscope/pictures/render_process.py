@@ -1,6 +1,6 @@
 """Pictures drawn in a process of their own while a robot is held.
 
-Drawing asks for Python's lock for a tenth of a second a picture, and what moves the robot waits for that lock.
+Drawing needs Python's lock for a tenth of a second per picture, and the robot's control waits for that lock.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def render_process() -> Iterator[None]:
 
 
 def render(draw: Callable[P, Drawn], *given: P.args, **named: P.kwargs) -> Drawn:
-    """What `draw`, a function of a module, gives; drawn here where no process is there for it, or it has ended."""
+    """Result of `draw`, a function of a module; drawn here without a process for it, or after its end."""
     if (process := _process) is not None:
         with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):
             return process.submit(draw, *given, **named).result()

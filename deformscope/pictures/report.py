@@ -34,7 +34,7 @@ pre { background: #f5f7fa; padding: .7rem .9rem; overflow-x: auto; font-size: .9
 
 @dataclass(frozen=True, slots=True)
 class ReportVerdict:
-    """What was found, in plain words, before everything else. color: `#rrggbb`."""
+    """The result, in plain words, before everything else. color: `#rrggbb`."""
 
     headline: str
     words: tuple[str, ...]

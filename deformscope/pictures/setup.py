@@ -1,4 +1,4 @@
-"""What a rig's set-up was measured from, as pictures: how far each measurement is off, and the offset of clocks."""
+"""Measurements of a rig's set-up, as pictures: residual of each measurement, and the offset of clocks."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from deformscope.stages.setup.timing import TimeOffset
 
 
 def off_figure(off: FloatArray, names: Sequence[str], unit: str, sd: float, *, each: str, caption: str) -> Figure:
-    """How far each measurement (n,) is from where the solution has it, with the standard deviation that was found.
+    """Distance of each measurement (n,) from the solution, with the estimated standard deviation.
 
-    each: what one measurement is, as under its bars
+    each: name of one measurement, as under its bars
     """
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()

@@ -1,1 +1,1 @@
-"""The experiments of the thesis, in the laboratory: what `deformscope reproduce` computes."""
+"""The experiments of the thesis, in the laboratory: computations of `deformscope reproduce`."""

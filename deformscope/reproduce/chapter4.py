@@ -1,7 +1,7 @@
 """Thesis chapter 4 in the laboratory: beta of foams by how a touch is held, and explorations by its own rules.
 
 Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several held sets of the model and sizes of its
-clusters. Figures 4.4, 4.6, 4.7 and table 4.1: what the sweep is given, the dents, and the fields of beta of the six
+clusters. Figures 4.4, 4.6, 4.7 and table 4.1: the input of the sweep, the dents, and the fields of beta of the six
 scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires.
 """
 
@@ -150,7 +150,7 @@ class Scenario:
 
     contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why none follows
     truth: (rows, columns) labels; hardness: of each label, in words
-    variance: (rows, columns) of the field, the same whatever beta is; fields: of each beta model
+    variance: (rows, columns) of the field, for any beta; fields: of each beta model
     """
 
     scene: str
@@ -253,7 +253,7 @@ SAME = 0.02
 
 
 def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float = THESIS_STEP) -> list[str]:
-    """What figure 4.5 and the explorations show, each sentence from their numbers. step: of the sweep"""
+    """Results of figure 4.5 and the explorations, each sentence from their numbers. step: of the sweep"""
     as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
     made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
     return [*_trends(foams), made, *(_format_field(name, explored, swept_betas(step)) for name in explored[0].fields)]

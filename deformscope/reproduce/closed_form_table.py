@@ -27,7 +27,7 @@ from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 FORCE_N = 3.0
 FIT_SD = 0.012
-"""Of log stiffness, what a fit to 3 N leaves unknown of the depth (sd .2 to 2.2 % of a sphere)."""
+"""Of log stiffness, the depth's uncertainty in a fit to 3 N (sd .2 to 2.2 % of a sphere)."""
 LOG_N_PER_MM_60 = float(np.log(0.55))
 """Stiffness of foam of 60 N at 3 N under a ball of 1 cm; others follow as the power 2/3 of their modulus (Hertz)."""
 RIGID_LOG = float(

@@ -1,6 +1,6 @@
 """The thesis's results of squeezed containers (5.3 and 5.4), compared with those of the laboratory's squeezes.
 
-Nothing of the laboratory was chosen with these in mind: where it shows something else, that is what the words say.
+Nothing of the laboratory was chosen for these: a different result is reported as such.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TEST_OVER_TRAIN = 0.3 / 0.7
 
 @dataclass(frozen=True, slots=True)
 class FindingComparison:
-    """thesis: its reported result; ours: what the laboratory shows, with intervals"""
+    """thesis: its reported result; ours: the laboratory's result, with intervals"""
 
     thesis: str
     ours: str

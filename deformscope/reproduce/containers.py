@@ -92,7 +92,7 @@ def squeeze_jobs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezedTrial:
-    """One squeeze with all that is known of it. made: the laboratory, closed; frames: what the devices gave"""
+    """One squeeze with all that is known of it. made: the laboratory, closed; frames: of the devices"""
 
     entry: TrialEntry
     made: ContainerLab

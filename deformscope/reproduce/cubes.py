@@ -77,7 +77,7 @@ class Cube:
 
 @dataclass(frozen=True, slots=True)
 class ElementTime:
-    """What the finite elements of one resolution took, mean over Poisson's ratios. unknowns: of the equations
+    """Time of the finite elements of one resolution, mean over Poisson's ratios. unknowns: of the equations
     assemble_s, solve_s: by a direct solver [s]; cg_s: by `CG_STEPS` conjugate gradients alone, as the thesis's SOFA-CG
     does [s]; cg_left: share of the right-hand side that these leave"""
 
@@ -91,7 +91,7 @@ class ElementTime:
 
 @dataclass(frozen=True, slots=True)
 class CubeResult:
-    """What was found for one cube.
+    """Result of one cube.
 
     theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
     one_cluster, overlapping: lowest error with beta fitted too; None where the comparison was left out
@@ -114,7 +114,7 @@ class CubeResult:
 
     @property
     def over_grid(self) -> float:
-        """By what share the calibration's error exceeds the dense grid's lowest; below 0 where it is lower."""
+        """Relative excess of the calibration's error over the dense grid's lowest; below 0 if it is lower."""
         return self.theta.aee / self.grid_aee - 1.0 if self.grid_aee > 0.0 else 0.0
 
     @property
@@ -166,8 +166,8 @@ def thesis_cubes(
 
 
 def _few_gradients(box: ElasticBox, fixed: BoolArray, pressed: FloatArray) -> tuple[float, float]:
-    """Seconds of `CG_STEPS` conjugate gradients on the same equations, and the share that they leave. fixed, pressed:
-    (N, 3) what is prescribed, and the displacements there"""
+    """Seconds of `CG_STEPS` conjugate gradients on the same equations, and their remaining share of the load. fixed,
+    pressed: (N, 3) prescribed displacements, and their values"""
     free = np.flatnonzero(~fixed.ravel())
     own = box.stiffness[free]
     right = -(own @ np.where(fixed, pressed, 0.0).ravel())
@@ -191,7 +191,7 @@ _RATIO_IN_NAME = re.compile(r"nu_?(0?\.\d+|0(?![\d.]))", re.IGNORECASE)
 def cube_from_pair(raw: bytes, name: str) -> Cube:
     """A pair file's bytes as a cube; Poisson's ratio is its `nu`, or in its name (`..._nu0.25...`).
 
-    Raises InputError for what is no pair file, or where the ratio is nowhere.
+    Raises InputError for another kind of file, or without the ratio.
     """
     seen = parse_pair(raw, name)
     given = read_arrays(raw, "a pair file (.npz of arrays)", name).get("nu", np.empty(0)).reshape(-1)
@@ -358,7 +358,7 @@ def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ModelTime:
-    """What MSM takes at one resolution [s]. step: one time step of one quadratic cluster; static: its static state;
+    """Time of MSM at one resolution [s]. step: one time step of one quadratic cluster; static: its static state;
     theta: theta with its interval, mean over cubes"""
 
     resolution: str

@@ -44,14 +44,14 @@ FRAME_NS = 10 * 10**9 // 30
 
 
 BLOCK = Block(width_m=0.25, height_m=0.07, thickness_m=0.10)
-"""Wider than what is seen, as in the thesis; its thickness matters to the force alone."""
+"""Wider than the image, as in the thesis; its thickness matters to the force alone."""
 
 VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 * PX_PER_CM)
 
 
 @dataclass(frozen=True, slots=True)
 class FoamSetup:
-    """The push and what is seen of it.
+    """The push and its images.
 
     depth_m: of the
     clamp at the end; images: with the one at rest; noise: of the camera [grey values]
@@ -69,7 +69,7 @@ class FoamSetup:
     cluster_sizes: tuple[int, ...] = CLUSTER_SIZES
 
     def particles(self, held: Held) -> ParticleOptions:
-        """The grid over the seen part of the block, and what is held of it below the clamp."""
+        """The grid over the visible part of the block, and its held particles below the clamp."""
         rows, columns = self.grid
         middle, top = self.view.middle_px, self.view.top_px
         wide, high = columns * PX_PER_CM, rows * PX_PER_CM
@@ -85,7 +85,8 @@ class FoamSetup:
 
 @dataclass(frozen=True, slots=True)
 class FoamFit:
-    """One calibration of one foam; source: where its positions are from; held: what below the clamp is prescribed."""
+    """One calibration of one foam; source: where its positions are from; held: the prescribed particles below the
+    clamp."""
 
     source: Source
     held: Held
@@ -280,12 +281,12 @@ CHANGES: dict[str, tuple[float, float]] = {
     "plateau": (20.0, 6.0),
     "poisson": (0.0, 0.25),
 }
-"""The ends of what the five foams span, each tried alone."""
+"""The ends of the five foams' range, each tried alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """The middle foam with one property changed: what the change does to its true positions, and to beta from these.
+    """The middle foam with one property changed: effect of the change on its true positions, and on beta from these.
 
     true_px: (K, 2) where its particles are
     """

@@ -185,6 +185,6 @@ def _hardness_ticks(axis: Any, results: Sequence[FoamResult]) -> None:
 
 
 def _figure(rows: int, columns: int, width: float, height: float) -> tuple[Figure, Any]:
-    """Drawn off screen, whatever display there is."""
+    """Drawn off screen, on any display."""
     figure = canvas(width, height, dpi=110, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)

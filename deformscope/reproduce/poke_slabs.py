@@ -86,7 +86,7 @@ class PokedSlab:
         return np.asarray(low + (high - low) * np.interp(stiff_side, FELT_M, FELT))
 
     def group(self, place: FloatArray) -> PokeGroup:
-        """What a poke at a place (2,) is for this slab."""
+        """Kind of a poke at a place (2,) for this slab."""
         inside = float(self.inside(place))
         if self.kind != "gradual" and abs(inside) < BORDER:
             return "near a border"

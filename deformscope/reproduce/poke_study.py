@@ -1,4 +1,4 @@
-"""What a model fitted to a few pokes of a slab says about others: slabs of finite elements, whose truth is known.
+"""Predictions of a model fitted to a few pokes of a slab: slabs of finite elements, whose truth is known.
 
 A slab of one modulus is fitted to a single poke, halves and a disc in a softer slab to 12 of 24. The pokes that are
 then predicted have other tips, other forces and other places, near the border too.
@@ -37,7 +37,7 @@ class Press:
 
 @dataclass(frozen=True, slots=True)
 class PokeStudyPlan:
-    """A slab, what of it is fitted, and what is predicted. drawn: where its materials are, of several"""
+    """A slab, its fitted pokes, and predicted ones. drawn: where its materials are, of several"""
 
     name: str
     slab: Slab
@@ -83,7 +83,7 @@ def plans() -> tuple[PokeStudyPlan, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Studied:
-    """plan; what was found of the fitted pokes; the unseen ones."""
+    """plan; results of the fitted pokes; the unseen ones."""
 
     plan: PokeStudyPlan
     found: PokesResult
@@ -106,7 +106,7 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
 
 
 def observe(slab: Slab, one: Press, element: float | None = None) -> Observation:
-    """What is seen of the slab's surface under a poke, by finite elements of this share of the tip's half width."""
+    """Observation of the slab's surface under a poke, by finite elements of this share of the tip's half width."""
     points = slab.grid(GRID)
     half = (0.5 * one.sides[0], 0.5 * one.sides[1])
     dent = press(

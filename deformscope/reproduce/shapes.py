@@ -1,4 +1,4 @@
-"""What beta and theta do to a body: the states of Thesis figures 3.5, 3.7 and 3.13."""
+"""Effect of beta and theta on a body: the states of Thesis figures 3.5, 3.7 and 3.13."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deformscope.stages.msm.reference import Basis
 from deformscope.stages.msm.state_sweep import StateSweep
 
 BETAS, THETAS = 0.01 * np.arange(100), 0.01 * np.arange(101)
-"""What is swept: at beta = 1 nothing is rigid, and no state static."""
+"""Range of the sweep: at beta = 1 nothing is rigid, and no state static."""
 SPACING_M, SIDE_M, CUBE_SIDE, CUBE_BETA = 0.01, 0.1, 11, 0.99
 PRESSED_M, CUBE_M = 0.02, 0.03
 """By how much the sheet's middle particle and the cube's top are pressed down; the cube as in experiment 3.A."""

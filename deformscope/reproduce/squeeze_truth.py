@@ -41,7 +41,7 @@ NEAR_MM = 500
 NAN = float("nan")
 
 Numbers = dict[str, float | str]
-"""What is known of one squeeze, by name."""
+"""Results of one squeeze, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +61,14 @@ class PoseError:
 
 @dataclass
 class SimulatedSqueeze:
-    """What was simulated in each control period."""
+    """The simulated truth of each control period."""
 
     when_ns: list[int] = field(default_factory=list)
     T_hand_container: list[FloatArray] = field(default_factory=list)
     inward_m: list[FloatArray] = field(default_factory=list)
 
     def note(self, made: ContainerLab) -> None:
-        """Take what is simulated now."""
+        """Store the present simulated state."""
         now = made.lab.simulated.world
         self.when_ns.append(made.lab.clock())
         self.T_hand_container.append(now.T_hand_container)
@@ -134,7 +134,7 @@ def _tracked(start: str, poses: Sequence[PoseError]) -> Numbers:
 
 
 def with_losses(frames: SqueezeFrames, seed: int) -> SqueezeFrames:
-    """The same squeeze without `LOST_SHARE` of what each device gave, and without a run of `LOST_RUN`."""
+    """The same squeeze without `LOST_SHARE` of each device's items, and without a run of `LOST_RUN`."""
     random = np.random.default_rng([seed, 0x105])
 
     def thinned(given: Sequence[T]) -> list[T]:
@@ -259,7 +259,7 @@ def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
 
 
 def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
-    """What many squeezes come to."""
+    """Statistics of many squeezes."""
     squeezed = [one for one in every if "stopped" not in one]
     rows = [("squeezes", f"{len(every)}, {len(every) - len(squeezed)} of them stopped early")]
     for ending, frames in (

@@ -11,7 +11,7 @@ from deformscope.reproduce.squeeze_truth import PERIODS, SHIFT_M, TURN_DEG, Numb
 
 
 def truth_png(every: Sequence[Numbers]) -> bytes:
-    """Four panels, each with what is allowed as dotted lines."""
+    """Four panels, each with the tolerance as dotted lines."""
     squeezed = [one for one in every if "stopped" not in one]
     figure = canvas(10.4, 7.0, layout="constrained")
     events, lost, poses, depth = figure.subplots(2, 2).flat

@@ -1,4 +1,4 @@
-"""The laboratory as a robot without wires: what a touch and a look would have given, at once. For studies."""
+"""The laboratory as a robot without wires: the readings of a touch and a look, immediately. For studies."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class LabRobot:
     """A simulated table with foam, seen by a camera and touched by a ball on a stick.
 
     scene: as it truly is, without its scatter; arm: as its calibration says
-    errors: of this session; truth: what the scene is; most_force_n: the largest true contact force so far
+    errors: of this session; truth: of the scene; most_force_n: the largest true contact force so far
     felt: `felt_log_stiffness` of each touch
     sees: whether the camera looks again while the ball presses, which only beta needs
     """
@@ -115,8 +115,7 @@ class LabRobot:
         errors: LabErrors | None = None,
         clock: TouchClock | None = None,
     ) -> None:
-        """errors: what the session keeps from the estimator; default nothing; clock: counts the seconds of touches that
-        have a plan"""
+        """errors: hidden errors of the session; default none; clock: counts the seconds of touches that have a plan"""
         self._clock = clock
         self.errors = (errors or LabErrors.none()).draw([options.seed, scene.seed])
         self.scene = self.errors.slab(scene)
@@ -198,7 +197,7 @@ def explore_at_once(
 ) -> None:
     """Explore with a robot that gives measurements at once. Raises ExplorationStopped.
 
-    recorder: is given every stage's results; found: what is filled with touches
+    recorder: is given every stage's results; found: receives the touches
     """
     found = Exploration() if found is None else found
     run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))

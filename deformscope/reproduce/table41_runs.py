@@ -32,7 +32,7 @@ class TableJob:
 
     @property
     def way(self) -> str:
-        """Planner and pace, in words: what is compared."""
+        """Planner and pace, as text: the compared pair."""
         return self.planner if self.pace == "careful" else f"{self.planner} {self.pace}"
 
 
@@ -42,7 +42,7 @@ class MapAfter:
 
     travel_m: of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in closed
     form: as the planner reckons); compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: what the last touch measured [N/mm], at `xy_m`; felt_log_stiffness: its measurement
+    log_stiffness, log_sd, rigid: the last touch's measurement [N/mm], at `xy_m`; felt_log_stiffness: its measurement
     without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed
     """
@@ -64,7 +64,7 @@ class MapAfter:
 
 @dataclass(frozen=True, slots=True)
 class TableRun:
-    """What one exploration gave. region_count: the true one, 0 where there are no regions; stop_after: touches at the
+    """Results of one exploration. region_count: the true one, 0 where there are no regions; stop_after: touches at the
     end of the plan, None if it did not end; max_force_n: largest true contact force; seconds: that all of it took to
     compute and simulate"""
 
@@ -84,7 +84,7 @@ class TableRun:
 # Runs in a file, a line each ------------------------------------------------------------------------------------------
 
 RUNS = "runs of this version", "leave --resume out"
-"""What a journal of runs holds, and what to try where it holds something else."""
+"""Content of a journal of runs, and the remedy for other content."""
 
 
 def add_runs(journal: Journal, runs: Iterable[TableRun]) -> None:

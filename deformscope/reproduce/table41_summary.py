@@ -89,8 +89,8 @@ def _unmet_m(run: TableRun, touches: int) -> float:
 
 
 def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
-    """Cost until the map first had this quality, even if the plan had ended before; and whether it ever had it.
-    was: if not, it is what all touches took."""
+    """Cost until the map first had this quality, even if the plan had ended before; and whether it ever did.
+    was: if not, it is the cost of all touches."""
     for after in run.after:
         if after.score.iou is not None and after.score.iou >= iou:
             return {what: float(getattr(after, what)) for what in PASSED}, True

@@ -1,4 +1,4 @@
-"""Results as columns of a table: what their JSON has, by names that a filter can use."""
+"""Results as columns of a table: their JSON, by names that a filter can use."""
 
 from __future__ import annotations
 

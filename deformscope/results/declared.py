@@ -1,4 +1,4 @@
-"""Says of each quantity of a result, where its dataclass is, how it is reported: name, unit, format, place in the JSON.
+"""Declares for each quantity of a result, in its dataclass, its report: name, unit, format, place in the JSON.
 
 A field has it as its metadata, a property as its decorator:
 
@@ -8,7 +8,7 @@ A field has it as its metadata, a property as its decorator:
     @derived("dent per force", unit="m/N")
     def dent_m_per_n(self) -> float: ...
 
-Quantities are rendered in the order in which they are declared (`deformscope.results.render`). What is not declared is
+Quantities are rendered in the order in which they are declared (`deformscope.results.render`). Undeclared values are
 not reported, only recorded.
 """
 
@@ -38,13 +38,13 @@ class Quantity:
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
     interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number alone,
     and the interval by this key; columns have it separately too
-    words: from the whole result to what is shown in place of a number
-    json: from the value to what JSON has; json_scale: JSON has the value times this
+    words: from the whole result to a text in place of a number
+    json: from the value to JSON; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None where not known
-    missing: what is shown of one that is None
+    missing: text of one that is None
     older_key: by which JSON has it too
-    optional: JSON lacks the key where the value is None; flat: it has what is in the value instead
+    optional: JSON lacks the key where the value is None; flat: its JSON has the value's parts instead
     line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
     name: of the field or property; place: rises in the order of declaration
     """
@@ -95,7 +95,7 @@ def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function
 reported = _as_metadata(Quantity)
 """The metadata of a field that is reported; arguments as `Quantity` has them."""
 derived = _as_decorator(Quantity)
-"""Stands on a method, or below `@property`, that is reported as a field is; arguments as `Quantity` has them."""
+"""For a method, or below `@property`, that is reported as a field is; arguments as of `Quantity`."""
 
 
 LATER: Mapping[str, object] = {"deformscope.later": True}
@@ -108,7 +108,7 @@ def came_later(field: dataclasses.Field[Any]) -> bool:
 
 
 def quantities(kind: type) -> tuple[Quantity, ...]:
-    """What is reported of a dataclass, in the order in which it is declared."""
+    """Reported quantities of a dataclass, in the order in which they are declared."""
     return _quantities(cast("Any", kind))
 
 

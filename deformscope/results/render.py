@@ -1,4 +1,4 @@
-"""Renders results from what their dataclasses declare: JSON and its units, rows of a table, a line of words."""
+"""Renders results from their dataclasses' declarations: JSON and its units, rows of a table, a line of text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Rows = list[tuple[str, str]]
 
 
 class ReportedResult:
-    """A dataclass whose JSON follows from its declarations. A class variable `parameter` names what was fitted."""
+    """A dataclass whose JSON follows from its declarations. A class variable `parameter` names the fitted one."""
 
     __slots__ = ()
 
@@ -23,7 +23,7 @@ class ReportedResult:
 
 
 def to_json(result: Any) -> dict[str, Any]:
-    """What of a result goes into JSON, by key, made of what JSON has."""
+    """The part of a result in JSON, by key, made of JSON's types."""
     return cast("dict[str, Any]", plain(_by_key(result)))
 
 
@@ -85,7 +85,7 @@ def _json(one: Quantity, value: Any) -> Any:
 
 
 def _nested(value: Any) -> Any:
-    """Results inside a result are rendered as they declare; what declares nothing stays."""
+    """Results inside a result are rendered by their declarations; undeclared ones are unchanged."""
     if dataclasses.is_dataclass(value) and quantities(type(value)):
         return _by_key(value)
     if isinstance(value, tuple | list):
@@ -101,7 +101,7 @@ def format_value(result: Any, name: str) -> str:
 
 
 def to_rows(result: Any, *names: str) -> Rows:
-    """Quantities by their labels, each with what is shown of it; those that are not known are left out."""
+    """Quantities by their labels, each with its text; unknown ones are left out."""
     declared = {one.name: one for one in quantities(type(result))}
     shown = [(declared[name].label, _format(result, declared[name])) for name in names]
     return [row for row in shown if row[1]]
@@ -128,14 +128,14 @@ def _numbers(value: Any, digits: str, scale: float = 1.0, ends: Sequence[float] 
 
 
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
-    """What matters most, in a line: all quantities that have a place in it, and are known."""
+    """The main values, in a line: all quantities that have a place in it, and are known."""
     shown = [(getattr(one, kind), one) for one in quantities(type(result))]
     known = [(form, words) for form, one in shown if form and (words := _format(result, one))]
     return ", ".join(form.format(words) for form, words in known)
 
 
 def length_scale(unit: str, metres_per_unit: float | None) -> tuple[float, str]:
-    """What a length is multiplied by to be shown, and in which unit that is."""
+    """Factor of a length's display, and its unit."""
     if unit == "m":
         return 1e3, "mm"
     return (1.0, "px") if metres_per_unit is None else (1e3 * metres_per_unit, "mm")

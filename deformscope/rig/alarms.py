@@ -142,7 +142,7 @@ def _leave_out_silence(watched: _Watched, kind: type, first_ns: int) -> None:
 
 
 def _changes(name: str, watched: _Watched, kind: type, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
-    """kind: of what shows them; causes: as text, by their subject"""
+    """kind: of the readings that show them; causes: as text, by their subject"""
     notes = []
     watched.newest_ns[kind] = now_ns
     for what, words in causes.items():

@@ -51,7 +51,7 @@ class CalibrationEntry:
 
 @dataclass(frozen=True, slots=True)
 class CalibratedSection:
-    """By what was measured; None = not by `deformscope calibrate`."""
+    """Measured by; None = not by `deformscope calibrate`."""
 
     arm: CalibrationEntry | None = None
     place: CalibrationEntry | None = None

@@ -1,4 +1,4 @@
-"""What values of a rig file must be, beyond their types."""
+"""Conditions on values of a rig file, beyond their types."""
 
 from __future__ import annotations
 

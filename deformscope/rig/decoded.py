@@ -34,7 +34,7 @@ from deformscope_drivers.transport import CAN_FRAME_BYTES
 class DeviceComparison:
     """How a device's recorded frames compare with its bytes.
 
-    frames: recorded; compared: of these, decoded again; left_out: what was not compared, and why
+    frames: recorded; compared: of these, decoded again; left_out: parts without a comparison, and why
     difference: the first one, in words; empty = none
     """
 
@@ -49,7 +49,8 @@ class DeviceComparison:
 class Redecoder(ABC):
     """Makes frames of one device's bytes, as its driver did.
 
-    left_out: what of a frame its bytes do not decide; compares: the fields that they determine, besides the stamp
+    left_out: parts of a frame that its bytes do not determine; compares: the fields that they determine, besides the
+    stamp
     listening: whether new items are for the decoder; late_answers: an answer that is too late for its driver is no
     frame
     """
@@ -78,7 +79,7 @@ class Redecoder(ABC):
         """The driver set the device up again on a link that lasted."""
 
     def device(self) -> Any:  # noqa: B027
-        """What `to_frame` asks of a device."""
+        """Interface of a device for `to_frame`."""
 
 
 class OptoforceAgain(Redecoder):

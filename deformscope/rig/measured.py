@@ -45,7 +45,7 @@ def to_frame(kind: Kind, reading: object, index: int, name: str, device: object)
 
 
 def describe(name: str, driver: Driver, device: Device[Any], *, simulated: bool) -> Stream:
-    """What is known of an open device before its first frame."""
+    """Description of an open device before its first frame."""
     who = device.identity()
     stream = Stream(name, driver.kind, driver.name, simulated, who.serial, who.firmware)
     known = _KNOWN.get(driver.kind)
@@ -122,7 +122,7 @@ def _of_arm(device: Arm[Any]) -> dict[str, Any]:
 
 
 _KNOWN: dict[Kind, Callable[[Any], dict[str, Any]]] = {"tactile": _of_tactile, "wrench": _of_wrench, "arm": _of_arm}
-"""What more a kind of device says before its first frame."""
+"""Further information of a kind of device before its first frame."""
 
 _FRAMES: dict[Kind, Callable[[Any, int, str, Any], Frame]] = {
     "color": _color,

@@ -1,4 +1,4 @@
-"""The rig file: which devices there are, where they are plugged in, and what the robot may do.
+"""The rig file: the devices, their ports, and the robot's limits.
 
 TOML, read strictly: an unknown key is an error, because a limit with a typing mistake would be no limit. `lab:NAME`
 names a simulated rig that came with the installation.
@@ -46,7 +46,7 @@ class RigDevice:
 
     name: as its frames and recordings call it; config: its driver's own configuration
     double: run a simulated device in its place
-    trusted: whether a vendor's library that the configuration names is loaded from wherever it is
+    trusted: whether a vendor's library that the configuration names is loaded from any folder
     late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps
     """
 
@@ -95,13 +95,13 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """What the arm pokes with.
+    """The tip of the arm.
 
     length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
     R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and turned about the stick; default: the same
-    stick_radius_m: of the thickest between the arm's end and the tip, as a force sensor there: it is left out of what
-    the camera sees
+    stick_radius_m: of the thickest part between the arm's end and the tip, such as a force sensor: it is removed from
+    the camera's image
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured, as
@@ -142,7 +142,7 @@ USUAL_THICKNESS_M = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSection:
-    """What is explored: something that lies on a table, whose corner is the origin of the surface frame.
+    """The explored surface: a sample on a table, whose corner is the origin of the surface frame.
 
     size_m: along x and y; thickness_m: above the table, whose top is at z = 0; None = measured over the table around
     it, or unknown if no table is visible: no modulus is then reported
@@ -173,7 +173,7 @@ class SurfaceSection:
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """Where the tip may go, and how hard and fast it may touch. The defaults are far below harm.
+    """Range of the tip, and limits of its force and speed. The defaults are far below harm.
 
     low_m, high_m: corners of a box in the arm's base frame [m]
     arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none
@@ -291,7 +291,7 @@ class Rig:
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
-    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, which says what is wrong and where.
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place.
 
     trusted: vendors' libraries that it names may be loaded from anywhere
     """

@@ -1,4 +1,4 @@
-"""[shape] of the rig file: what arm, gripper and cables look like, so that the camera's picture is rid of them."""
+"""[shape] of the rig file: shapes of arm, gripper and cables, for their removal from the camera's image."""
 
 from __future__ import annotations
 

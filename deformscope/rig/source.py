@@ -1,4 +1,4 @@
-"""A rig as a source: its devices opened together, and what all of them gave since the last look, in order of time."""
+"""A rig as a source: its devices opened together, and all their items since the last call, in order of time."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class _Opened:
 class RigSource:
     """`with RigSource(members) as source: while ...: items = source.take(0.1)`.
 
-    Nothing that a device gives between opening and closing is left out: what its queue had to drop is counted.
+    No item of a device between opening and closing is left out: items that its queue had to drop are counted.
     raw: also the bytes of every wire; clock: that the devices stamp by
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
@@ -121,7 +121,7 @@ class RigSource:
 
     @property
     def streams(self) -> tuple[Stream, ...]:
-        """What is known of every device; only while open."""
+        """Descriptions of every device; only while open."""
         return tuple(
             describe(member.name, member.driver, member.device, simulated=member.simulated) for member in self._members
         )
@@ -155,7 +155,7 @@ class RigSource:
         return sorted(items, key=host_ns)
 
     def look(self) -> HealthReport:
-        """How all devices do."""
+        """Health of all devices."""
         looks = tuple((member.name, _plain(member.device.health())) for member in self._members)
         if self._alarms is not None:
             looks = tuple((name, dataclasses.replace(look, alarms=self._alarms.of(name))) for name, look in looks)

@@ -37,7 +37,7 @@ class HandSection:
 
 @dataclass(frozen=True, slots=True)
 class ContainerSection:
-    """What is squeezed. Its frame: origin in the middle of its bounding box, z along its height.
+    """The squeezed container. Its frame: origin in the middle of its bounding box, z along its height.
 
     shape: box (size_m along x, y, z), cylinder (size_m: diameter, diameter, height) or mesh (file, in metres); the
     fingers close along x. wall_m: thickness of its wall; kind: in words (cardboard box, plastic cylinder)

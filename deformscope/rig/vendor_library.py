@@ -1,4 +1,4 @@
-"""Which vendor's library a rig file may name: what is loaded runs code as the user does, and rig files come from
+"""Vendors' libraries that a rig file may name: a loaded library runs with the user's rights, and rig files come from
 anywhere."""
 
 from __future__ import annotations

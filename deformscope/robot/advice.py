@@ -78,8 +78,7 @@ _LIFT = "lift it along its approach, by the arm's joystick or smartPAD, or by ha
 
 
 def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
-    """What to see to (as `advice`) after the robot was halted; where the tip still presses, or its force is not known,
-    that comes first."""
+    """Advice (as `advice`) after the robot was halted; a tip that still presses, or an unknown force, comes first."""
     robot.stand_by(SETTLE_S)
     pressed_n, hand = robot.pressed_n, isinstance(robot.force, FingertipForce)
     words, tip = advice(cause, hand=hand), "the hand" if hand else "the tip"
@@ -95,4 +94,4 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
 def advice(cause: Fault | TouchEnding, *, hand: bool = False) -> str:
     """Advice for a person, by the supervisor's fault or the touch's ending; empty without a need. hand: the arm carries
     one"""
-    return (ADVICE | OF_HAND if hand else ADVICE).get(cause, "the robot and what lies around it")
+    return (ADVICE | OF_HAND if hand else ADVICE).get(cause, "the robot and its surroundings")

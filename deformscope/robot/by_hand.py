@@ -1,8 +1,8 @@
 """A touch by an arm that a person places: one place after another is requested, and the force is measured at rest at
 each.
 
-Nobody controls a force by hand, so the tip goes down in steps and the law of the contact is fitted to where it stood.
-The supervisor looks in every control period, whatever the person does.
+No person controls a force by hand, so the tip goes down in steps and the contact law is fitted to the measured heights.
+The supervisor checks every control period, whatever the person does.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ STEPS = 7
 """Number of steps from contact to the set force: the fitted law has three unknowns, and four more points show its
 noise. More ask a person for more places."""
 SETTLE_PERIODS, HOLD_PERIODS = 20, 30
-"""Control periods after a person reports that the stick is placed, before and during the measurement: 0.2 s to let go,
-and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes longer."""
+"""Control periods after a person reports that the stick is placed, before and during the measurement: 0.2 s for its
+release, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
+longer."""
 MOST_CORRECTION_M = 0.03
 """A height further from the request is a mistake, such as cm for mm, and is requested again: corrections are a few
 millimetres. A larger limit accepts mistakes; a smaller one refuses true heights of a roughly placed stick."""

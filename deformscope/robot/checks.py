@@ -47,7 +47,7 @@ HINTS = {
     "workspace: box": "low_m and high_m of [workspace] in the rig file",
     "workspace: plan": "low_m and high_m of [workspace]: from 3.5 cm below the surface to 20 cm above the table",
 }
-"""What to do about a check that has not passed, by how its name begins; the first that fits."""
+"""Remedy of a failed check, by the begin of its name; the first that fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Check:
 
     @property
     def hint(self) -> str:
-        """What to do about it; empty where it has passed."""
+        """Its remedy; empty if it has passed."""
         return "" if self.passed else next((hint for name, hint in HINTS.items() if self.name.startswith(name)), "")
 
 
@@ -77,7 +77,7 @@ class Preflight:
         return bool(self.checks) and all(check.passed for check in self.checks)
 
     def table(self) -> str:
-        """The checks as lines of text, one each; below them what to do about those that have not passed."""
+        """The checks as lines of text, one each; below them the remedies of failed ones."""
         rows = [("", "check", "wanted", "came")]
         rows += [("ok" if one.passed else "NO", one.name, one.wanted, one.came) for one in self.checks]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -1,4 +1,4 @@
-"""What arm, gripper and cables look like, as the rig file describes them: what is taken out of the camera's picture.
+"""Shapes of arm, gripper and cables by the rig file: they are removed from the camera's image.
 
     described = describe(section, chain, folder)                # once, from the rig file's [shape]
     described.solids(placement, T_base_links)                   # in the surface frame, for one pose
@@ -59,7 +59,7 @@ class DescribedCable:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotDescription:
-    """What of the robot is removed from the depth image, and how.
+    """Parts of the robot that are removed from the depth image, and the method.
 
     removal: as capsules around the lines between joints, as the convex hull of each link, or as all of its triangles
     parts: solids; whole: they include the arm's own links; margin_m: removed around them, in addition to the
@@ -159,7 +159,7 @@ def _surface_frames(placement: Placement, T_base_links: FloatArray) -> FloatArra
 
 
 def describe(section: ShapeSection, chain: Chain | None, folder: Path) -> RobotDescription:
-    """What a rig file's [shape] says. folder: of the rig file; raises InputError, which says what is wrong."""
+    """A rig file's [shape]. folder: of the rig file; raises InputError, with the error."""
     solids = bool(section.urdf or section.gripper)
     removal: Removal = section.removal or ("mesh" if solids else "capsules")
     if removal != "capsules" and not solids:

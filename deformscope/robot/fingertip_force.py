@@ -1,4 +1,5 @@
-"""A hand's tactile arrays as the force sensor at the end of the arm that carries it: what `Robot` asks of one."""
+"""A hand's tactile arrays as the force sensor at the end of the arm that carries it: the interface that `Robot`
+needs."""
 
 from __future__ import annotations
 

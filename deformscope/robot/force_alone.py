@@ -14,8 +14,8 @@ from deformscope.robot.readings import PERIOD_NS
 from deformscope.robot.robot import Robot
 
 STIFFEST_N_M = 1e5
-"""Taken where the compliance is not known, or smaller [N/m]: an industrial arm with a short stick. Stiffer makes every
-touch slower; softer lets the force of a stiffer arm grow beyond what its speed is chosen for."""
+"""Taken where the compliance is not known, or smaller [N/m]: an industrial arm with a short stick. A stiffer one makes
+every touch slower; a softer one lets the force of a stiffer arm exceed the limit of its speed."""
 ARM_CYCLES = 3.0
 """Cycles of the arm from a command to its rest: one until it is taken, two to follow. A double whose axes lag by
 another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
@@ -35,7 +35,7 @@ An arm whose sensor fails on the way presses with its stiffness times this (509 
 
 @dataclass(frozen=True, slots=True)
 class ForceAlone:
-    """What bounds the force of an arm that has no joint torques to show a contact.
+    """Bounds of the force of an arm that has no joint torques to show a contact.
 
     stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm rests
     hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched

@@ -1,7 +1,7 @@
-"""Moving an arm by keys, a little at a time: what each key does, and that nothing moves once no key is held.
+"""Moving an arm by keys, in small steps: the motion of each key, and rest while no key is held.
 
 A press moves one step and no more. A key that is held repeats in every terminal: the motion then continues, and ends
-GRACE_S after the last repeat. So a hand that lets go, a terminal that hangs and a line that breaks all stop the arm.
+GRACE_S after the last repeat. So the release of a key, a terminal that hangs and a line that breaks all stop the arm.
 """
 
 from __future__ import annotations

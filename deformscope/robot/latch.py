@@ -1,4 +1,5 @@
-"""What the supervisors of arm and hand share: alarms become one verdict, which holds until a person acknowledges it.
+"""Common part of the supervisors of arm and hand: alarms become one verdict, which holds until a person acknowledges
+it.
 
 The supervisors are pure state machines: each control period calls them with readings and times. They are no safety
 function (no Python program is): the emergency stop of the arm, and a switch for the hand, stay within a person's reach.
@@ -15,7 +16,7 @@ FaultT = TypeVar("FaultT", bound=StrEnum)
 
 
 class Action(StrEnum):
-    """What the robot has to do."""
+    """Demand on the robot."""
 
     GO_ON = "go on"
     BACK_OFF = "back off"
@@ -26,12 +27,12 @@ _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
 """Of several alarms the one with the highest counts, of equal ones the first."""
 
 Alarm = tuple[Action, FaultT, str]
-"""What a rule demands, the fault, and the reason with its numbers and units."""
+"""A rule's demand, the fault, and the reason with its numbers and units."""
 
 
 @dataclass(frozen=True)
 class Decision(Generic[FaultT]):
-    """What to do, and why. fault: the enumeration's NONE without a fault; time_ns: of the judgement that found it"""
+    """Demand, and its reason. fault: the enumeration's NONE without a fault; time_ns: of the judgement that found it"""
 
     action: Action
     fault: FaultT
@@ -67,7 +68,8 @@ class LatchingSupervisor(Generic[FaultT]):
         self.start(now_ns)
 
     def stop(self, fault: FaultT, reason: str, now_ns: int) -> Decision[FaultT]:
-        """Stop for what is in no reading: a person asks for it, or a command was refused, and the next would be too."""
+        """Stop for a reason outside the readings: a person's request, or a refused command, after which the next would
+        fail too."""
         return self._latch([(Action.STOP, fault, reason)], now_ns)
 
     def _begin(self, now_ns: int) -> None:

@@ -80,7 +80,7 @@ def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
 
 
 def _refusal(vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> str:
-    """Why an array is no mesh: what was expected; empty where it is one."""
+    """Why an array is no mesh: the expectation; empty if it is one."""
     if not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
         return "a mesh with triangles of its vertices"
     if not np.abs(vertices).max() <= FARTHEST:  # nor where one is no number

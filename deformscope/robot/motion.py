@@ -143,7 +143,7 @@ class CommandedRotation:
         """Turn the commanded rotation by the angular velocity (3,) that was sent [rad/s, base frame], over `seconds`.
 
         measured: (3, 3) newest of the arm's end, None = nothing new; without a commanded rotation yet it becomes that
-        follows: whoever commands steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)
+        follows: the caller steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)
         """
         if self.rotation is None:
             self.rotation = measured

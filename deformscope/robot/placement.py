@@ -1,4 +1,4 @@
-"""Where the surface, the arm and its tip are to one another.
+"""Poses of the surface, the arm and its tip relative to each other.
 
 The tip's frame has its z axis along the stick, outwards: a touch along the normal n has it at -n. Its origin is the
 *centre* of the tip: of the sphere for a round tip, of the face for a flat one.
@@ -53,8 +53,8 @@ Larger may step over a limit or a singularity between two; smaller takes longer 
 class Placement:
     """The rigid relations of base, surface, arm's end and tip.
 
-    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: what the arm touches with
-    Raises InputError for a transform that is not rigid.
+    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: of the arm Raises InputError for a transform
+    that is not rigid.
     """
 
     T_base_surface: FloatArray

@@ -1,4 +1,4 @@
-"""How an arm brings a hand to a container: grasps drawn at random, of these one that the arm reaches on a free way.
+"""Placing a hand at a container: random grasps, and of these one that the arm reaches on a free path.
 
 Frames: the table's frame (z = 0 on it, upwards) is the surface frame of `Placement`. Its tip is the middle between the
 pads in the hand's orientation (`hand_tool`).
@@ -30,8 +30,8 @@ from deformscope_drivers.arm.kinematics import Chain, pose_error, transform
 from deformscope_drivers.sdh.kinematics import fingertips
 
 SOFT_N, HARD_N = 1.5, 5.0
-"""Felt by a finger's arrays while the arm moves, it is backed away from, and stopped at [N]: nothing is to be touched
-on the way. Noise of arrays in the air comes to a tenth of the lower one; a higher one topples light containers."""
+"""Force on a finger's arrays during the arm's motion from which the arm backs away, and stops [N]: the path is free of
+contact. Noise of arrays in the air comes to a tenth of the lower one; a higher one topples light containers."""
 TABLE_M, AROUND_M, BESIDE_M = 0.008, 0.015, 0.003
 """Clearance between hand and table, between robot and container on the path, and between open fingers and container
 around the grasp [m]. To each, four standard deviations of the container's place are added. A larger one refuses usable
@@ -58,7 +58,7 @@ def _counted(refused: Sequence[str]) -> list[str]:
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacingSetup:
     """The arm that places a hand. chain: of its joints; placement: of arm, table and hand; workspace: its limits; ages:
-    of what was measured"""
+    of the calibrations"""
 
     chain: Chain
     placement: Placement
@@ -126,7 +126,7 @@ class NoGrasp(NotThere):
 
 
 def hand_tool(T_arm_hand: FloatArray, grip: GripShape) -> Tool:
-    """The hand as what the arm's placement calls its tool."""
+    """The hand as a tool of the arm's placement."""
     tip = T_arm_hand @ transform(np.eye(3), grip.middle_m)
     rows = tuple(tuple(map(float, row)) for row in tip)
     return Tool(tip="flat", T_ee_tip=rows, stick_radius_m=PALM_M)
@@ -210,7 +210,7 @@ class _Ways:
     obstacle: Obstacle
 
     def to(self, grasp: RandomGrasp) -> str | GraspPlan:
-        """How a grasp is reached, or why not."""
+        """The path to a grasp, or the reason against it."""
         chain, placement, grip, obstacle = self.setup.chain, self.setup.placement, self.grip, self.obstacle
         there = obstacle.T_table_container @ np.linalg.inv(grasp.T_hand_container) @ self._T_hand_center
         # the hand's z axis leads to the container: back along it until the fingertips are free

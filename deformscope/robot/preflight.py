@@ -30,8 +30,8 @@ RATE_SHARE = 0.8
 """Share of the configured rate that must arrive: three of fifteen pictures may be late or lost. Below it the supervisor
 would stop the arm for silence now and then; above, a busy computer is refused that would do."""
 ZERO_N = 0.6
-"""Greatest load in free air [N]: what a sensor may have drifted since it was zeroed (no figure of it is published).
-Larger, a tip that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
+"""Greatest load in free air [N]: a sensor's possible drift since its tare (no figure of it is published). Larger, a tip
+that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
 NOISE_N = 0.05
 """Greatest deviation of a reading in free air [N]: half of the contact's threshold (`TouchPlan.contact_force_n`). With
 a larger one, noise would count as contact; a smaller one refuses usable sensors."""
@@ -62,7 +62,7 @@ readings. An axis that repeated for longer in the checks [s] is exempt: its nois
 noise of 1 to 5 counts no repetition is that long, except at 100 Hz; a smaller share stops good sensors, a larger one
 detects a stuck axis later."""
 FORCE_TURNED = "[tool] R_tip_force"
-"""Of what is calibrated, what an arm needs that nothing guards but its force sensor."""
+"""Calibrations that an arm needs whose only guard is its force sensor."""
 COLLISION_NOISE = 6.0
 """A collision's limit is at least this number of standard deviations of the torques' noise."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
@@ -84,9 +84,9 @@ def check(
     """Check a robot at rest for half a second, and its planned motion.
 
     plans: the touches, or those at the corners of where it may touch; calibrated: the required calibrations, by name,
-    and whether they are done; ages: of what was measured, by name; rates_hz: of "arm", "force sensor", "camera"
-    (default: as their configurations say); lift_m: the plans are so far above the surface; described: what hand and
-    cables look like Raises RobotStopped when the supervisor finds something meanwhile; nothing moves.
+    and whether they are done; ages: of the calibrations, by name; rates_hz: of "arm", "force sensor", "camera"
+    (default: as their configurations say); lift_m: the plans are so far above the surface; described: shapes of hand
+    and cables Raises RobotStopped when the supervisor stops meanwhile; nothing moves.
     """
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]

@@ -1,4 +1,4 @@
-"""What is known of the robot in one control period: what its devices said since the last one."""
+"""Readings of the robot in one control period: of its devices since the last one."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class ForceSensor(Protocol):
 
 
 Watch = Callable[[RobotObservation, SafetyDecision], None]
-"""Called with what was seen and judged in each control period."""
+"""Called with the readings and the verdict of each control period."""
 
 
 class RobotStopped(Exception):
@@ -127,8 +127,8 @@ class Robot:
         compliance_m_per_n: float = 0.0,
         doubt_m: float = 0.0,
     ) -> None:
-        """watch: called with what was seen and judged in each period, for a recording; when it fails, the arm is halted
-        first
+        """watch: called with the readings and the verdict of each period, for a recording; when it fails, the arm is
+        halted first
 
         compliance_m_per_n: of arm and stick under a push, 0 = not known; doubt_m: of the camera, where the surface is
         """
@@ -313,7 +313,7 @@ class Robot:
         self.supervisor.acknowledge(self._clock())
 
     def start(self) -> None:
-        """After a pause without control periods: drop what waits in the queues; ages count from now on."""
+        """After a pause without control periods: drop waiting items of the queues; ages count from now on."""
         self._listen()
         self._begin_anew()
         self.supervisor.start(self._clock())

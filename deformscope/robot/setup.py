@@ -38,7 +38,7 @@ from deformscope_drivers.manual_arm.config import MANUAL
 ROLES = ("arm", "wrench", "depth")
 """Kinds of the arm, of the force sensor at its end, and of the camera."""
 CAMERA_HZ = 30.0
-"""What depth cameras do (OpenNI2, RealSense), where the rig file asks for no other rate."""
+"""Common rates of depth cameras (OpenNI2, RealSense), used if the rig file gives no other."""
 FEWEST_PERIODS = 1.5
 """Number of a device's own periods that its limit on silence has at least, because a late reading is no fault."""
 T_BASE_SURFACE = transform(np.eye(3), (-0.30, -0.55, 0.0))
@@ -48,7 +48,7 @@ y = 0.4 m, and the far corners are 0.63 m from its axis."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What a simulated surface really is. labels: (rows, columns) region of each cell, None where there are none;
+    """True properties of a simulated surface. labels: (rows, columns) region of each cell, None where there are none;
     lumps_m: (n, 4) balls below it: x and y of the middle, radius, depth of the uppermost point [m]"""
 
     labels: IntArray | None
@@ -77,14 +77,14 @@ class Setup:
 
     open_source: opens all devices; names: of arm, force sensor and camera among them
     compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
-    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: of what was
-    measured
-    simulated: nothing real moves; truth: what is simulated, None where that is not known
-    runs_itself: the devices have threads of their own and the host's clock, whatever is computed meanwhile
+    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: of the
+    calibrations
+    simulated: nothing real moves; truth: of the simulation, None without one
+    runs_itself: the devices have threads of their own and the host's clock, under any computation
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
     person: places the arm; None = an arm with motors
-    described: what the robot looks like
+    described: shape of the robot
     press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
     """
 
@@ -153,7 +153,7 @@ def seen(robot: Robot) -> Robot:
 
 
 class SimulatedDevices(Protocol):
-    """What a rig's doubles see and touch.
+    """The scenes of a rig's doubles.
 
     opener: as for `RigSource`; other attributes as in `Setup`
     """
@@ -204,7 +204,7 @@ def open_rig(
     """All devices of a rig file, open.
 
     double: makes a device of the rig that nothing is simulated around, or its double
-    simulated: what the doubles `around` it see and touch, None = nothing
+    simulated: the world `around` the doubles, None = none
     """
     with ExitStack() as stack:
         made = {} if simulated is None else stack.enter_context(simulated.devices(around))
@@ -224,7 +224,7 @@ def open_rig(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigParts:
-    """The robot's parts from a rig file. devices: that play `ROLES`; Raises InputError, which names what is missing."""
+    """The robot's parts from a rig file. devices: those of `ROLES`; raises InputError, which names missing ones."""
 
     rig: Rig
     devices: tuple[RigDevice, ...]
@@ -350,7 +350,7 @@ def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "
 
 
 def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
-    """The robot's description from [shape]. Raises InputError, which says what is wrong with it."""
+    """The robot's description from [shape]. Raises InputError, with the error."""
     if rig.shape == ShapeSection():
         return AS_CAPSULES
     model = MANUAL if arm.driver.name == "placed" else arm.config.model

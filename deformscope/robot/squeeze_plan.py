@@ -34,7 +34,7 @@ a smaller value, a hand that is displaced touches before it closes; with a large
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
-"""Where along the distal link the middle of its pad is. Assumed."""
+"""Place of its pad's middle along the distal link. Assumed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ def _turned(axis: str, by_deg: float) -> FloatArray:
 
 
 LINK_M, PALM_M = 0.012, 0.055
-"""Radii of what stands for a finger's links and for the palm. Assumed: the SDH's links are some 22 mm thick."""
+"""Radii of the capsules of a finger's links and of the palm. Assumed: the SDH's links are some 22 mm thick."""
 
 
 def hand_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:

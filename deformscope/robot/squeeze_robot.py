@@ -48,7 +48,7 @@ MISSED_DEG = 2.0
 SETTLE_READINGS = 13
 """A hand may report the states from before a command for half a second (IPA): 13 readings at 25 Hz."""
 PRESHAPE_MARGIN_S = 4.0
-"""Beyond what the hand itself plans, or 15 s where old firmware does not report it."""
+"""Beyond the hand's own plan, or 15 s where old firmware does not report it."""
 OLD_FIRMWARE_S = 15.0
 """The whole range of an axis at 12 deg/s."""
 STOP_TRIES, STOP_EVERY_S = 15, 0.1
@@ -78,7 +78,7 @@ class SqueezeRobot:
     """Opened devices and a supervisor; `cycle` is one control period.
 
     hand_readings, tactile_frames: items of the last period, oldest first
-    on_cycle: called in every period, before it is judged: whoever watches may ask to stop
+    on_cycle: called in every period, before it is judged: the observer may request a stop
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class SqueezeRobot:
     # The control period ----------------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """After a pause without control periods: drop what waits in the queues; ages count from now on."""
+        """After a pause without control periods: drop waiting items of the queues; ages count from now on."""
         taken(self._hands)
         taken(self._frames)
         self._next_ns = self._clock()
@@ -174,8 +174,8 @@ class SqueezeRobot:
 
     @contextlib.contextmanager
     def low_current(self) -> Iterator[None]:
-        """Limit the current of the closing axes while the block runs; the limits from before are set again after it,
-        whatever happens. Whether that worked, `restore` says."""
+        """Limit the current of the closing axes while the block runs; the earlier limits are restored after it, in any
+        case. Whether that worked, `restore` says."""
 
         def limit() -> None:
             self._limits_a = self.hand.current_limits_a(CurrentMode.MOVE)

@@ -64,12 +64,12 @@ class SimulatedContainer(SimulatedDevices, Protocol):
         """(4, 4) [m]."""
 
     def truth(self) -> TrueMoments:
-        """What is simulated, up to now."""
+        """The simulated truth, up to now."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeParts:
-    """What plays which part in a rig file; camera, arm: None where there is none.
+    """Devices of a rig file by their parts; camera, arm: None where there is none.
 
     grasp: drawn from the seed
     """
@@ -84,7 +84,7 @@ class SqueezeParts:
     @classmethod
     def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
         """place: who places the hand: the driver of the arm that is to, or `person`. Raises InputError, which names
-        what is missing, or what does not go together."""
+        missing keys, or contradictions."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
         parts = cls(
@@ -108,7 +108,7 @@ class SqueezeParts:
 
     @staticmethod
     def _check_placing(rig: Rig, parts: SqueezeParts) -> None:
-        """Raises InputError for what an arm cannot place a hand without."""
+        """Raises InputError without a key that an arm needs to place a hand."""
         if parts.hand.double:
             came = "doubles of a rig file, which no arm carries"
             raise InputError("real devices for --place, or lab:containers", came, "--place person", rig.name)
@@ -128,7 +128,7 @@ class SqueezeParts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeSetup:
-    """What squeezes, and what is squeezed.
+    """The hand, and the container.
 
     open_source: opens all devices
     camera: how the depth camera projects; T_camera_hand: (4, 4) hand to camera [m], None = not known, so that nothing
@@ -212,7 +212,7 @@ def squeeze_setup(
 
 
 def lacks_to_place(rig: Rig) -> list[str]:
-    """What a rig file has to say before an arm can place the hand, and does not."""
+    """Keys that a rig file lacks for an arm that places the hand."""
     has = {
         "[hand] T_arm_hand": rig.hand.T_arm_hand,
         "[camera] T_arm_camera": rig.camera.T_arm_camera,

@@ -62,8 +62,8 @@ FORCE_FAULTS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the robot must keep to. The times are set so that a fault is detected within 50 ms (force), 100 ms (arm) and
-    two frame periods (camera), a control period of 10 ms included.
+    """Limits of the robot. The times are set so that a fault is detected within 50 ms (force), 100 ms (arm) and two
+    frame periods (camera), a control period of 10 ms included.
 
     soft_force_n, hard_force_n: magnitude backed away at, stopped at
     speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
@@ -228,7 +228,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         commanded_rotation: FloatArray | None = None,
         camera_needed: bool = False,
     ) -> SafetyDecision:
-        """What to do now.
+        """The present demand.
 
         commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) of the arm's end in the base
         frame, None = any; camera_needed: its pictures matter now, so that it must not be silent or frozen

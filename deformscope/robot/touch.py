@@ -34,7 +34,7 @@ PERIOD_S = 0.01
 
 
 class Phase(StrEnum):
-    """What the touch is doing, for a state timeline."""
+    """State of the touch, for a state timeline."""
 
     TRAVEL = "travel"
     TARE = "tare"
@@ -157,7 +157,7 @@ class PhaseSpan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchRecord:
-    """What a touch was; times [s] on the robot's clock, places and forces in the surface frame.
+    """Record of a touch; times [s] on the robot's clock, places and forces in the surface frame.
 
     time_s (n,), position_m (n, 3), force_n (n, 3): from the approach to the end of the dwell, at the arm's rate.
     Positions are the tip's centre by the joints, forces act on the tip; loading: how many of them, from the first, lead
@@ -265,8 +265,7 @@ class TouchStateMachine:
     def step(self, time_s: float, center_m: FloatArray, force_n: FloatArray, still_seen: bool = True) -> FloatArray:
         """The tip's velocity (3,) [m/s] for the next period.
 
-        center_m: (3,) the tip's centre; force_n: (3,) what the world does to it; still_seen: what watches the dent
-        sees no change
+        center_m: (3,) the tip's centre; force_n: (3,) force on it; still_seen: the observer of the dent sees no change
         """
         plan = self.plan
         along_n = float(force_n @ plan.normal)
@@ -286,7 +285,7 @@ class TouchStateMachine:
         return np.zeros(3)
 
     def end(self, time_s: float) -> None:
-        """End the touch in whatever phase it is. time_s: now"""
+        """End the touch in any phase. time_s: now"""
         if self.phase is not Phase.DONE:
             self._enter(Phase.DONE, time_s)
 
@@ -442,7 +441,7 @@ def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> 
 
 
 class TouchProgress(Protocol):
-    """How far a touch has come; attributes as of `TouchRecord`, spans: its phases."""
+    """Progress of a touch; attributes as of `TouchRecord`, spans: its phases."""
 
     contact_m: FloatArray | None
     settled: bool
@@ -450,7 +449,7 @@ class TouchProgress(Protocol):
     spans: list[PhaseSpan]
 
     def end(self, time_s: float) -> None:
-        """End the touch in whatever phase it is. time_s: now"""
+        """End the touch in any phase. time_s: now"""
 
 
 class TouchRun:

@@ -159,7 +159,7 @@ def to_above(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TravelWay:
-    """How `to_above` goes. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
+    """Path of `to_above`. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
     [m, surface frame]; joints_deg: (n,) turned to joint by joint from there, None = straight across"""
 
     up_m: FloatArray | None
@@ -180,7 +180,7 @@ def find_way(
     clearance: ArmClearance | None = None,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> TravelWay:
-    """The way of `to_above`, from joint angles (n,): all of it within what the supervisor allows. Raises NotThere where
+    """The path of `to_above`, from joint angles (n,): all of it within the supervisor's limits. Raises NotThere where
     there is none."""
     T_base_ee = chain.end_effector(np.asarray(start_deg))
     here, goal = placement.T_surface_center(T_base_ee), placement.T_base_ee(center_m, normal)

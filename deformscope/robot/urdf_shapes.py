@@ -79,7 +79,7 @@ class UrdfShapes:
 
 
 def read_urdf(path: Path) -> UrdfShapes:
-    """Read a URDF with its meshes. Raises InputError, which says what is wrong with it."""
+    """Read a URDF with its meshes. Raises InputError, with the error."""
     try:
         with path.open("rb") as file:
             content = file.read(FILE_BYTES + 1)
@@ -161,7 +161,7 @@ def _shown(link: ET.Element) -> list[ET.Element]:
 
 
 def _meshes(robot: ET.Element, path: Path) -> dict[str, Solid]:
-    """The mesh files of what is shown, read together, by the names that the URDF has for them."""
+    """The mesh files of its shapes, read together, by their names in the URDF."""
     found = [mesh for link in robot.findall("link") for part in _shown(link) for mesh in part.findall("geometry/mesh")]
     files = {mesh.attrib["filename"]: _mesh_file(mesh.attrib["filename"], path) for mesh in found}
     solids = [Solid(vertices, triangles.astype(np.uint32)) for vertices, triangles in read_meshes(list(files.values()))]

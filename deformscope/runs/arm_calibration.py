@@ -1,4 +1,4 @@
-"""What `deformscope calibrate arm` does: touch something rigid, and write how the arm yields into the rig file."""
+"""`deformscope calibrate arm`: touch something rigid, and write the arm's compliance into the rig file."""
 
 from __future__ import annotations
 

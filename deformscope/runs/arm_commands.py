@@ -1,4 +1,4 @@
-"""What `deformscope arm where`, `home`, `go` and `jog` do."""
+"""`deformscope arm where`, `home`, `go` and `jog`."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class WhereArm:
 
 
 def where(config: WhereConfig) -> WhereArm:
-    """Where the arm of a rig is."""
+    """Pose of a rig's arm."""
     with _arm_of(config.rig, trusted=config.trust_rig) as (arm, placement):
         state = arm.next(5.0)
         T_base_ee = np.asarray(state.T_base_end_effector)
@@ -80,7 +80,7 @@ def where(config: WhereConfig) -> WhereArm:
 
 
 def home(config: HomeConfig) -> None:
-    """Send the arm home; whoever ends the command stops it. Raises InputError for an arm that has no home."""
+    """Send the arm home; the end of the command stops it. Raises InputError for an arm that has no home."""
     with until_interrupted() as asked, _arm_of(config.rig, trusted=config.trust_rig) as (arm, _):
         if not arm.goes_home:
             raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")

@@ -80,7 +80,7 @@ FLAT_SURFACE = "note: a flat surface alone hardly determines beta; --thickness-m
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult(SourceResult):
-    """What `calibrate_beta` or `calibrate_theta` found.
+    """Result of `calibrate_beta` or `calibrate_theta`.
 
     estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
     pokes: of a surface, where layers below it were fitted
@@ -177,7 +177,7 @@ def calibrate(
     note: Note = log_note,
     progress: Progress | None = None,
 ) -> list[CalibrationResult]:
-    """Fit what the options name, or pairs or images (H, W[, 3]) [0..255] that are given; one result, or one for each of
+    """Fit the sources of the options, or given pairs or images (H, W[, 3]) [0..255]; one result, or one for each of
     several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
@@ -252,7 +252,7 @@ def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
 
 
 def _pair_bytes(pair: PairArrays) -> bytes:
-    """As in a pair file, so that what is recorded can be replayed."""
+    """As in a pair file, so that the recording can be replayed."""
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in pair.items()})
     return file.getvalue()
@@ -347,7 +347,7 @@ def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] 
 def images_recorder(
     source: Source, mask: ImageArray | None, settings: Mapping[str, object], output: OutputOptions
 ) -> Iterator[Recorder]:
-    """Records a sequence, its mask, and in the end what of the source is damaged."""
+    """Records a sequence, its mask, and in the end the damage of the source."""
     with open_recorder(output, settings, IMAGES) as recorder:
         if mask is not None:
             recorder.write(InputFile("mask", encode_png(mask)))

@@ -1,4 +1,4 @@
-"""What a calibration says, outside a recording: the numbers as rows, and one HTML page."""
+"""Results of a calibration, outside a recording: the numbers as rows, and one HTML page."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def calibration_sections(
 
 
 def settings_section(settings: Mapping[str, object]) -> Section:
-    """What a fit was made with."""
+    """Settings of a fit."""
     rows = [(name, cell_text(plain(value))) for name, value in settings.items() if value is not None]
     return Section("Settings", [Table(rows, caption="Of the fit")])
 

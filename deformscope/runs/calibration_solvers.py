@@ -1,4 +1,4 @@
-"""From what was measured of a rig's set-up to values for its file, with their intervals, a table and a picture."""
+"""From measurements of a rig's set-up to values for its file, with their intervals, a table and a picture."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from deformscope.stages.setup.transform import LEVEL, TransformEstimate
 T95 = 1.7
 """Half of a 90 % interval in deviations, roughly: Student's t of some measurements."""
 DOUBT_AT_MOST_M = 0.03
-"""What a rig file takes."""
+"""Values of a rig file."""
 
 
 def intervals(estimate: TransformEstimate) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
             "mm",
             1e3 * made.touch_sd_m,
             each="corner, in the order touched",
-            caption="How far each touch is from its corner",
+            caption="Distance of each touch from its corner",
         ),
         {"T_arm_surface": _json(made.T_arm_surface), "size_m": made.size_m, "size_half_m": made.size_half_m},
     )
@@ -334,7 +334,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationRes
             "deg",
             np.degrees(found.push_sd_rad),
             each="push across the stick",
-            caption="How far each push is from its direction",
+            caption="Angle of each push to its direction",
         ),
         {
             "R_tip_force": found.R_tip_force,

@@ -1,4 +1,4 @@
-"""What `deformscope calibrate tip`, `place`, `camera`, `force` and `time` measure, and how each is solved."""
+"""Measurements of `deformscope calibrate tip`, `place`, `camera`, `force` and `time`, and their solutions."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ from deformscope.terminal import say
 
 
 def _tip(config: TipConfig) -> SetupTask[Any]:
-    """Where the tip is on the arm's end."""
+    """Position of the tip on the arm's end."""
     return SetupTask(
         "tip", ("arm",), lambda at: tilt_about_tip(at.operator, at.arm, config.poses, say), tip_arrays, solve_tip
     )
 
 
 def _place(config: PlaceConfig) -> SetupTask[Any]:
-    """Where the surface is."""
+    """Pose of the surface."""
     corners = [number for _ in range(config.touches) for number in range(3)]
 
     def measure(at: Station) -> RigExperiment[TouchedCorners]:
@@ -59,7 +59,7 @@ def _place(config: PlaceConfig) -> SetupTask[Any]:
 
 
 def _camera(config: CameraConfig) -> SetupTask[Any]:
-    """Where the camera stands, and its lens."""
+    """The camera's pose and lens."""
     board = CharucoSpec(*config.board, config.square)
 
     def measure(at: Station) -> RigExperiment[MeasuredCamera]:
@@ -76,7 +76,7 @@ def _camera(config: CameraConfig) -> SetupTask[Any]:
 
 
 def _force(config: ForceConfig) -> SetupTask[Any]:
-    """How the force sensor sits on the stick."""
+    """Orientation of the force sensor on the stick."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     if config.measured is None and rig.surface.T_arm_surface is None:  # before anybody pushes
         raise InputError("a rig file with tip and place", "no place", f"deformscope calibrate place {config.rig} first")
@@ -90,7 +90,7 @@ def _force(config: ForceConfig) -> SetupTask[Any]:
 
 
 def _time(config: TimeConfig) -> SetupTask[Any]:
-    """How the clocks of force sensor and another device differ."""
+    """Offset between the clocks of force sensor and another device."""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     kinds = {entry.name: entry.driver.kind for entry in rig.devices}
     name = config.device or next((one for one, kind in kinds.items() if kind == "arm"), "")

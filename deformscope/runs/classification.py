@@ -1,4 +1,4 @@
-"""What is in a container: how well it is known, for tables of one's own and data sets of squeezes."""
+"""Content of a container: accuracy of its classification, for tables of one's own and data sets of squeezes."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ TableSource: TypeAlias = str | Path | LabelledTable | Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class ClassificationResult(LibraryResult):
-    """How well contents are known. name: of the table; evaluation: every number"""
+    """Accuracy of contents. name: of the table; evaluation: every number"""
 
     evaluation: Evaluation
     name: str = ""
 
     @property
     def accuracy(self) -> float:
-        """Of what `model()` gives: late fusion of the modalities, in the strictest splits."""
+        """Of the model of `model()`: late fusion of the modalities, in the strictest splits."""
         return self.evaluation.best.accuracy.value
 
     @property
@@ -79,7 +79,7 @@ class ClassificationResult(LibraryResult):
         save_classifier(self.model(), Path(path))
 
     def entries(self) -> list[dict[str, Any]]:
-        """What the command writes as JSON: one entry a modality, method and kind of split."""
+        """The command's JSON: one entry per modality, method and kind of split."""
         return [self._entry(one) for one in self.evaluation.scores]
 
     def as_json(self) -> dict[str, Any]:
@@ -145,12 +145,12 @@ class ClassificationResult(LibraryResult):
         return (
             Figure(pictures.accuracies_png(strict), "Accuracy of every method, with its interval"),
             Figure(pictures.confusion_png([found.best], found.table.classes), "Confusion: rows are the true contents"),
-            Figure(pictures.reliability_png([found.best]), "How often answers of a probability are right"),
+            Figure(pictures.reliability_png([found.best]), "Share of right answers over their probability"),
         )
 
 
 def format_accuracy(score: ClassificationScore) -> str:
-    """Accuracy with its interval, and what naming the most frequent class would reach."""
+    """Accuracy with its interval, and that of always naming the most frequent class."""
     method = f"{score.modality}, {score.method}, {score.splits} {format_split(score)}"
     return f"{format_right(score)}, chance {score.chance:.1%}: {method}"
 
@@ -175,7 +175,7 @@ def format_right(score: ClassificationScore) -> str:
 
 
 def format_split(score: ClassificationScore) -> str:
-    """What was split."""
+    """Subject of the splits."""
     if score.pair is not None:
         return f"transfer from {score.pair[0]} to {score.pair[1]}"
     return {"random": "random splits", "stratified": "stratified splits", "group": "splits by group"}[score.protocol]
@@ -214,8 +214,8 @@ def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
 
 
 def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
-    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others
-    what is recommended."""
+    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others the
+    recommended ones."""
     names: tuple[str, ...] = ()
     made, others = [], []
     for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):

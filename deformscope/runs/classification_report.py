@@ -34,7 +34,7 @@ FIGURES = {
     "steps": "posterior during the squeeze",
     "accuracies": "accuracy of every method with its interval",
 }
-"""What each picture shows, by the start of its name."""
+"""Caption of each picture, by the start of its name."""
 
 
 def classification_pictures(result: ClassificationResult) -> dict[str, bytes]:
@@ -185,7 +185,7 @@ def _groupings(found: Evaluation) -> list[Part]:
 
 
 def _weights(model: ContentModel) -> Table:
-    """How reliable each modality is for each class."""
+    """Reliability of each modality for each class."""
     rows = [
         (label, *(f"{weight:.2f}" for weight in weights))
         for label, weights in zip(model.labels, model.fusion.weight.T, strict=True)

@@ -20,7 +20,7 @@ from deformscope.stages.squeeze.scores import ClassificationScore
 
 @dataclass(frozen=True, slots=True)
 class ClassifierCheckResult(LibraryResult):
-    """How a trained classifier does on trials that it has not seen. trials: their number; name: of table and model"""
+    """Evaluation of a trained classifier on new trials. trials: their number; name: of table and model"""
 
     check: ModelCheck
     trials: int
@@ -93,7 +93,7 @@ class ClassifierCheckResult(LibraryResult):
 
 
 def format_promise(check: ModelCheck) -> str:
-    """Whether the accuracy is what the model's file promises."""
+    """Whether the accuracy equals the promise of the model's file."""
     if check.trained:
         count = int(check.score.trials.sum())
         return f"not judged: {check.trained} of {count} trials trained this model, so they do not test it"

@@ -14,8 +14,8 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 @dataclass(frozen=True, slots=True)
 class RigStep:
     """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
-    words: what is known; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0
-    = depends on its findings
+    words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0 =
+    depends on its findings
     """
 
     what: str
@@ -82,6 +82,6 @@ WHY = {
     "arm": "compliance of arm and stick: a block of steel or stone on the surface",
     "time": "delay of the arm relative to the force sensor: 5 taps on the tip",
 }
-"""What is measured, and what for or with."""
+"""Measured quantities, with their purpose or their tools."""
 MINUTES = {"tip": 8, "place": 6, "camera": 15, "force": 5, "arm": 5, "time": 1}
 """Half a minute for a push, a minute for a pose that is steered to. Estimated: never measured on a real arm."""

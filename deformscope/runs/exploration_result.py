@@ -1,4 +1,4 @@
-"""What an exploration found, as a terminal, JSON, a page and a notebook show it."""
+"""Results of an exploration, for a terminal, JSON, a page and a notebook."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class TruthScore:
 class TouchOutcome:
     """A touch, and its effect on the exploration.
 
-    ended_s: since the session began; iou: of the map after it; failed: what failed on it, in words
+    ended_s: since the session began; iou: of the map after it; failed: failures on it, as text
     asked_for: by a person, on the page
     """
 
@@ -76,7 +76,7 @@ class TouchOutcome:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class ExplorationResult(LibraryResult):
-    """What `explore` found: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
+    """Result of `explore`: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
 
     feel: the mapped quantity; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
     estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
@@ -95,7 +95,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def units(self) -> dict[str, str]:
-        """Of what the JSON holds."""
+        """Of the JSON's values."""
         return units_of((ExplorationResult, LayerThickness, TouchEstimate, MapRegion, DetectionLimit, MissProbability))
 
     set_force_n: float = field(metadata=reported(unit="N"))
@@ -132,7 +132,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def region_count(self) -> int | None:
-        """How many regions there are."""
+        """Number of regions."""
         return None if self.estimate is None else self.estimate.region_count
 
     @property
@@ -231,7 +231,7 @@ class ExplorationResult(LibraryResult):
         return f", {words} {share:.2f}" if share >= RIVAL else ""
 
     def rows(self) -> Rows:
-        """What was found, as names and values."""
+        """The results, as names and values."""
         rows = [("verdict", self.verdict_text)]
         rows += [(f"region {number}", self._format_region(one)) for number, one in enumerate(self.regions, start=1)]
         if self.levelled_m is not None:
@@ -300,7 +300,7 @@ class ExplorationResult(LibraryResult):
 
     @property
     def force_text(self) -> str:
-        """What touches were to press with, and the largest force: by the sensor, and true where it is known."""
+        """Set force of touches, and the largest force: by the sensor, and true if it is known."""
         more_n, true_n = self.more_force_n, self.max_force_n
         more = "" if more_n is None else f"({more_n:g} N if the dent is below {1e3 * SHALLOW_M:g} mm)"
         true = "" if true_n is None else f", true {true_n:.2f} N (available in simulation only)"
@@ -308,7 +308,7 @@ class ExplorationResult(LibraryResult):
 
 
 def format_betas(touches: Sequence[TouchEstimate]) -> str:
-    """What beta says, over the touches that have one."""
+    """beta over the touches that have one, as text."""
     values = [one.beta for one in touches if one.beta is not None]
     low, high = min(values), max(values)
     span = f"{low:.2f}" if f"{low:.2f}" == f"{high:.2f}" else f"{low:.2f} to {high:.2f}"

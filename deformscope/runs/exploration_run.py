@@ -68,7 +68,7 @@ class ExplorationEnd:
 def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None]) -> ExplorationResult | None:
     """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
 
-    Whatever ends it, the arm is halted, and what is known is reported before the recording is closed.
+    In any case, the arm is halted, and the results are reported before the recording is closed.
     """
     from deformscope.config.explore import ExploreFlags
     from deformscope.experiments.explore import DRY_RUN, Exploration
@@ -163,7 +163,7 @@ def _run(
     ending: ExplorationEnd,
     recorded: RecordedTouches | None,
 ) -> None:
-    """Open the devices, explore, close them; `found` and `ending` hold what is known, also where this raises.
+    """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises.
 
     recorded: touches that were made before: nothing moves
     """
@@ -257,7 +257,7 @@ def _with_messages(
     experiment: RigExperiment[None], show: Callable[[str], None], budget: int, page: PageSteering | None = None
 ) -> RigExperiment[None]:
     """The same experiment; its results are printed, and shown on the page, during the run. budget: touches at most, 0 =
-    they were made before, wherever a plan would have them"""
+    they were made before, by any plan"""
     from deformscope.stages.map.exploration import TouchEstimate
 
     given: Any = None
@@ -297,7 +297,7 @@ def _for_page(result: object) -> bool:
 
 
 def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator[str]:
-    """What is printed of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
+    """Printed lines of a result. made: touches so far, of `budget` at most; spent_s: on them [s]"""
     from deformscope.pictures.messages import (
         format_claim,
         format_failure,

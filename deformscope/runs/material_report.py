@@ -1,4 +1,4 @@
-"""What was found of a material, as a table and a picture."""
+"""Results of a material, as a table and a picture."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def material_figure(found: MaterialFit) -> Figure:
 
 
 def material_bodies(found: MaterialFit) -> tuple[ColoredBody, ...]:
-    """What axes or a field are, on the particles that they were fitted to."""
+    """Bodies of axes or a field, with the fitted particles."""
     estimate = found.estimate
     if not isinstance(estimate, AxisEstimate | FieldEstimate) or not found.comparisons:
         return ()
@@ -118,7 +118,7 @@ def _yield_rows(found: YieldEstimate) -> Rows:
 
 
 def _unloading(settings: dict[str, object]) -> Rows:
-    """How the end of the push is known."""
+    """Source of the push's end."""
     cycle = settings.get("unloading")
     if not isinstance(cycle, dict):
         return []

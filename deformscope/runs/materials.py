@@ -63,7 +63,7 @@ from deformscope.stages.msm.solver import pick_device
 from deformscope.stages.see.particles import clean_mask
 
 FORCE_FILE = "force"
-"""What of another recording's force sensor a run is computed from, as a recording of it keeps that."""
+"""Part of another recording's force sensor that a run uses, and its recording stores."""
 FREE_SHARE = 0.05
 """Number of a force sensor's first readings that give its zero."""
 RAW_FILES = {"axes": ("pair", "a pair file (.npz)"), "yield": ("motion", "a motion file (.npz)")}
@@ -81,8 +81,8 @@ KINDS: dict[str, type[MaterialEstimate]] = {
 class MaterialJob:
     """Settings that determine a result besides the inputs; they are recorded.
 
-    find: what of a material; noise: of a position [m of files, px of images]; particles: of images
-    frame: of images, that axes or a field are fitted to; force_n: on what was moved; at, released: see
+    find: the quantity of a material; noise: of a position [m of files, px of images]; particles: of images
+    frame: of images, that axes or a field are fitted to; force_n: on the moved particles; at, released: see
     `UnloadingOptions`; version: see `NEWEST_FIT`
     """
 
@@ -105,13 +105,13 @@ class MaterialJob:
     version: int = 1
 
     def yield_options(self) -> YieldOptions:
-        """How yielding is fitted."""
+        """Options of the fit of yielding."""
         most = float("inf") if self.maximum is None else self.maximum
         given = self.beta, self.creep, most, self.cluster_size, self.theta, self.level, self.seed, self.device
         return YieldOptions(*given, version=self.version)
 
     def model(self) -> Model:
-        """What axes are fitted with."""
+        """Model of the axes."""
         return Model(cluster_size=self.cluster_size, device=self.device, version=self.version)
 
     def directions(self, d: int) -> Any:
@@ -123,7 +123,7 @@ class MaterialJob:
 
 @dataclass(frozen=True, slots=True)
 class MaterialResult(SourceResult):
-    """What `calibrate axes`, `field`, `yield` or `viscous` found.
+    """Result of `calibrate axes`, `field`, `yield` or `viscous`.
 
     estimate: the numbers; found: the compared motion
     """
@@ -165,7 +165,7 @@ def material_page(result: MaterialResult) -> str:
 def calibrate_material(
     config: MaterialOptions, *, note: Note = log_note, progress: Progress | None = None
 ) -> MaterialResult:
-    """Fit what the options name."""
+    """Fit the sources of the options."""
     quiet_warp()
     job, sources = job_of(config), config.sources
     settings: dict[str, Any] = {"sources": list(sources)}
@@ -191,7 +191,7 @@ def calibrate_material(
 
 
 def job_of(config: MaterialOptions) -> MaterialJob:
-    """The same without the sources and output files. What is None takes the job's default."""
+    """The same without the sources and output files. None becomes the job's default."""
     groups = (config.output, config.fit, getattr(config, "unloading", None), config)
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}

@@ -1,4 +1,5 @@
-"""What is explored, by its name on the command line: a simulated scene, the devices of a rig file, or a recording."""
+"""Source of an exploration, by its name on the command line: a simulated scene, the devices of a rig file, or a
+recording."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ LAB = "lab:"
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
 class Opening:
-    """A setup, and what belongs to it.
+    """A setup, and its parts.
 
     options: how to explore it; settings: for its recording; lab: source of faults, None on a rig
     recorded: items of another robot, None = a robot is commanded
@@ -61,7 +62,7 @@ def setup_of(
     """The setup of `lab:NAME`, of a rig file, closed, or of a recording.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: no hidden
-    errors in the laboratory; camera: what its camera measures by; robot: the robot's model in the images;
+    errors in the laboratory; camera: error model of its camera; robot: the robot's model in the images;
     removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file says, in the
     laboratory free where `options` are the thesis's
     """
@@ -128,7 +129,7 @@ def setup_of(
 
 
 def recorded_rig(path: Path) -> Rig:
-    """Where arm, camera and surface were in a recording. Raises InputError for what is not known of it."""
+    """Poses of arm, camera and surface in a recording. Raises InputError for its missing values."""
     from deformscope.recording.items import read_streams
     from deformscope.recording.reader import Replay
     from deformscope.rig.rig_file import parse_rig

@@ -35,7 +35,7 @@ class RunOperator:
     agreed: Callable[[], bool] | None = None
 
     def line(self, prompt: str) -> RigExperiment[str]:
-        """What is typed; frames pass meanwhile. Empty once a person ends the run, and yes once the page has confirmed
+        """The typed line; frames pass meanwhile. Empty once a person ends the run, and yes once the page has confirmed
         it."""
         print(prompt, end="", file=sys.stderr, flush=True)
         listens = self.agreed is None or at_terminal()

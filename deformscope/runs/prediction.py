@@ -31,14 +31,14 @@ ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
 
 @dataclass(frozen=True, slots=True)
 class PredictionResult(LibraryResult):
-    """What a poke will do. points: (n, 3) of the surface whose deformed positions are predicted too [m]"""
+    """Prediction of a poke. points: (n, 3) of the surface whose deformed positions are predicted too [m]"""
 
     prediction: Prediction
     points: FloatArray | None = None
 
     @property
     def depth_m(self) -> float:
-        """How deep the tip goes [m]."""
+        """Depth of the tip [m]."""
         return self.prediction.depth
 
     @property
@@ -134,7 +134,7 @@ def comparison_table(name: str, found: PokeComparison) -> Table:
 
 
 def together_table(found: PooledPokes) -> Table:
-    """How the model did on all measured pokes."""
+    """Errors of the model on all measured pokes."""
     rows = [("surface", f"surface error {found.surface_error:.1%} of the depth (rms)")]
     if found.force_error is not None:
         rows.append(("force", f"off by {found.force_error:.1%} (rms)"))
@@ -144,14 +144,14 @@ def together_table(found: PooledPokes) -> Table:
 
 
 def format_poke(poke: Poke) -> str:
-    """Where, and with what tip."""
+    """Place and tip."""
     place = ", ".join(f"{v:.3g}" for v in poke.at)
     size = " x ".join(f"{1e3 * side:.3g}" for side in poke.tip.size)
     return f"at ({place}) m with a {poke.tip.shape} tip of {size} mm"
 
 
 def predicted(model: FittedModel, text: PokeText, points_m: FloatArray | None, device: Device) -> PredictionResult:
-    """What a poke will do. points_m: (n, 3) as of `PredictionResult`"""
+    """Prediction of a poke. points_m: (n, 3) as of `PredictionResult`"""
     quiet_warp()
     found = fitted.predict(model, poke_of(text, model), device=pick_device(device))
     return PredictionResult(found, None if points_m is None else np.asarray(points_m, dtype=np.float64))

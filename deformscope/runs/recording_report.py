@@ -50,12 +50,12 @@ CHAPTERS = {
 }
 COLUMNS = ("stage", "gives", "entity", "timelines", "rows", "times x CPU (wall) [ms]", "live")
 Drawn = tuple[str, list[Section]]
-"""What was found, in a line, and its figures."""
+"""The result, in a line, and its figures."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport(LibraryResult):
-    """What a recording shows. words: in a line; stages: with their costs, those that it lacks among them"""
+    """Figures of a recording. words: in a line; stages: with their costs, those that it lacks among them"""
 
     recording: Path
     words: str
@@ -87,7 +87,7 @@ class RecordingReport(LibraryResult):
 
 
 def report_recording(path: Path) -> RecordingReport:
-    """Draw what a recording holds. Raises InputError for what is none, or cannot be read."""
+    """Draw the content of a recording. Raises InputError for another kind of file, or an unreadable one."""
     replay = Replay(path)
     kinds: dict[str, Callable[[Replay], Drawn]] = {EXPLORATION.name: _exploration, SQUEEZE.name: _squeeze}
     draw = kinds.get(replay.identity[0]) or (_rig if "rig" in replay.settings else _fits)
@@ -97,7 +97,7 @@ def report_recording(path: Path) -> RecordingReport:
 
 
 def stage_tables(stages: Sequence[RecordedStage]) -> list[Table]:
-    """What is in a recording, and what is missing, a table for each chapter."""
+    """Stages in a recording, and missing ones, a table for each chapter."""
     by_chapter = {title: [one for one in stages if one.chapter == chapter] for chapter, title in CHAPTERS.items()}
     return [Table([_stage_row(one) for one in some], COLUMNS, title) for title, some in by_chapter.items() if some]
 

@@ -1,4 +1,4 @@
-"""Recordings as a script has them: what one is, and what making one left."""
+"""Recordings in a script: an opened one, and the result of making one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class OpenRecording(LibraryResult):
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError where it is no recording of ours, or no longer what was recorded."""
+        """Raises InputError if it is no recording of ours, or has changed since it was recorded."""
         self.path = path
         self._replay = Replay(path)
 
@@ -39,7 +39,7 @@ class OpenRecording(LibraryResult):
 
     @property
     def outcome(self) -> Mapping[str, Any]:
-        """How the recording ended; empty where the run was cut short."""
+        """Outcome of the recording; empty after an interrupted run."""
         return self._replay.outcome
 
     @cached_property
@@ -66,17 +66,17 @@ class OpenRecording(LibraryResult):
     def table(self, name: str) -> pa.Table:
         """A stream as an Arrow table: by its entity (`wrench/tip`), or DEVICE/QUANTITY (`tip/force`) for the times and
         the columns of that quantity alone. Units are in the names of columns and in their metadata (`unit`);
-        `.to_pandas()` works where pandas is installed. Raises InputError for what is not there."""
+        `.to_pandas()` works where pandas is installed. Raises InputError for a missing one."""
         return self._tables.table(name)
 
     def notes(self) -> tuple[SessionNote, ...]:
-        """What was remarked while it was recorded: notes, episodes, tares, alarms of sensors, discards, each with its
-        time on the host's clock."""
+        """Remarks during the recording: notes, episodes, tares, alarms of sensors, discards, each with its time on the
+        host's clock."""
         found = read_items(self.path, trust=True, kinds=(SessionNote,))
         return tuple(note for note in found if isinstance(note, SessionNote))
 
     def discarded(self) -> list[Discard]:
-        """What of it is not to be used, and why; it is there all the same."""
+        """Its discarded parts, with reasons; they are in the file nevertheless."""
         return self._replay.discarded
 
     def discard(self, reason: str, episode: int = 0) -> None:
@@ -110,7 +110,7 @@ class OpenRecording(LibraryResult):
 
 @dataclass(frozen=True, slots=True)
 class RecordResult(LibraryResult):
-    """What `record` left. found: the JSON of `deformscope record`; table: the same for people"""
+    """Result of `record`. found: the JSON of `deformscope record`; table: the same for people"""
 
     found: Mapping[str, Any]
     table: Table
@@ -121,7 +121,7 @@ class RecordResult(LibraryResult):
         return Path(self.found["recording"])
 
     def open(self) -> OpenRecording:
-        """What was recorded."""
+        """The recording, opened."""
         return OpenRecording(self.path)
 
     def __repr__(self) -> str:

@@ -20,7 +20,7 @@ from deformscope.runs.result import FoundResult
 
 
 def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
-    """Write what can be read of a recording as a new one, with its ledger. The original is only read."""
+    """Write the readable part of a recording as a new one, with its ledger. The original is only read."""
     out = out or path.with_name(f"{path.stem.split('.part')[0]}.recovered.rrd")
     _check(path, out)
     # Beside the new file, so that the last step is a rename.
@@ -62,7 +62,7 @@ def _refuse_existing(out: Path) -> None:
 
 
 def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
-    """What the run could not write at its end."""
+    """Data that the run could not write at its end."""
     write_outcome(
         ending,
         facts.application,

@@ -80,7 +80,7 @@ def _frames(recording: Replay, config: ReplayConfig) -> Source:
 def _material(
     recording: Replay, config: ReplayConfig, progress: Progress | None
 ) -> tuple[Sequence[Any], Sequence[Any]]:
-    """What was found of a material, as recorded and computed again."""
+    """Results of a material, as recorded and computed again."""
     from deformscope.runs.materials import replay_material
 
     recorded, found = replay_material(recording, _frames(recording, config), config.output, progress=progress)
@@ -158,7 +158,7 @@ def _align(first: Replay, second: Replay, config: ReplayConfig) -> ReplayResult:
 
 
 def _replay_rig(recording: Replay) -> ReplayResult:
-    """`different` where a frame is not what its bytes give, or a stage's result not what its frames give."""
+    """`different` if a frame differs from its bytes, or a stage's result from its frames."""
     from deformscope.experiments.replay_stages import replay_stages
     from deformscope.rig.decoded import compare_with_bytes
     from deformscope.rig.rig_file import parse_rig

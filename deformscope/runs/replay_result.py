@@ -20,16 +20,16 @@ VERSIONS = "the versions in the recording's properties"
 
 
 class Different(InputError):
-    """What was computed again is not what was recorded."""
+    """The new results differ from the recorded ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult(LibraryResult):
-    """What was computed again of a recording.
+    """Results of a recording, computed again.
 
     found: the JSON of `deformscope replay`, a list where several pairs were fitted; shown: results with their tables
-    verdict: how it compares with what was recorded; notes: what failed or stopped when it was recorded
-    different: what differs, where the results are known all the same, else None
+    verdict: comparison with the recorded result; notes: failures and stops during the recording
+    different: the differences, if the results are known nevertheless, else None
     """
 
     found: Any

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass
 class SqueezeAgain:
-    """What a recorded squeeze gives once more. features: None where it has none, and `failure` says why
+    """Results of a recorded squeeze, computed again. features: None where it has none, and `failure` says why
 
     results: of every kind, in the order in which they are computed
     """

@@ -1,4 +1,4 @@
-"""What every result can do: print itself, become JSON, show itself in a notebook; and what every function shares."""
+"""Common methods of all results: print, JSON, notebook; and common parts of all functions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Viewer = Literal["native", "page", "none"]
 Note = Callable[[str], None]
 
 log_note: Note = logging.getLogger("deformscope").warning
-"""Where remarks go that a result does not hold, such as on units that look wrong."""
+"""Destination of remarks outside a result, such as on units that look wrong."""
 
 
 class LibraryResult(ABC):
@@ -34,7 +34,7 @@ class LibraryResult(ABC):
 
     @abstractmethod
     def tables(self) -> tuple[Table, ...]:
-        """What was found, each table with its caption."""
+        """The results, each table with its caption."""
 
     @abstractmethod
     def as_json(self) -> dict[str, Any]:
@@ -49,7 +49,7 @@ class LibraryResult(ABC):
         return Findings(self.tables(), self.figures())
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON of the command line as a dict of plain Python values; what is not finite is None."""
+        """The JSON of the command line as a dict of plain Python values; nan and infinities are None."""
         return cast("dict[str, Any]", plain(self.as_json()))
 
     def __str__(self) -> str:
@@ -75,10 +75,10 @@ class FoundResult(LibraryResult):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceResult(LibraryResult):
-    """What was found of a source.
+    """Results of a source.
 
-    name: of the source; recording: what was recorded; problems: what of the source is damaged
-    settings, seed: what decides the result
+    name: of the source; recording: of the run; problems: damage of the source
+    settings, seed: inputs that determine the result
     """
 
     name: str = ""
@@ -88,11 +88,11 @@ class SourceResult(LibraryResult):
     seed: int = 0
 
     def with_problems(self, found: dict[str, Any]) -> dict[str, Any]:
-        """The JSON of what was found, with what of the source is damaged."""
+        """The JSON of the result, with the damage of the source."""
         return found | ({"source_problems": list(self.problems)} if self.problems else {})
 
     def source_rows(self) -> Rows:
-        """What of the source is damaged, and where the recording is."""
+        """Damage of the source, and the recording's place."""
         damaged = [("SOURCE DAMAGED", "; ".join(self.problems))] if self.problems else []
         return [*damaged, *([] if self.recording is None else recording_rows(self.recording))]
 
@@ -107,7 +107,7 @@ def resolve_viewer(choice: ViewerChoice) -> Viewer:
 def open_recorder(
     output: ViewOptions, settings: Mapping[str, object], application: Application, **more: Any
 ) -> Recorder:
-    """What a recording goes to, and a viewer, as the options say. more: options of a `Recorder`"""
+    """Recorder and viewer of the options. more: options of a `Recorder`"""
     from deformscope.recording.recorder import Recorder
 
     viewer = resolve_viewer(output.viewer)
@@ -115,7 +115,7 @@ def open_recorder(
 
 
 def recording_rows(recording: RecordingSummary) -> Rows:
-    """Where the recording is, and what of it a live view did not show."""
+    """The recording's place, and items that a live view did not show."""
     rows = []
     if recording.path is not None:
         rows.append(("recording", f"{recording.path} ({recording.bytes / 1e6:.1f} MB)"))

@@ -1,4 +1,4 @@
-"""What `deformscope calibrate tip`, `place`, `camera`, `force` and `time` do: measure, solve, write."""
+"""`deformscope calibrate tip`, `place`, `camera`, `force` and `time`: measure, solve, write."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RigCalibrationResult:
-    """What was found.
+    """Result of a rig calibration.
 
     kind: place, tip, camera, force or time; values: for the rig file; rows: of the table, names and values
     figure: how far each measurement is off; found: for JSON
@@ -74,8 +74,7 @@ def today() -> datetime.date:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Who and what takes part. arm, wrench, camera: names of devices, empty where the rig has none; operator: who moves
-    things"""
+    """The participants. arm, wrench, camera: names of devices, empty if the rig has none; operator: who moves things"""
 
     arm: str
     wrench: str
@@ -87,8 +86,8 @@ class Station:
 class SetupTask(Generic[M]):
     """One of these commands.
 
-    kind: of it; needs: kinds of devices; measure: the experiment; arrays: what was measured, out of a file of arrays
-    solve: what is found of it; recorded: what was measured, out of a recording
+    kind: of it; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays
+    solve: its solution; recorded: measurements from a recording
     """
 
     kind: str
@@ -134,7 +133,7 @@ def write_values(path: Path, values: Values) -> None:
 
 
 def written_lines(found: RigCalibrationResult) -> str:
-    """What is written, as lines of a rig file."""
+    """New lines of a rig file."""
     return lines_of(found.dated)
 
 
@@ -167,7 +166,7 @@ def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[Abstr
 
 
 def _at_terminal(asked: Interruption) -> Assistant:
-    """Somebody who reads what to do, does it, and presses Enter."""
+    """A person who reads the requests, carries them out, and presses Enter."""
     if not at_terminal():
         raise InputError("a person who follows the requests", "no terminal for questions", "--measured FILE.npz")
 
@@ -186,7 +185,7 @@ def _go_on(asked: Interruption) -> None:
 
 
 def _simulated(hand: SimulatedHand, asked: Interruption) -> Assistant:
-    """The laboratory's person, who lets go and taps while frames pass."""
+    """The laboratory's person, who releases and taps while frames pass."""
 
     def does(request: SetupRequest) -> RigExperiment[None]:
         _go_on(asked)

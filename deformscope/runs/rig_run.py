@@ -53,7 +53,7 @@ PAGE_HOLDS_S = 30.0
 class RigRun:
     """Outcome of a rig's run.
 
-    result: what was recorded; failures: reason of each device that failed, by name; why: it ended
+    result: of the recording; failures: reason of each device that failed, by name; why: it ended
     early_by: the signal that ended it before its end, 0 = none
     """
 
@@ -126,7 +126,7 @@ def _recorder(
     *,
     at_end: bool,
 ) -> Recorder | WatchedRecorder | PageRecorder:
-    """Of one file from the beginning to the end, or of what was recent then; on a page, of as many as it asks for."""
+    """Of one file from the beginning to the end, or of the recent items then; on a page, of as many as it requests."""
 
     def make(file: Path | None, viewer: ViewerChoice, *, at_once: bool = False) -> Recorder:
         files = dataclasses.replace(output, record=file, viewer=viewer)
@@ -146,7 +146,7 @@ def _recorder(
 
 
 def _recent(keep_last_s: float | None, viewer: ViewerChoice, stages: Sequence[str]) -> RecentItems | None:
-    """What holds the last seconds, where they can be recorded later."""
+    """Memory of the last seconds, if they can be recorded later."""
     if keep_last_s is not None:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
         return RecentItems(keep_last_s, memory // 4)
@@ -158,7 +158,7 @@ def _new_file(rig: Rig) -> Path:
 
 
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """The options of the requested stages. Raises InputError where the rig lacks what one of them needs.
+    """The options of the requested stages. Raises InputError if the rig lacks a device of one of them.
 
     streams: of the devices, where they are not the rig's
     """
@@ -249,7 +249,7 @@ def _result(
     stages: Mapping[str, StageCounts],
     files: Sequence[RecordingSummary] | None,
 ) -> RecordResult:
-    """What was recorded, device by device, as a table and as JSON. files: begun and ended from a page"""
+    """Summary of the recording, device by device, as a table and as JSON. files: begun and ended from a page"""
     devices = dict(last.devices)
     rows = [(name, _to_text(health, failures.get(name))) for name, health in devices.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]

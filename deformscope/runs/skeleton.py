@@ -46,7 +46,7 @@ SHOW_EVERY = 10
 class OpenRun:
     """A run whose devices are open and recorded.
 
-    line: shows one line, which the next replaces; recorded: what the session writes to; last: the devices as they were
+    line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices as they were
     closed, None before
     """
 
@@ -56,7 +56,7 @@ class OpenRun:
     last: HealthReport | None = None
 
     def watch(self, asked: Interruption, page: RobotPage | None = None) -> Watch:
-        """What is called in every control period of its robot."""
+        """Function that is called in every control period of its robot."""
         return Watch(asked, self.line, *(() if page is None else (page.show,)))
 
     def open_page(
@@ -84,8 +84,8 @@ class OpenRun:
 
 @contextlib.contextmanager
 def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
-    """The devices, open; closed in the end, and all that came until then recorded. Which of them failed, at closing
-    too, is printed whatever ends the run. What opens them starts the recorder."""
+    """The devices, open; closed in the end, and all that came until then recorded. Devices that fail, at closing too,
+    are printed after any end of the run. Opening them starts the recorder."""
     with contextlib.ExitStack() as closed, devices as source, status_line() as line:
         closed.callback(lambda: _say_failures(source.failures))
         run = OpenRun(source, line, recorder)
@@ -108,7 +108,7 @@ def _say_failures(failures: Mapping[str, str]) -> None:
 
 
 class WatchedRobot(Protocol):
-    """What a watch needs of a robot. doing: its present action, in words"""
+    """Interface of a robot for a watch. doing: its present action, in words"""
 
     @property
     def doing(self) -> str: ...
@@ -141,8 +141,8 @@ class Watch:
 
     @contextlib.contextmanager
     def halts(self, robot: WatchedRobot) -> Iterator[None]:
-        """Whatever ends this, the arm is then halted, also where halting it was interrupted. Beyond it are the
-        end of each velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
+        """In any case, the arm is then halted, also if halting it was interrupted. Beyond it are the end of each
+        velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
         self.robot = robot
         reason = "the page that moved it has ended"
         try:
@@ -177,8 +177,8 @@ def permitted(
 
     calibrated: the required calibrations, by name, and whether they are done; yes: do not ask
     places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
-    What was checked is checked again after the question, which may have waited for long. Raises InputError if a check
-    fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C.
+    The checks are repeated after the question, which may have waited for long. Raises InputError if a check fails, or
+    no person says yes, and ExplorationStopped if the answer is Ctrl-C.
     """
     from deformscope.experiments.touching_robot import CheckFirst
     from deformscope.session import ask
@@ -216,7 +216,7 @@ def agree(
 ) -> RigExperiment[None]:
     """Within an experiment: wait until a person permits the motion, at the page if there is one, or at the terminal.
 
-    what: will move; enter_when: condition, as text, after which the terminal's Enter is enough Otherwise it raises
+    what: the motion; enter_when: condition, as text, after which the terminal's Enter is enough Otherwise it raises
     InputError unless a person says yes. or_ended: nor if a person ends the run
     """
     operator = RunOperator(asked, None if page is None else page.is_agreed)
@@ -252,7 +252,7 @@ def leave(
     *,
     ended: bool,
 ) -> NoReturn:
-    """End the command as the stop demands: with the reason and what to do, or by the signal's own exit status.
+    """End the command as the stop demands: with the reason and the advice, or by the signal's own exit status.
 
     state: progress of the run, and whether the robot is at rest; ended: a person requested it
     """

@@ -1,4 +1,4 @@
-"""What one squeeze found: its JSON, its table and its picture."""
+"""Result of one squeeze: its JSON, its table and its picture."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class SqueezeResult(LibraryResult):
     @property
     @derived(optional=True)
     def tracking(self) -> dict[str, Any] | None:
-        """How the container was tracked, and its pose in each image; None where it was stopped."""
+        """Tracking of the container, and its pose in each image; None after a stop."""
         if self.computed is None or not self.computed.tracked:
             return None
         poses = [one.container for one in self.computed.tracked]
@@ -113,7 +113,7 @@ class SqueezeResult(LibraryResult):
 
     @property
     def named(self) -> str | None:
-        """What the model takes the content for; None without one."""
+        """The model's classification of the content; None without one."""
         return None if self.answer is None else self.answer.content
 
     @property
@@ -149,7 +149,7 @@ class SqueezeResult(LibraryResult):
         return (Figure(png, f"Depth change of {self.trial}"),) if (png := self.png) else ()
 
     def rows(self) -> Rows:
-        """What was found, as names and values."""
+        """The results, as names and values."""
         rows = [
             ("content", self.content if self.content_given else "not given"),
             ("container", self.container or "not given"),

@@ -46,7 +46,7 @@ recordings of lab:containers."""
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SqueezeOutcome:
-    """What a squeeze left. asked: the person who ended it, if any"""
+    """Outcome of a squeeze. asked: the person who ended it, if any"""
 
     result: SqueezeResult
     asked: Interruption
@@ -61,7 +61,7 @@ class SqueezeOutcome:
 
 
 def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
-    """Squeeze, with the laboratory or the devices of a rig file; keep the trial; report what was found."""
+    """Squeeze, with the laboratory or the devices of a rig file; store the trial; report the results."""
     from deformscope.experiments.squeeze import Squeezed
     from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
@@ -342,7 +342,7 @@ def _finished(
 
 
 def _format_size(setup: SqueezeSetup) -> str:
-    """What a recording will take."""
+    """Expected size of a recording."""
     pixels = 640 * 480 if setup.names.camera else 0
     bytes_s = 30 * TACTILE_BYTES + setup.camera.rate_hz * pixels * 2 * DEPTH_SHARE
     return f"a recording of about {TRIAL_S:g} s will take about {bytes_s * TRIAL_S / 1e6:.0f} MB"

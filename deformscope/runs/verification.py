@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 WHOLE = "all bytes are as recorded"
 SHOWN_LETTERS = 90
-"""Of what a recording says."""
+"""Content of a recording."""
 UNCHECKED = "not checked, because there is no ledger: a flipped bit would not be detected"
 
 
@@ -175,7 +175,7 @@ def _rows(
 
 
 def _losses(facts: Facts, *, checked: bool, reached: str) -> list[str]:
-    """What is not as it should be of a recording that can be read whole."""
+    """The faults of a recording that is readable to its end."""
     remarks = []
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")

@@ -1,4 +1,4 @@
-"""Where running doubles are found by other processes: each writes its port to a small file while it runs."""
+"""Registry of running doubles for other processes: each writes its port to a small file while it runs."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ STRETCH_NS, STRETCHES = 1e9, 120
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """When something arrived.
+    """Arrival time of an item.
 
     host_ns: monotonic host clock [ns]; for media without a clock (a video file), the media time since its start [ns]
     device_ticks: the device's own counter or clock, in its own unit; None where it has none
@@ -86,7 +86,7 @@ class ClockRelation:
     anchors: int
 
     def to_host_ns(self, ticks: int) -> float:
-        """When the host would have seen this (unwrapped) tick after the shortest delay."""
+        """Host time of this (unwrapped) tick after the shortest delay."""
         return self.offset_ns + self.tick_ns * ticks
 
 

@@ -46,7 +46,7 @@ class _Pause:
     fewest: float = math.inf
 
     def short_of(self, now_ns: int, got: int) -> float:
-        """How many readings fewer than the rate would have given by now."""
+        """Number of missing readings relative to the rate."""
         return max(0.0, (now_ns - self.start_ns) / 1e9 * self.rate_hz - (got - self.got))
 
     def cost(self, now_ns: int, got: int) -> tuple[float, float]:
@@ -80,7 +80,7 @@ class Continuity:
         self._last_ns = now_ns if self._last_ns is None else self._last_ns
 
     def expect(self, now_ns: int, rate_hz: float | None) -> None:
-        """What should come from now on. rate_hz: as the device was set, 0 = unknown; None = no readings without
+        """Expected readings from now on. rate_hz: as the device was set, 0 = unknown; None = no readings without
         request"""
         if rate_hz == self._set_hz:
             return
@@ -129,7 +129,7 @@ class Continuity:
         self._over_ns = now_ns if self._over_ns is None else self._over_ns
 
     def at(self, now_ns: int) -> Missing:
-        """What is missing as of now, a pause that has not ended included."""
+        """Missing readings up to now, a present pause included."""
         now_ns = now_ns if self._over_ns is None else min(now_ns, self._over_ns)
         costs = [(self._silent_s, self._missing)]
         if self._pause is not None:

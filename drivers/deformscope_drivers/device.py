@@ -1,8 +1,8 @@
 """Parts that every device has: opening and closing, three ways to read, automatic reconnection, and a report of its
 health.
 
-One thread owns the link, from opening to closing: it alone reads and writes. What another thread asks for is handed
-to it (`_do`). So no lock guards a port, no reading is torn, and a cable that was pulled out is noticed in one place.
+One thread owns the link, from opening to closing: it alone reads and writes. Calls from other threads are handed to it
+(`_do`). So no lock guards a port, no reading is torn, and a cable that was pulled out is noticed in one place.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ already: nothing is lost with them."""
 
 
 class Measurement(Protocol):
-    """What a device's readings have in common."""
+    """Common fields of a device's readings."""
 
     @property
     def stamp(self) -> Stamp: ...
@@ -383,8 +383,9 @@ class Device(ABC, Generic[MeasurementT]):
             )
 
     def _expect(self, rate_hz: float | None) -> None:
-        """What should come from now on, so that silence is counted. rate_hz: as the device was set, 0 = unknown (as for
-        a device that never reports it); None = no readings without request: it was stopped, or gives them on request"""
+        """Expected readings from now on, so that silence is counted. rate_hz: as the device was set, 0 = unknown (as
+        for a device that never reports it); None = no readings without request: it was stopped, or gives them on
+        request"""
         with self._changed:
             self._tally.continuity.expect(self._clock(), rate_hz)
 

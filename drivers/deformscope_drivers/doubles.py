@@ -1,4 +1,4 @@
-"""What simulated devices are made of: a state machine that is fed bytes and time, and a line that sends at its pace.
+"""Parts of simulated devices: a state machine that receives bytes and time, and a line that sends at its pace.
 
 A double is pure: it opens no port, starts no thread and reads no clock. `deformscope_drivers.wires` puts it behind a
 pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its own clock.
@@ -11,7 +11,7 @@ from collections import deque
 from typing import Protocol
 
 FIFO_BYTES = 16
-"""What a serial port's chip gathers before it interrupts its host."""
+"""Buffer of a serial port's chip before it interrupts its host."""
 
 
 class Double(Protocol):

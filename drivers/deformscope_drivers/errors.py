@@ -1,5 +1,4 @@
-"""What can go wrong with a device. Each message has the expectation, the actual value, and what to try; the port comes
-last.
+"""Errors of a device. Each message has the expectation, the actual value, and what to try; the port comes last.
 
 DeviceError
  +- NotConnected       it is not there, or cannot be opened

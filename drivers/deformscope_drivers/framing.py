@@ -40,7 +40,7 @@ class GoodFrame(Generic[EventT]):
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """What seemed to start a frame, and does not; `reason` is one word or two."""
+    """A false start of a frame; `reason` is one word or two."""
 
     reason: str
 

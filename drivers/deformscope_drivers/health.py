@@ -113,7 +113,7 @@ class Rate:
 
 
 class Tally:
-    """What a device counts while it is open; `Health` shows it."""
+    """Counts of a device while it is open; `Health` shows them."""
 
     def __init__(self) -> None:
         self.received = 0

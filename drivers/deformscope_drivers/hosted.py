@@ -6,7 +6,7 @@ function runs there with a `Channel`, the other end, as its first argument. Mess
 their kind: `("opened", report)` when the device is open, and `("failed", error)` for a DeviceError that ends the
 process. Drivers and their devices may add others.
 
-When the program ends, whatever ended it, the socket closes: the function sees that in `Channel.poll` and
+When the program ends, for any reason, the socket closes: the function detects that in `Channel.poll` and
 `Channel.receive`, and ends. When the process ends, hangs or crashes, the program gets `ProcessEnded`, or kills it after
 a time limit. Nothing here imports numpy: the process starts quickly.
 """
@@ -69,8 +69,8 @@ class HostedProcess:
         self.send(serve, *settings)
 
     def opened(self, timeout_s: float, closing: threading.Event | None = None) -> Any:
-        """What the process reports of the device that it has opened; None where it reports nothing in time, or
-        `closing` is set meanwhile. Raises the error with which opening failed there, and ProcessEnded."""
+        """The process's report on the opened device; None without a report in time, or if `closing` is set meanwhile.
+        Raises the error with which opening failed there, and ProcessEnded."""
         until = time.monotonic() + timeout_s
         while time.monotonic() < until and not (closing is not None and closing.is_set()):
             match self.receive(ROUND_S):
@@ -167,8 +167,8 @@ def hosted_environment() -> dict[str, str]:
 
 
 def ask_hosted(ask: Callable[..., None], *settings: object, timeout_s: float) -> Any:
-    """What `ask(channel, *settings)` reports as opened, in a process that is ended after it; None where the process
-    crashes or does not answer in time. Raises the DeviceError that it raises there."""
+    """Report of `ask(channel, *settings)`, in a process that is ended after it; None if the process crashes or does not
+    answer in time. Raises the DeviceError that it raises there."""
     process = HostedProcess("an answer", ask.__module__, None)
     try:
         process.start(ask, *settings, quiet=True)

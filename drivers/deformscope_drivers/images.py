@@ -1,4 +1,4 @@
-"""What colour and depth images have in common."""
+"""Common parts of colour and depth images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is plugged into this machine, as far as it can be seen without opening anything."""
+"""Devices connected to this machine, as far as they are visible without opening anything."""
 
 from __future__ import annotations
 

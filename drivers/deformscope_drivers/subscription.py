@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Subscription(Generic[T]):
-    """What one reader has not taken yet.
+    """A reader's remaining items.
 
     It ends when the device is closed, or with the error that ended the device; what waits then is still given out.
     received: items that were put in; dropped: items lost because the reader was slow.

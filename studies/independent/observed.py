@@ -1,4 +1,4 @@
-"""What a camera would see of bodies of other solvers: lattices that are pushed, and errors of tool, camera and noise.
+"""A camera's view of bodies of other solvers: lattices that are pushed, and errors of tool, camera and noise.
 
 Lengths in metres, a spacing of 1 cm.
 """

@@ -56,7 +56,7 @@ class OrthotropicLaw:
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """What is seen of one deformation. rest, deformed: (K, 2) [m], last axis fastest; held: (n,); shape: of the
+    """Observation of one deformation. rest, deformed: (K, 2) [m], last axis fastest; held: (n,); shape: of the
     lattice"""
 
     rest: FloatArray
@@ -141,7 +141,7 @@ def plate(
     rng: np.random.Generator,
     strain: float = 0.06,
 ) -> Plate:
-    """What is seen of a plate. factor: of the law's stiffness at places (n, 2) [m]; camera: has an error of its own"""
+    """Observation of a plate. factor: of the law's stiffness at places (n, 2) [m]; camera: has an error of its own"""
     rest, deformed = deformed_plate(shape, law, factor, way, strain)
     deformed = deformed + plate_noise(shape, rng)
     if camera:

@@ -29,7 +29,7 @@ PLACE_SD_M, FORCE_SD_N, COUNT_N = 1e-4, 0.02, 0.0037
 DRIFT_N_PER_S = 0.001
 """Deviation of the drift of a force sensor: 0.06 N a minute."""
 ARM_M_PER_N, ARM_OFF_M_PER_N = 1.0 / 12e3, 0.1 / 12e3
-"""How an arm yields, and the deviation of that from its calibration."""
+"""Compliance of an arm, and its deviation from the calibration."""
 FOAM_N_PER_M, THICKNESS_M, POISSON = (350.0, 900.0), (0.035, 0.06), (0.05, 0.35)
 """Force over depth at SET_N, about; thickness and Poisson's ratio of the layer."""
 PARTS = 64

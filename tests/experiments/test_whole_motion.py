@@ -171,5 +171,5 @@ def test_too_few_particles_to_judge_by() -> None:
         ],
         motion.times,
     )
-    with pytest.raises(InputError, match="free whatever is held"):
+    with pytest.raises(InputError, match="free with all held parts"):
         chosen(few, ("held",), held=("top", "left"))

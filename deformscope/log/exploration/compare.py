@@ -1,7 +1,7 @@
 """Other settings' results for a recorded exploration, as a layer over it: in the recording's views, in two colours.
 
 display/scene/beside   where the regions end, on the surface in space: recorded, and with the other settings
-display/beside/...     the same as a picture, and what each touch gave
+display/beside/... the same as a picture, and the result of each touch
 """
 
 from __future__ import annotations

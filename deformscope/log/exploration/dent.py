@@ -1,4 +1,4 @@
-"""The last dent close up: what was observed, and the particles of the model that was fitted to it."""
+"""The last dent close up: the observed points, and the particles of the fitted model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DENT = "display/dent"
 MOST_DRAWN_OUT, SHARE = 8.0, 0.5
 """Heights are magnified until the dent is this share of the half width, up to this factor."""
 HALF_M, CELL_M = 0.05, 0.0035
-"""Half the side of what is shown, and of cells whose mean height stands for the points observed in them."""
+"""Half the side of the view, and of cells whose mean height represents their observed points."""
 NEIGHBOURS = 1.3
 """Lines are drawn to particles up to this multiple of the usual distance."""
 STEPS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
@@ -55,7 +55,7 @@ def _near(points: FloatArray) -> FloatArray:
 
 
 def _top(particles: FloatArray) -> FloatArray:
-    """Those of particles (n, 3) with no other above them: what a camera could see of a body made of layers."""
+    """Those of particles (n, 3) with no other above them: the visible part of a body made of layers."""
     if len(particles) < 2:
         return particles
     flat = cKDTree(particles[:, :2])

@@ -44,7 +44,7 @@ PHASES: dict[str, Rgb] = {
     "paused": (190, 190, 190),
     "stopped": BAD,
 }
-"""What the robot does, each with its colour."""
+"""States of the robot, each with its colour."""
 
 
 def log_nothing_known(now: ResultBatch) -> None:
@@ -94,7 +94,7 @@ def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
 
 
 def log_failed(now: ResultBatch, failed: StageFailure) -> None:
-    """What failed on a touch, with where in the code."""
+    """Failures on a touch, with their place in the code."""
     _error(now, StageFailure, f"{format_failure(failed)}\n{failed.trace}".strip())
 
 

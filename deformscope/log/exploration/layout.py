@@ -1,4 +1,4 @@
-"""What an exploration brings to its recorder."""
+"""An exploration's part of its recorder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ExplorationLayout(RecordingLayout):
     arm's base frame [m], None = the same
 
     truth: whether it is known; inclusions: whether they are sought; mapped: as of `MapEstimate`
-    full: also what lies between frames and estimates; T_surface_camera: (4, 4), None = not known
+    full: also results between frames and estimates; T_surface_camera: (4, 4), None = not known
     """
 
     size_m: tuple[float, float]
@@ -69,5 +69,5 @@ class ExplorationLayout(RecordingLayout):
         return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed, full=self.full)
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
-        """What devices give from the plan of a touch on belongs to that touch."""
+        """Device items from the plan of a touch on belong to that touch."""
         return touch + any(isinstance(one, PlannedTouch) and one.target_m is not None for one in results)

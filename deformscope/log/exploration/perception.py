@@ -1,4 +1,4 @@
-"""What lies between frames and estimates: one tree of named frames, which pixels were used, the surface under a touch.
+"""Results between frames and estimates: one tree of named frames, the pixels used, the surface under a touch.
 
 display/perception/frames/...    world, surface, camera, arm_base, tool: a transform each, of the frame of this name
 display/perception/pixels        labels of the newest depth image that something was computed from
@@ -114,7 +114,7 @@ def log_tool(now: ResultBatch, felt: ForcePose) -> None:
 
 
 def log_ground(now: ResultBatch, surface: SurfaceEstimate) -> None:
-    """What the maps lie on."""
+    """The plane below the maps."""
     places, triangles = grid_of(surface.height_m.shape, surface.cell_m)
     at, size_m = np.column_stack([places, surface.height_m.ravel()]), places.max(axis=0) + 0.5 * surface.cell_m
     mesh = rr.Mesh3D(vertex_positions=at, triangle_indices=triangles, vertex_texcoords=places / size_m)

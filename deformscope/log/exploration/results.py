@@ -1,8 +1,8 @@
 """The recording and views of an exploration: every result without loss, and views for people.
 
 Every row has three times. `session` is the time since the recording's start; `frame` is the depth camera's newest
-picture then. `touch` is 0 before the first touch, then the number of its touch from 1, with the travel to it. What a
-touch measured is at the frame of its dent. `deformscope.recording.items` reads the results back.
+picture then. `touch` is 0 before the first touch, then the number of its touch from 1, with the travel to it. The
+measurement of a touch is at the frame of its dent. `deformscope.recording.items` reads the results back.
 
     exploration/surface|touch|maps|lumps|plan   one row a result, every field of it a component of the same name
     exploration/forecast|decision likewise: a person's requests on the page, and decisions
@@ -14,8 +14,8 @@ touch measured is at the frame of its dent. `deformscope.recording.items` reads 
     display/maps/...                      pictures of the maps with their axes and colour bars
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
-    display/summary                       what is known, in words
-    exploration/perception/look|touch     with --detail full: what lies between frames and estimates
+    display/summary results as text
+    exploration/perception/look|touch with --detail full: results between frames and estimates
     exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
     display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text
@@ -160,7 +160,7 @@ def prepare_results(
     session_ns: when, since the recording's start [ns]; place: on the other timelines; cell_m: of a plan's maps, without
     a map of the same time; full: the maps also on the surface
     failed: receives errors of views: every result is recorded nevertheless, and the error with them A plan that has
-    maps is drawn over their contacts. Raises TypeError for what is no result of an exploration.
+    maps is drawn over their contacts. Raises TypeError if it is no result of an exploration.
     """
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)
@@ -182,7 +182,7 @@ def prepare_results(
 
 
 def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, full: bool = False) -> Views[ResultBatch]:
-    """What shows each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
+    """The view of each result of a touch. maps: of the same moment; cell_m: of a plan's maps where there are none"""
     gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)

@@ -1,4 +1,4 @@
-"""What is known so far, in words and numbers."""
+"""Results so far, as text and numbers."""
 
 from __future__ import annotations
 

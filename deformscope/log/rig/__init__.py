@@ -69,7 +69,7 @@ NUMBERS = {WrenchFrame: "wrench", ArmFrame: "arm", HandFrame: "hand"}
 
 
 def log_streams(rec: rr.RecordingStream, streams: Sequence[Stream]) -> None:
-    """What is known before the first frame: descriptions, names and colours of series, pads, the arm's shape."""
+    """Descriptions before the first frame: names and colours of series, pads, the arm's shape."""
     for stream in streams:
         rec.log(root(stream.kind, stream.device), rr.AnyValues(stream=to_json(stream)), static=True)
         log_numbers_stream(rec, stream)
@@ -146,8 +146,7 @@ def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
 
 
 def warm_up() -> None:
-    """Have rerun and the encoders do once, before any device is opened, what costs up to half a second the first
-    time."""
+    """Have rerun and the encoders start up, before any device is opened, which costs up to half a second."""
     stamp, nothing = Stamp(0), np.zeros(3)
     small: list[Item] = [
         WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),

@@ -23,7 +23,7 @@ COLORS = RECORDED, OTHER
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedSeries:
-    """What a device of one of the recordings measured.
+    """Measurements of a device of one of the recordings.
 
     quantity: with its unit, a plot each; name: of recording and device; which: 0 the first recording, 1 the second
     since_ns: (n,) since the recording's first contact [ns]; values: (n,)

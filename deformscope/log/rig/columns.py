@@ -20,7 +20,7 @@ from deformscope.rows import ENTITIES, FRAMES, OF_DEVICES, to_columns
 Columns = Iterable[rr.ComponentColumn]
 
 AGAIN_NS = 10_000_000_000
-"""What does not change is sent again after this, for viewers that missed it."""
+"""Constants are sent again after this time, for viewers that missed them."""
 
 Shown = dict[str, tuple[object, int]]
 """Data that seldom change, with the host time when a viewer received them [ns]: the scale next to each device's
@@ -105,7 +105,7 @@ class Batch:
 
 
 Sink = rr.RecordingStream | Batch
-"""What a twin logs to."""
+"""Destination of a twin."""
 
 
 def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
@@ -119,7 +119,7 @@ def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool
 
 
 def root(kind: str, device: str, *below: str) -> str:
-    """The entity of a device, whatever letters its name has."""
+    """The entity of a device, for any letters in its name."""
     return "/".join([kind, rr.escape_entity_path_part(device), *below])
 
 
@@ -135,7 +135,7 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
 
 
 def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[rr.ComponentColumn]:
-    """Every field of these but images, and what their entity and times say; all of one class and, if any, device."""
+    """Every field of these except images, and those of their entity and times; all of one class and, if any, device."""
     kind, found = type(items[0]), list[rr.ComponentColumn]()
     elsewhere = ("device",) * (kind in OF_DEVICES) + ("index",) * (kind in FRAMES)
     for name, column in to_columns(items, elsewhere + leave_out).items():
@@ -145,7 +145,7 @@ def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[r
 
 
 def prepare_costs(rows: Sequence[tuple[int, int | None, StageCost]]) -> Batch:
-    """What stages cost: `session` [ns], and `frame` where all are at one."""
+    """Costs of stages: `session` [ns], and `frame` if all are at one."""
     times_ns, frames, costs = zip(*rows, strict=True)
     at = [] if None in frames else [rr.TimeColumn("frame", sequence=frames)]
     batch = Batch()
@@ -161,7 +161,7 @@ def scalars(rows: Sequence[FloatArray]) -> Columns:
 
 
 def states(colors: Mapping[Any, Rgb]) -> rr.StateConfiguration:
-    """The colours of what a lane over time shows."""
+    """The colours of a lane over time."""
     return rr.StateConfiguration(values=list(map(str, colors)), colors=list(colors.values()))
 
 

@@ -1,4 +1,4 @@
-"""How the devices do: a table in words, coloured lanes over time, and every counter as a number."""
+"""Health of the devices: a table as text, coloured lanes over time, and every counter as a number."""
 
 from __future__ import annotations
 

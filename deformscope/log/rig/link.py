@@ -1,4 +1,4 @@
-"""A device's wire: the bytes that went over it, and when it was there; and what people remarked meanwhile."""
+"""A device's wire: its bytes, and the times of its connection; and people's remarks meanwhile."""
 
 from __future__ import annotations
 

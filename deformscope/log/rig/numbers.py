@@ -1,4 +1,4 @@
-"""What is measured as numbers: every field of a frame, series to plot, and which of them are in a view."""
+"""Numeric measurements: every field of a frame, series to plot, and those in a view."""
 
 from __future__ import annotations
 

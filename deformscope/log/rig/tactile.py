@@ -38,7 +38,7 @@ TEXEL_MM = 3.4
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """Where each texel is drawn.
+    """Places of the drawn texels.
 
     pads: in the device's order; corners: (row, column) of each one's first texel, in texels
     rows, columns: of the whole picture; texel_mm: (width, height) of a texel
@@ -86,7 +86,7 @@ class Hand:
 
     @property
     def bounds_mm(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """What a view shows in x and y: the picture, its labels and its bar."""
+        """Ranges of a view in x and y: the picture, its labels and its bar."""
         (width, height), (x, y) = self.size_mm, self.texel_mm
         return (-LEFT * x, width + RIGHT * x), (-ABOVE * y, height + BELOW * y)
 
@@ -168,7 +168,7 @@ def _peaks_kpa(frame: TactileFrame) -> FloatArray:
 
 
 def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
-    """Log what does not change of a hand's pads: names, places, sizes."""
+    """Log the constants of a hand's pads: names, places, sizes."""
     path = root("display/tactile", device)
     names = [pad.name for pad in hand.pads]
     tints = [JOINTS[at % len(JOINTS)] for at in range(len(names))]

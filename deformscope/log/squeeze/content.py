@@ -1,4 +1,4 @@
-"""What a model takes the content for, over time and in words."""
+"""A model's classification of the content, over time and as text."""
 
 from __future__ import annotations
 

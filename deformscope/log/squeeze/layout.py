@@ -1,4 +1,4 @@
-"""What a squeeze brings to its recorder."""
+"""A squeeze's part of its recorder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SQUEEZE = Application("deformscope-squeeze", devices=True, robot_moves=True)
 class SqueezeLayout(RecordingLayout):
     """tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
 
-    around_px: left, top, right, bottom of what its view shows, None = all; named: a model names the content
+    around_px: left, top, right, bottom of its view, None = all; named: a model names the content
     base_from_table: (4, 4) table's frame to the base of the arm that places the hand [m], None = none does
     """
 

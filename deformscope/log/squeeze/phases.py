@@ -1,4 +1,4 @@
-"""What the hand does, as a lane over time, and why it was stopped."""
+"""State of the hand, as a lane over time, and the reason for its stop."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ POSTERIOR = ShownStage("posterior", 2, "probability of each content", when=SOMET
 
 
 def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) -> None:
-    """What holds throughout: colours of the phases, names of the plots; and that nothing is known yet."""
+    """Log constants: colours of the phases, names of the plots; and empty results."""
     log_squeeze_phases(rec)
     if fingertips is not None:
         names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]
@@ -69,7 +69,7 @@ def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) ->
 def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingertips: Fingertips | None) -> Batch:
     """Make results ready for one stream or several. session_ns: when, since the recording's start [ns]
 
-    Raises TypeError for what is no result of a squeeze.
+    Raises TypeError if it is no result of a squeeze.
     """
     batch = Batch()
     now = ResultBatch(batch, session_ns)

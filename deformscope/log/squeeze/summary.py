@@ -1,4 +1,4 @@
-"""What was measured of a squeeze, in words and numbers."""
+"""Measurements of a squeeze, as text and numbers."""
 
 from __future__ import annotations
 

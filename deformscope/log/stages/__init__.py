@@ -33,7 +33,7 @@ from deformscope.stages.see.tactile import TactileContact
 
 
 def log_stage_streams(rec: rr.RecordingStream, stages: Sequence[tuple[str, str]], streams: Sequence[Stream]) -> None:
-    """What holds throughout: names, units and colours of what is plotted. stages: (name, device)"""
+    """Log constants: names, units and colours of the plots. stages: (name, device)"""
     for number, (name, device) in enumerate(stages):
         log_series(rec, f"{PLOTS}/lag/{name}", [f"{name} [ms]"], [JOINTS[number % len(JOINTS)]])
         if name in ("beta", "theta"):
@@ -54,7 +54,7 @@ def prepare_stage_results(
     """Make results ready for one stream or several: the cost is by stage, little by result, but for drawn pictures.
 
     start_ns: host time at which `session` is 0 [ns]; latest: of every stage, reused from call to call
-    newest_pictures: draw and mark only what is newest of each stage
+    newest_pictures: draw and mark only the newest result of each stage
     """
     batch = Batch()
     known = {(stream.kind, stream.device): stream for stream in streams}

@@ -1,4 +1,4 @@
-"""What the newest results say, in words."""
+"""The newest results, as text."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ TITLES = {
 
 
 def stage_blueprint(stages: Sequence[tuple[str, str]], streams: Sequence[Stream]) -> rrb.Blueprint:
-    """Two tabs: what the stages found, and the devices' own views. stages: (name, device)"""
+    """Two tabs: the stages' results, and the devices' own views. stages: (name, device)"""
     pictures: list[rrb.View] = []
     plots: list[rrb.View] = []
     for name, device in stages:

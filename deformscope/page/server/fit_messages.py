@@ -1,4 +1,4 @@
-"""What goes between a page and its server while a fit is set on it; part of `deformscope.page.server.messages`."""
+"""Messages between a page and its server for the settings of a fit; part of `deformscope.page.server.messages`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Points = tuple[tuple[float, float], ...]
 
 
 class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is set on the page.
+    """Settings on the page.
 
     roi, contact: x, y, width, height [px]; grid: rows, columns of particles; spacing_px: between them, instead of it
     outline: corners of a polygon around the thing [px]; held: parts whose motion is prescribed
@@ -51,14 +51,15 @@ class FitResult(msgspec.Struct, frozen=True):
 class FitState(msgspec.Struct, frozen=True):
     """A fit that is set on the page.
 
-    kind: of what; parameter: that is fitted; size_px: of the picture [px]; pictures: file names, rest and deformed
+    kind: of its subject; parameter: that is fitted; size_px: of the picture [px]; pictures: file names, rest and
+    deformed
     settings: that are shown; number: of the `SetFit` that brought them, 0 = none yet; command: gives the same numbers
     problem: why they cannot be simulated, as text; the other fields are then of the earlier ones
     grid: rows, columns; spacing_px: between neighbours [px]
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
     held: which are; aee_free: average error of the free particles [unit]; the average of all that were seen is `aee`
     values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
-    busy: what is being computed, in words; found: the last whole fit; picture: the file that shows it, empty = none
+    busy: the present computation, as text; found: the last whole fit; picture: the file that shows it, empty = none
     camera: that is followed, empty = none; following: its newest picture is shown, which has no command line yet
     cameras: possible ones, besides the running fit
     """

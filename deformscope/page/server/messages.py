@@ -1,4 +1,4 @@
-"""What goes between the page's script and its server: JSON objects with a `kind`, all of one version.
+"""Messages between the page's script and its server: JSON objects with a `kind`, all of one version.
 
 A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command;
 its `Beat`s get no reply.
@@ -57,7 +57,7 @@ class StopRecording(FromPage, frozen=True, tag="stop-recording"):
 
 
 class KeepRecent(FromPage, frozen=True, tag="keep-recent"):
-    """Record what was held of the last seconds, into a file of its own."""
+    """Record the held last seconds, into a separate file."""
 
 
 class WriteNote(FromPage, frozen=True, tag="write-note"):
@@ -87,23 +87,23 @@ class TareDevice(FromPage, frozen=True, tag="tare"):
 
 
 class StopRun(FromPage, frozen=True, tag="stop"):
-    """End the run. From any page, whoever has the controls."""
+    """End the run. From any page, with or without the controls."""
 
 
 class ConfirmMove(FromPage, frozen=True, tag="confirm"):
-    """Do what waits for it. number: of the `PendingMove`"""
+    """Carry out the waiting motion. number: of the `PendingMove`"""
 
     number: Number
 
 
 class SeeMove(FromPage, frozen=True, tag="seen"):
-    """The page has drawn what waits for a confirm: its time counts from now on. number: of the `PendingMove`"""
+    """The page has drawn the request for a confirmation: its time counts from now on. number: of the `PendingMove`"""
 
     number: Number
 
 
 class CancelMove(FromPage, frozen=True, tag="cancel"):
-    """Do not do what waits for a confirm."""
+    """Cancel the request for a confirmation."""
 
     number: Number
 
@@ -136,7 +136,7 @@ class TouchAt(FromPage, frozen=True, tag="touch-at"):
 
 
 class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
-    """The same for what was selected in the viewer: an entity, and where on it [m, the view's frame]."""
+    """The same for a selection in the viewer: an entity, and the place on it [m, the view's frame]."""
 
     entity: Words
     position_m: tuple[Length, Length, Length]
@@ -155,14 +155,14 @@ class CloseFit(FromPage, frozen=True, tag="close-fit"):
 
 
 class SetFit(FromPage, frozen=True, tag="set-fit"):
-    """Show the model with these settings. number: counts them; what was set before and is not shown yet never is"""
+    """Show the model with these settings. number: counts them; earlier settings that are not shown yet never are"""
 
     number: Number
     settings: FitSettings
 
 
 class RunFit(FromPage, frozen=True, tag="run-fit"):
-    """Fit the parameter, with its interval, to what is set. Whatever is set meanwhile ends it."""
+    """Fit the parameter, with its interval, with the settings. Any later setting ends it."""
 
 
 class TakeRest(FromPage, frozen=True, tag="take-rest"):
@@ -170,7 +170,7 @@ class TakeRest(FromPage, frozen=True, tag="take-rest"):
 
 
 class HoldPicture(FromPage, frozen=True, tag="hold-picture"):
-    """Follow a camera no further: what is shown stays, and becomes files."""
+    """Follow a camera no further: the shown picture stays, and becomes files."""
 
 
 class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
@@ -178,7 +178,7 @@ class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
 
 
 class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
-    """The page has drawn what was set. number: of the `SetFit`; after_ms: since a person changed it [ms]"""
+    """The page has drawn the settings' result. number: of the `SetFit`; after_ms: since a person changed it [ms]"""
 
     number: Number
     after_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
@@ -217,7 +217,7 @@ PageCommand = (
 
 
 class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
-    """What a page gets."""
+    """A message to the page."""
 
 
 class CommandReply(ToPage, frozen=True, tag="reply"):
@@ -274,8 +274,8 @@ class Remark(msgspec.Struct, frozen=True):
 
 
 class PendingMove(msgspec.Struct, frozen=True):
-    """Something that moves when it is confirmed. number: for the confirm; what: will move; until_s: when it expires, as
-    `PageState.now_s`; seen: the page that steers has drawn it"""
+    """Something that moves when it is confirmed. number: for the confirm; what: the motion; until_s: when it expires,
+    as `PageState.now_s`; seen: the page that steers has drawn it"""
 
     number: int
     what: str
@@ -294,7 +294,7 @@ class NextPlace(msgspec.Struct, frozen=True):
 class ForceCurve(msgspec.Struct, frozen=True):
     """The forecast of a touch's force curve, and the measured one.
 
-    x_m, y_m: where; known: in words, what the expectation rests on; force_n: forces; depth_mm, depth_low_mm,
+    x_m, y_m: where; known: as text, the source of the forecast; force_n: forces; depth_mm, depth_low_mm,
     depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: as measured, empty before; words: how
     the two compare
     """
@@ -337,7 +337,7 @@ class Playback(msgspec.Struct, frozen=True):
 class PageState(ToPage, frozen=True, tag="state"):
     """All that a page shows around the viewer.
 
-    now_s: since the server began [s]; title: what is watched; reason: why it stopped
+    now_s: since the server began [s]; title: of the session; reason: why it stopped
     recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
     present pace; episode: label of the present one; held_s: number of last seconds that can still be recorded
     commands: requests that are possible at present, by kind; tares: devices that can be tared
@@ -378,7 +378,7 @@ class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PieceBatch(msgspec.Struct, frozen=True):
-    """To the page, after the pieces of a batch. behind_s: age of what was drawn when this was sent; skipped: pieces so
+    """To the page, after the pieces of a batch. behind_s: age of the drawn piece when this was sent; skipped: pieces so
     far that were too old to be sent; until_ns: session time of the newest in it [ns], 0 = not known"""
 
     batch: int

@@ -135,7 +135,7 @@ class PageServer:
             _pages.remove(self)
 
     def routes(self) -> ASGIApp:
-        """What is served below the token."""
+        """Paths below the token."""
         routes = [
             Route("/session", _only_websocket),
             Route("/data", _only_websocket),
@@ -304,7 +304,7 @@ async def _served(websocket: WebSocket, among: set[WebSocket]) -> AsyncIterator[
 
 @contextmanager
 def _news(watch: Callable[[Callable[[], None]], Callable[[], None]]) -> Iterator[asyncio.Event]:
-    """An event of this loop that is set by every change, in whatever thread it is made."""
+    """An event of this loop that is set by every change, in any thread."""
     loop, changed = asyncio.get_running_loop(), asyncio.Event()
 
     def call() -> None:

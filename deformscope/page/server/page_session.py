@@ -38,7 +38,7 @@ NEXT: dict[Phase, frozenset[Phase]] = {
 REMARKS = 50
 """Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
-"""What waits for a confirm waits no longer, once the page has drawn it."""
+"""Earlier requests for a confirmation end once the page has drawn this one."""
 UNSEEN_S = 30.0
 """A page that is busy draws it that late at most."""
 BEAT_S = 0.3
@@ -48,11 +48,11 @@ GONE = "no motion waits for this confirmation: it has expired, or another was re
 
 
 class PageRun(Protocol):
-    """What carries out the commands of pages."""
+    """The object that carries out the commands of pages."""
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         """Carry it out, or begin with it, immediately; the outcome, as text. From the server's thread, which must not
-        wait: what takes longer than some milliseconds has begun, and its end becomes a remark."""
+        wait: a slower command has begun, and its end becomes a remark."""
 
 
 class PageSession:
@@ -80,7 +80,7 @@ class PageSession:
             return msgspec.structs.replace(self._state, now_s=self._now_s())
 
     def watch(self, call: Callable[[], None]) -> Callable[[], None]:
-        """call: after every change, in any thread; returns what ends it."""
+        """call: after every change, in any thread; returns the function that ends it."""
         with self._lock:
             self._watchers.append(call)
         return lambda: self._watchers.remove(call)
@@ -147,7 +147,7 @@ class PageSession:
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
         """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
         the reason if it is cancelled, or not confirmed within CONFIRM_S after the page has drawn it, and from now on if
-        the page does not report that. What waited before is let be."""
+        the page does not report that. An earlier request is cancelled."""
         self._drop("another move was requested")
         with self._lock:
             self._moves += 1
@@ -169,7 +169,7 @@ class PageSession:
         timer.start()
 
     def _drop(self, reason: str, number: int | None = None) -> bool:
-        """Let be what waits for a confirm, where something does (of this number); whether it did."""
+        """Cancel the request for a confirmation, if there is one (of this number); whether it was cancelled."""
         with self._lock:
             pending, (_, let_be) = self._state.pending, self._answers
             if pending is None or number not in (None, pending.number):

@@ -14,12 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 RECENT_S, RECENT_BYTES = 30.0, 16 << 20
-"""What a page that comes gets of the data that pass."""
+"""Data for a page that connects during a run."""
 FIRST_BYTES, LASTING_BYTES = 4 << 20, 64 << 20
 """Limits of lasting data (views, descriptions, results): this number of first bytes is stored, and this number of the
 newest."""
 STALE_S = 1.0
-"""A page that is there is not sent what is older than this, once something newer is there."""
+"""A connected page is not sent pieces older than this, once something newer exists."""
 FASTEST_S, SLOWEST_S = 0.1, 1.0
 """Shortest and longest period of making pieces."""
 REST, MOST_REST_S = 0.25, 0.25
@@ -42,7 +42,7 @@ class ViewerPiece:
 
 @dataclass(slots=True)
 class PageReader:
-    """How far a page is.
+    """Progress of a page.
 
     last: the newest piece it was sent; skipped: pieces that were too old for it
     sent_s, newest_s: when its last batch was sent, and when the newest piece of that was made; drawing: it is not drawn
@@ -94,7 +94,7 @@ class Pieces:
             call()
 
     def watch(self, call: Callable[[], None]) -> Callable[[], None]:
-        """call: after every new piece, in any thread; returns what ends it."""
+        """call: after every new piece, in any thread; returns the function that ends it."""
         with self._lock:
             self._watchers.append(call)
         return lambda: self._watchers.remove(call)
@@ -119,7 +119,7 @@ class Pieces:
             self._readers.remove(reader)
 
     def take(self, reader: PageReader) -> list[ViewerPiece]:
-        """What the page is to get next, oldest first; the first time also the recent stretch, later nothing stale."""
+        """The page's next pieces, oldest first; the first time also the recent stretch, later nothing stale."""
         with self._lock:
             now_s, joins = self._clock(), reader.newest_s is None
             every = sorted((*self._first, *self._lasting, *self._passing), key=lambda piece: piece.number)

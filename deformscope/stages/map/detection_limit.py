@@ -1,11 +1,11 @@
-"""What touches may have missed: the largest circle without a touch, and inclusions that the map does not show.
+"""Detection limit of touches: the largest circle without a touch, and inclusions that the map does not show.
 
 An inclusion is a disc of some radius, twice as stiff or twice as soft as its surroundings. Its centre may be anywhere
 on the surface if all of it lies there, each place with equal probability. The touches are taken to read as the map
 explains
 them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as of any
-region), in standard deviations of them. So a touch inside excludes it, and one at its rim leaves it open. What is rigid
-has no
+region), in standard deviations of them. So a touch inside excludes it, and one at its rim leaves it open. Rigid parts
+have no
 inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
@@ -28,7 +28,7 @@ INCLUSION_PRIOR = 0.5
 """Probability before any touch that there is an inclusion: as likely as not."""
 
 INCLUSION_CONTRAST = 2.0
-"""How many times the apparent stiffness of what is around it, or how many times less."""
+"""Ratio of the apparent stiffness to that of the surroundings, or its inverse."""
 
 INCLUSION_RADII_M = (0.03, 0.045, 0.06, 0.085, 0.12)
 """Radii of the reported detection limit."""

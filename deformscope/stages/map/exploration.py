@@ -1,4 +1,4 @@
-"""What is known of a surface after each touch: the maps, the reason for the next touch, and what a touch measured.
+"""Results after each touch: the maps, the reason for the next touch, and the touch's measurement.
 
 Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
 frame has x, y in the table's plane and z up.
@@ -43,7 +43,7 @@ class SurfaceEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchEstimate:
-    """What one touch measured.
+    """Measurement of one touch.
 
     number: from 0; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
     approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
@@ -232,10 +232,10 @@ class MapEstimate:
     verdict: "regions" or "gradual"; probability: of verdict and region_count
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
-    contacts_m: (n, 2) touches so far; tip_radius_m: of what touched
+    contacts_m: (n, 2) touches so far; tip_radius_m: of the touching tip
     travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
     level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
-    its 90 %, a lower bound of what is rigid; None where the thickness is not known
+    its 90 %, a lower bound for rigid parts; None with an unknown thickness
     levelled_m: all stiffness is as on a level layer so thick [m], None = apparent
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
     level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless the
@@ -317,7 +317,7 @@ class MissProbability:
 
 @dataclass(frozen=True, slots=True)
 class DetectionLimit:
-    """What the touches so far may have missed.
+    """Detection limit of the touches so far.
 
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
     lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of these
@@ -434,13 +434,13 @@ class InclusionsResult:
         return [*rows, ("an inclusion missed", f"{wanted}; by radius {each} ({taken})")]
 
     def __len__(self) -> int:
-        """How many were found."""
+        """Number found."""
         return len(self.centre_m)
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedTouch:
-    """Where the next touch goes, and why.
+    """Place of the next touch, and its reason.
 
     target_m: (2,), None = no further touch; excluded: cells that may not be touched
     gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: of gain, as
@@ -502,7 +502,7 @@ class StageFailure:
 
     stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: from 1, 0 = before the first
-    reason: in one line; trace: where it failed, for whoever mends it
+    reason: in one line; trace: place of the failure, for developers
     """
 
     stage: str = field(metadata=reported())
@@ -531,7 +531,7 @@ class PhaseStart:
 class ExplorationStop:
     """The exploration ended before the end of its plan.
 
-    kind: what was wrong, in the supervisor's words or the touch's; reason: what was seen of it; advice: what to do
+    kind: of the fault, in the supervisor's text or the touch's; reason: its evidence; advice: the remedy
     action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first
     touch: as in PhaseStart
     """

@@ -3,9 +3,9 @@
     field = fit_field(places_m, log_stiffness, log_sd)
     found = field.on(grid)                 # mean and deviation on cells of 0.5 cm
 
-Each touch comes with its own variance; what touches at one place scatter beyond that is the *nugget*, the same for all.
-A few touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`). The prediction averages over
-their posterior, not only its mode, so that a map of three touches has its full uncertainty.
+Each touch has its own variance; the further scatter of touches at one place is the *nugget*, the same for all. A few
+touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`). The prediction averages over their
+posterior, not only its mode, so that a map of three touches has its full uncertainty.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Field:
 
     places_m: (n, 2) [m]; value, sd: (n,) of the touches; level: the constant that the mean varies around
     kernel, nugget: likeliest; log_likelihood: marginal, at these; at_bound: which of "sigma_e", "length", "nugget" came
-    to rest at the end of its range; states: what is averaged over, one alone where the hyper-parameters are fixed
+    to rest at the end of its range; states: hyper-parameters of the average, one alone if they are fixed
     """
 
     places_m: FloatArray
@@ -164,8 +164,8 @@ def fit_field(
 
     kernel, nugget: used if given, else estimated by marginal likelihood under `prior`; several touches at one place are
     replicates and identify the nugget
-    average: over what the hyper-parameters may be; else the likeliest are taken as known
-    Raises InputError for no touch, and values that are not finite.
+    average: over the posterior of the hyper-parameters; else the most probable ones count as known Raises InputError
+    for no touch, and values that are not finite.
     """
     places, value, sd = (np.asarray(one, dtype=np.float64) for one in (places_m, value, sd))
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
@@ -243,8 +243,8 @@ class _Fit:
         return float(value), np.array(slope)
 
     def _covariance(self, x: FloatArray) -> tuple[FloatArray, float, FloatArray]:
-        """Covariance (n, n) of the field at the touches, the nugget's variance, and covariance (n, n) of what was
-        measured, with the unknown level and all noise. x: (3,) as in `likelihood`"""
+        """Covariance (n, n) of the field at the touches, the nugget's variance, and covariance (n, n) of the
+        measurements, with the unknown level and all noise. x: (3,) as in `likelihood`"""
         sigma_e, length, nugget = np.exp(x)
         signal = sigma_e**2 * np.exp(-0.5 * self.square / length**2)
         covariance = signal + self.prior.level_sd**2

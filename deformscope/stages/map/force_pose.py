@@ -13,7 +13,7 @@ NAMES = (*(f"F{axis} [N]" for axis in "xyz"), *(f"{axis} [m]" for axis in "xyz")
 
 @dataclass(frozen=True, slots=True)
 class ForcePose:
-    """What force sensor and arm gave of a touch.
+    """Readings of force sensor and arm of a touch.
 
     host_ns: (n,) when each force came, on the host's clock; values: (n, 9) force on the tip [N], position of its middle
     [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated between

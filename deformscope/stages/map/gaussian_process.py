@@ -1,4 +1,4 @@
-"""What Gaussian processes share: the kernel of the thesis, what was learned, and how sure it is.
+"""Common parts of Gaussian processes: the kernel of the thesis, estimated hyper-parameters, and their uncertainty.
 
 The kernel is `sigma_e^2 exp(-|u - u'|^2 / sigma_w^2)` (Thesis eq. 4.5), without the usual half: its length scale, in
 the field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`.

@@ -30,8 +30,8 @@ MOST_SINES = 1600
 
 @dataclass(frozen=True, slots=True)
 class WeightedBasis:
-    """What points say whose noise is known up to one factor. gram: (m, m), onto: (m,), square: sums over points of
-    basis products, of value times basis, and of squared values, each by 1 / noise^2; log_noise: sum of log noise^2;
+    """Information of points whose noise is known up to one factor. gram: (m, m), onto: (m,), square: sums over points
+    of basis products, of value times basis, and of squared values, each by 1 / noise^2; log_noise: sum of log noise^2;
     count: points"""
 
     gram: FloatArray

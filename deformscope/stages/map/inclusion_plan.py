@@ -1,4 +1,4 @@
-"""Where to touch next for inclusions, and when enough is known: `explore --goal inclusions`.
+"""Next touches for inclusions, and the end of the search: `explore --goal inclusions`.
 
 While no inclusion is detected: the place whose touch most lowers the miss probability per second. For every remaining
 hypothesis, it compares the expected reading there with that of the foam alone, in standard deviations given the other
@@ -38,7 +38,7 @@ def plan_inclusion_touch(
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
 ) -> TouchChoice:
-    """Where to touch next, on cells half as wide as those of the map of gains; arguments as of `plan.plan_touch`.
+    """The next touch, on cells half as wide as those of the map of gains; arguments as of `plan.plan_touch`.
 
     tip_m: (2,), left_out_m: (k, 2) [m]; reachable: (rows, columns) mask of the posterior's grid
     """

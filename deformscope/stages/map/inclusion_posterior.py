@@ -10,8 +10,8 @@ has a flat prior, and backgrounds are summed over. An inclusion counts as found 
 one, and its place. The next is sought in the remaining readings, with the uncertainty of the first.
 
 Assumptions, reported with every result: before any touch an inclusion has probability .5. Inclusions are balls 4 times
-as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, entirely within the field. What is
-weaker or deeper may be there at any probability.
+as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, entirely within the field. Weaker
+or deeper ones may exist with any probability.
 """
 
 from __future__ import annotations
@@ -44,22 +44,22 @@ DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
 DEEP_M = 0.0125
 """An inclusion is called deep where its uppermost point is farther down, shallow where it is not."""
 TIMES = (4.0, 20.0)
-"""How many times as stiff, or as soft."""
+"""Ratio of stiffness, or its inverse."""
 SCATTERS = (0.004, 0.008, 0.016, 0.032, 0.064, 0.12)
 """Deviations of log stiffness that are summed over, each as likely: from cast foam to 12 %."""
 LENGTHS_M = (0.025, 0.04, 0.065, 0.1)
-"""Over which foam varies, likewise: some centimetres. What varies over less than an inclusion does is one."""
+"""Over which foam varies, likewise: some centimetres. Variation over less than an inclusion's size is one."""
 APART = (0.0, 0.03, 0.3)
 """Shares of the scatter's variance that are each touch's own, likewise: from none, in foam that varies smoothly."""
 FOOTPRINT_DOUBT = 0.15
-"""Of what an inclusion does to a touch, as a share of it, in all touches alike: the footprint is no better."""
+"""Relative error of an inclusion's effect on touches, common to all: the accuracy of the footprint."""
 LEVEL_SD, LEAST_SD = 3.0, 0.002
 HERTZ = EXPONENT["sphere"]
 STIFFER, STIFFER_SD = 0.16, 0.03
 """Increase of a ball's exponent with the foam's log stiffness, because the ball sinks less, and its standard
 deviation."""
 BENT = 0.62
-"""What finite elements' exponents rise by over an inclusion, over what `law_response` says: their foam is a layer."""
+"""Increase of finite elements' exponents over an inclusion, relative to `law_response`: their foam is a layer."""
 EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.005, 1.0, 0.025, 10.0
 """Standard deviations of exponents: of a touch with an exact fit, of the foam's, of a touch before any was made, and of
 one that was not fitted."""
@@ -79,7 +79,7 @@ Z_90 = 1.6449
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """How foam without inclusions varies: a Gaussian field of log stiffness.
+    """Variation of foam without inclusions: a Gaussian field of log stiffness.
 
     scatter: its deviation; length_m: over which it changes (squared exponential); apart: share of its variance that is
     each touch's own
@@ -95,7 +95,7 @@ class Background:
         return self.length_m, self.apart
 
     def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
-        """(n, m) correlation of touches at places (n, 2) and (m, 2), but for what is each one's own."""
+        """(n, m) correlation of touches at places (n, 2) and (m, 2), without each one's own part."""
         apart = cdist(first_m, second_m, "sqeuclidean")
         return np.asarray((1.0 - self.apart) * np.exp(-0.5 * apart / self.length_m**2))
 
@@ -112,7 +112,7 @@ BACKGROUNDS = tuple(
 @dataclass(frozen=True, slots=True)
 class InclusionPrior:
     """smallest_m: radius of the inclusions that must not be missed [m]; tip_radius_m, set_force_n: of touches;
-    error: of touches; what scatters is taken from `BACKGROUNDS`"""
+    error: of touches; the foam's scatter is that of `BACKGROUNDS`"""
 
     smallest_m: float = 0.02
     tip_radius_m: float = 0.01
@@ -173,7 +173,7 @@ class InclusionHypotheses:
         return len(self.weight)
 
     def shifts(self, places_m: FloatArray, contact_m: float) -> InclusionShifts:
-        """What each does to touches at places (p, 2)."""
+        """Effect of each on touches at places (p, 2)."""
         to_log, to_exponent = law_response()
         log, exponent = (np.empty((len(places_m), len(self))) for _ in range(2))
         for radius_m in np.unique(self.radius_m):
@@ -237,11 +237,11 @@ class FoundInclusion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeftOver:
-    """What the inclusions that were found leave of t touches.
+    """Residuals of t touches after the found inclusions.
 
-    places_m: (t, 2); read: (t,) log stiffness, less what was found; noise: (t, t) its covariance, but for scatter and
-    level; bent: (t,) exponents, less what was found and what goes with stiffness; bent_noise: (t, t) its covariance,
-    but for the level
+    places_m: (t, 2); read: (t,) log stiffness, without the found ones; noise: (t, t) its covariance, but for scatter
+    and level; bent: (t,) exponents, without the found ones and the part due to stiffness; bent_noise: (t, t) its
+    covariance, but for the level
     """
 
     places_m: FloatArray
@@ -285,7 +285,7 @@ class LeftOver:
         )
 
     def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(t,), (t, j) the exponents, and what inclusions (t, j) add to them, in independent deviations."""
+        """(t,), (t, j) the exponents, and the effects of inclusions (t, j) on them, in independent deviations."""
         root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
         whitened = solve_triangular(root, np.column_stack([self.bent, lumps]), lower=True)
         return whitened[:, 0], whitened[:, 1:]
@@ -297,7 +297,7 @@ class LeftOver:
 
 
 class InclusionState:
-    """What is known after the inclusions that were found: whether there is one more.
+    """Posterior after the found inclusions: whether there is one more.
 
     odds_log: (j,) logarithm of each guess's likelihood over that of none; open: (j,) guesses that stay apart from all
     that were found; posterior: (j,) of one more, its kinds and places, 1 in all; exists: that there is one more, of
@@ -384,7 +384,7 @@ class InclusionPosterior:
 
     @cached_property
     def felt(self) -> InclusionShifts:
-        """What each guess does to the touches."""
+        """Effect of each guess on the touches."""
         return self.hypotheses.shifts(self.places_m, self.contact_m)
 
     @cached_property
@@ -471,7 +471,7 @@ class InclusionPosterior:
         return found
 
     def inclusions(self, truth_m: FloatArray | None = None) -> InclusionsResult:
-        """What is reported. truth_m: (m, 4) x, y, radius, depth of each [m], where these are known"""
+        """The reported result. truth_m: (m, 4) x, y, radius, depth of each [m], where these are known"""
         found = self.found
         return InclusionsResult(
             centre_m=np.array([one.centre_m for one in found]).reshape(-1, 2),
@@ -510,8 +510,8 @@ class InclusionPosterior:
         return {str(count): 1.0 - more, str(count + 1): more}
 
     def region_map(self) -> RegionMap:
-        """Foam and found inclusions as regions, softest first; the field is the foam's with what found inclusions add
-        to it."""
+        """Foam and found inclusions as regions, softest first; the field is the foam's with the effect of found
+        inclusions."""
         found, cells = self.found, self.grid.centres_m
         field_log, variance = self._foam(cells)
         level, sd = [float(field_log.mean())], [float(np.sqrt(variance.mean()))]

@@ -1,4 +1,4 @@
-"""How good a map of regions is, where the truth is known: one score for every study and for the report to a user."""
+"""Quality of a map of regions with a known truth: one score for every study and for the report to a user."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Z_90 = 1.6449
 
 @dataclass(frozen=True, slots=True)
 class TrueMap:
-    """What a scene is, as touches far from every border would find it.
+    """True map of a scene, for touches far from every border.
 
     labels: (rows, columns) region of each cell, None where stiffness changes gradually
     level: (k,) log apparent stiffness [N/mm] of each label; rigid: (k,) labels for which there is a lower bound alone
-    log_stiffness: (rows, columns) the same at each cell, by what lies right there: a contact does not blur it
+    log_stiffness: (rows, columns) the same at each cell, by the material right there: not blurred by a contact
     """
 
     labels: IntArray | None
@@ -49,13 +49,13 @@ class MapScore:
     region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are
     iou: `match_regions`; least_iou: of the smallest true region with its match; boundary_m: `boundary_distance`
     ordered: the matched regions' levels have the true order
-    rigid_found: most of what is rigid is reported so
+    rigid_found: most of the rigid area is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
     to; None with a wrong number of regions
-    wrong, wrong_claimed: share of the surface whose label is not that of the region it is matched to, and what the map
-    expects of it
-    field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both over
-    what is not rigid
+    wrong, wrong_claimed: share of the surface whose label is not that of its matched region, and the map's expectation
+    of it
+    field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both
+    without rigid parts
     """
 
     region_count: int

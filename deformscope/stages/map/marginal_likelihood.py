@@ -1,7 +1,7 @@
 """Hyper-parameters of a surface's Gaussian process by the marginal likelihood of all its points.
 
 The start is the best of a few lengths, from long to short. L-BFGS-B then maximizes, in a basis of sines that is renewed
-wherever the length leaves its range. The priors are so wide (a factor of 4.5 up or down) that a hundred points overrule
+when the length leaves its range. The priors are so wide (a factor of 4.5 up or down) that a hundred points overrule
 them; they bound the estimates of a handful of points.
 """
 
@@ -78,8 +78,8 @@ class FixedHyperparameters:
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """kernel; noise_scale: what the free points' noise is multiplied by; log_likelihood: marginal, of all points
-    at_bound: which of "sigma_e", "length", "noise_scale" came to rest at a bound of what was searched
+    """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal, of all points
+    at_bound: those of "sigma_e", "length", "noise_scale" that ended at a bound of the search
     trials: how often the likelihood was found"""
 
     kernel: Kernel

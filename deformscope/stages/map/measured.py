@@ -1,4 +1,4 @@
-"""What a robot measured of a surface, and which recorded frames it is computed from.
+"""Measurements of a robot on a surface, and the recorded frames that they are computed from.
 
 A frame is named by its device and the time at which it came, on the host's clock [ns]: no device gives two at once.
 """
@@ -16,7 +16,7 @@ from deformscope.stages.see.pixel_labels import SeenPixels
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
-    """What the camera saw. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
+    """Measurement of the camera. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
     noise_m: (n,) deviation of each height [m]; table: around it, None = not visible, or not sought
     pixels: of the points, None = not requested, or no images"""
 
@@ -28,7 +28,7 @@ class SurfaceMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class TouchMeasurement:
-    """What a touch gave.
+    """Measurement of a touch.
 
     xy_m: (2,) where it was to be; normal: (3,) that it went along
     time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame

@@ -19,7 +19,7 @@ from deformscope.stages.see.pixel_labels import PixelMasks
 
 @dataclass(frozen=True, slots=True)
 class TrainedField:
-    """What a field of beta was trained with.
+    """Training data of a field of beta.
 
     kernel: the likeliest, where several are averaged over; noise: standard deviation of a value in addition to its own
     place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
@@ -34,7 +34,7 @@ class TrainedField:
 
 @dataclass(frozen=True, slots=True)
 class TouchSurface:
-    """The surface under a touch as a process of what was seen and of virtual tactile points (Thesis eq. 4.3, 4.4).
+    """The surface under a touch as a process of observed points and of virtual tactile points (Thesis eq. 4.3, 4.4).
 
     dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: by the process under touch
     """
@@ -46,7 +46,7 @@ class TouchSurface:
 
 @dataclass(frozen=True, slots=True)
 class LookPerception:
-    """What the surface before any touch was computed from. masks: None of a robot that gives points, not images
+    """Input of the surface before any touch. masks: None of a robot that gives points, not images
     learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None
@@ -62,7 +62,7 @@ class TouchPerception:
     error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
     (eq. 4.6), least at its estimate; else of particles from the points that they stand for, while the estimate weighs
     these by their noise; estimate: beta of it, one of those tried
-    stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: what the field of beta was trained with
+    stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: training data of the field of beta
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""Where to touch next, and why: the expected information of each place, what going there costs, and where not to go.
+"""The next touch, and its reason: the expected information of each place, the cost of travel, and excluded places.
 
 `random-above`: any place whose field variance is above a threshold (Thesis 4.2). `thesis`: the same of the thesis's
 field of beta, whose variance alone ends it (`thesis_field`). `max-variance`: the largest variance.
@@ -111,7 +111,7 @@ class TouchChoice:
 
     target_m: (2,) the best place [m], None if there is none; stop: why no further touch is useful, None to continue
     gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right label)
-    missed: what the touches so far may have missed
+    missed: detection limit of the touches so far
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
     reason: in words
     """
@@ -138,7 +138,7 @@ def plan_touch(
     thesis: ThesisField | None = None,
     seed: int = 0,
 ) -> TouchChoice:
-    """Where to touch next.
+    """The next touch.
 
     tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
@@ -192,7 +192,7 @@ def plan_touch(
 
 
 def information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: float) -> FloatArray:
-    """(p,) mutual information of touches with what the surface is [nat].
+    """(p,) mutual information of touches and the surface [nat].
 
     It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
     than without them.
@@ -258,7 +258,7 @@ def _outcomes(
 
 
 def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int) -> FloatArray:
-    """Edges (bins - 1, p) of bins that a reading falls into about equally often, whatever the hypothesis."""
+    """Edges (bins - 1, p) of bins with about equal probability of a reading, under any hypothesis."""
     spread = ndtri((np.arange(8) + 0.5) / 8.0)
     reading = (mean[:, None] + sd[:, None] * spread[:, None]).reshape(-1, mean.shape[1])
     order = np.argsort(reading, axis=0)
@@ -338,7 +338,7 @@ def _gain(
 
 
 def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
-    """(p,) what a touch is expected to add to the labels by showing an inclusion."""
+    """(p,) expected gain of a touch in labels by showing an inclusion."""
     chance = [UnseenInclusions(posterior, times * smallest_m).gain(places) for times in LARGER]
     return cast(FloatArray, INCLUSION_WORTH * np.mean(chance, axis=0))
 

@@ -44,7 +44,7 @@ class HeightMap:
 
 @dataclass(frozen=True)
 class HeightProcess:
-    """A surface as a Gaussian process: `level_m` plus what its kernel predicts from the points.
+    """A surface as a Gaussian process: `level_m` plus its kernel's prediction from the points.
 
     learned: the hyper-parameters; level_m: mean of the process [m]
     noise_m: (n,) deviation of each point given, as it was used [m]; used: (n,) points that were not taken as outliers

@@ -47,7 +47,7 @@ FEWEST = 20
 THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
 """Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
 COARSE_GRID_M, COARSE_CANDIDATES = 0.01, 50
-"""The grid, and the values of beta over `BOUNDS`, of recordings that say nothing of them."""
+"""The grid, and the values of beta over `BOUNDS`, of recordings without them."""
 
 DENTED = 0.1
 """Share of the deepest by which a place has sunk that counts as dented."""
@@ -57,7 +57,7 @@ THESIS_NOTE = (
     "held particle makes the model interpret the patch's width as deformability; with the whole patch held "
     "the trend disappears"
 )
-"""Said wherever beta of the thesis's model is shown."""
+"""Remark wherever beta of the thesis's model is shown."""
 
 
 class SurfaceHeights(Protocol):
@@ -121,12 +121,11 @@ def fit_touch(
 
     world: the surface before, a process of all points seen then: it gives the heights at rest, not the dent
     after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
-    thickness_m: of the foam [m]; sample_m: (low, high) places where the foam ends, default the world's box
-    The lattice's spacing is the patch's radius: four columns then stand in the patch whatever its size, and what a
-    coarse lattice does to beta is the same for soft and firm foam. (At 1 cm a single one would, for every patch:
-    noise-free dents of 20 to 120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at
-    most 0.1.)
-    Raises InputError for too few points around the touch.
+    thickness_m: of the foam [m]; sample_m: (low, high) edges of the foam, default the world's box The lattice's spacing
+    is the patch's radius. So the patch always has four columns, and a coarse lattice has the same effect on beta for
+    soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to 120 kPa then give 0.55
+    to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError for too few points
+    around the touch.
     """
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m
@@ -244,7 +243,7 @@ def dent_of(
 
 
 def swept_betas(step: float) -> FloatArray:
-    """(b,) what the sweep tries: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
+    """(b,) values of the sweep: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
     return step * np.arange(np.ceil(1.0 / step - 1e-9)) if step else np.linspace(*BOUNDS, COARSE_CANDIDATES)
 
 
@@ -253,7 +252,7 @@ class ThesisBeta:
     """beta by a lattice whose edges are fixed and of which one particle is held (Thesis 4.3).
 
     curve: error over beta (eq. 4.6) [m]; depth_m: of the particle held; simulated_m: (p, 3) the particles of the
-    surface at beta; converged: the state at beta settled; dent: the fitted one; note: what its trend is
+    surface at beta; converged: the state at beta settled; dent: the fitted one; note: on its trend
     """
 
     beta: float
@@ -281,11 +280,10 @@ def thesis_beta(
 
     thickness_m: layers down to a ground that is held, this far below; default a single layer, as the thesis has it
     cluster_size: particles a side; None: one cluster of all, which deforms quadratically (the thesis's "no cluster")
-    step: of the sweep (`swept_betas`)
-    A single layer, all bending, dents wider than foam on a table does, whatever beta: on finite element slabs of 20 to
-    120 kPa with a square of 15 cm beta is 0 for all but the smoothest dents. One held particle of a volume lattice
-    follows firmness: 0.55 to 0.14 there.
-    Raises InputError where the lowest point is at the square's edge.
+    step: of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any beta:
+    on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents. One
+    held particle of a volume lattice follows firmness: 0.55 to 0.14 there. Raises InputError where the lowest point is
+    at the square's edge.
     """
     before, after, shape = dent.before, dent.after, dent.shape
     lowest = int(np.argmax(dent.sunk_m))

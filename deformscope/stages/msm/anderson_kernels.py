@@ -35,7 +35,7 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.struct
     class AndersonState:
-        """What Anderson's acceleration keeps of each candidate, and of fields: the iterates, and their changes."""
+        """Memory of Anderson's acceleration for each candidate, and for fields: the iterates, and their changes."""
 
         tolerance: Doubles  # of the distance to the static state [spacing]; first entry
         floor: Doubles  # residual that is but rounding [spacing]; first entry

@@ -1,4 +1,5 @@
-"""What lattice and general bodies share: the particles at rest, the parameters of a launch, and rest data for fits."""
+"""Common parts of lattice and general bodies: the particles at rest, the parameters of a launch, and rest data for
+fits."""
 
 from __future__ import annotations
 
@@ -92,7 +93,7 @@ def rest_struct(functions: SimpleNamespace, arrays: RestArrays, stride: int, sca
 
 
 class Operator(ABC):
-    """Goals of a body's clusters for the candidates of one layout: fields of clusters, and what a fit leaves for its
+    """Goals of a body's clusters for the candidates of one layout: fields of clusters, and stored values for the
     derivative.
 
     arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
@@ -118,7 +119,7 @@ class Operator(ABC):
         return wp.zeros(rows * self.cluster_stride, dtype=self.layout.scalar, device=self.layout.device)
 
     def motion(self, alpha: float, going_on: float, push: FloatArray, *, stepping: bool = True) -> Any:
-        """What a time step needs: see `lattice_kernels.motion_for`. push: (d,) displacement by the acceleration in a
+        """Parameters of a time step: see `lattice_kernels.motion_for`. push: (d,) displacement by the acceleration in a
         step, in particle spacings"""
         motion = self.arrays.Motion()
         motion.stepping = int(stepping)
@@ -127,7 +128,7 @@ class Operator(ABC):
         return motion
 
     def kept(self, volume: int) -> Any:
-        """What `residual` leaves for `change`."""
+        """Stored values of `residual` for `change`."""
         if volume not in self._kept:
             d = self.dim
             kept = self.arrays.Kept()
@@ -164,7 +165,7 @@ class Operator(ABC):
     ) -> None:
         """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
 
-        kept: where to leave what `change` needs (None: nowhere)
+        kept: place of the values for `change` (None: nowhere)
         """
 
     @abstractmethod
@@ -185,7 +186,7 @@ class Operator(ABC):
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
 
-        The derivative of the goals by beta is what `residual` gave last.
+        The derivative of the goals by beta is the last output of `residual`.
         """
 
 

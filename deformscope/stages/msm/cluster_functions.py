@@ -1,7 +1,8 @@
-"""Warp functions that fit one cluster in every lane, and their derivatives: what lattice and general kernels share.
+"""Warp functions that fit one cluster in every lane, and their derivatives: common parts of lattice and general
+kernels.
 
-All matrices are transposed (rows are what the cluster is fitted over), so that the moments of a lattice multiply from
-the right. Displacements are in particle spacings.
+All matrices are transposed (rows are those of the fit's basis), so that the moments of a lattice multiply from the
+right. Displacements are in particle spacings.
 """
 
 import functools
@@ -16,7 +17,7 @@ from deformscope.stages.msm.members import members
 from deformscope.stages.msm.reference import NO_ROTATION, Volume
 
 GOAL, BY_BETA, BY_THETA = 0, 1, 2
-"""What a fit gives: the goal map, or its derivative by beta or by theta."""
+"""Result of a fit: the goal map, or its derivative by beta or by theta."""
 
 NONE, SCALE, PROJECT = 0, 1, 2
 """Volume conservation: none (theta = 0), Thesis eq. 3.17, or the projection onto the rest volume."""
@@ -58,7 +59,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
     @wp.struct
     class FitRest:
-        """What stays the same: `stride` between rows of a quantity, `step` 1 where each lane has its own, else 0."""
+        """Constants: `stride` between rows of a quantity, `step` 1 if each lane has its own, else 0."""
 
         a_qq: numbers  # upper triangle of the normalised rest moments
         null_t: numbers  # what of the basis a cluster leaves undetermined, transposed; empty if nothing

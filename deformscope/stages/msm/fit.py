@@ -26,7 +26,8 @@ DERIVATIVE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """value: beta; position: (K, d) its static state [m]; aee: mean distance to what was observed [m] (Thesis eq. 3.18)
+    """value: beta; position: (K, d) its static state [m]; aee: mean distance to the observed positions [m] (Thesis eq.
+    3.18)
 
     evaluations: static states that were followed; converged: the last step of beta was below the tolerance
     """
@@ -40,7 +41,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class FitBoth:
-    """beta, theta; position: (K, d) their static state [m]; aee: mean distance to what was observed [m] (eq. 3.18)
+    """beta, theta; position: (K, d) their static state [m]; aee: mean distance to the observed positions [m] (eq. 3.18)
 
     evaluations: static states that were followed; converged: no step is left that promises to lower the error
     """

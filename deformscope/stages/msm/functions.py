@@ -193,7 +193,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def measured(a: square, span_axes: square, span_count: int):
-        """Volume, area or length of what the cluster spans, and its root: the length of a side."""
+        """Volume, area or length of a cluster's span, and its root: the length of a side."""
         measure = wp.determinant(a)
         if span_count < wp.static(dim):
             _inside, metric = spanned(a, span_axes, span_count)
@@ -332,7 +332,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def stretch_root(s: scalar, smallest: scalar, y: scalar):
-        """sqrt(s^2 + 4 mu) for mu = y (y - smallest), as a sum of what is never negative."""
+        """sqrt(s^2 + 4 mu) for mu = y (y - smallest), as a sum of terms that are never negative."""
         away = smallest - two * y
         return wp.sqrt(wp.max((s - smallest) * (s + smallest), zero) + away * away)
 
@@ -405,8 +405,8 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         """From b to the nearest matrix of measure 1 (`reference.project_measure`), less b, and its frame.
 
         Only the first span_count columns of b may differ from 0. With b + change = u diag(stretch) v^T, u and v proper,
-        change = mu u diag(1 / stretch) v^T over those columns. Returns change, u, v, stretch, mu: what `project_change`
-        needs. Finite for every b whose squares are.
+        change = mu u diag(1 / stretch) v^T over those columns. Returns change, u, v, stretch, mu: the input of
+        `project_change`. Finite for every b whose squares are.
         """
         u, s, v = singular_values(b)
         stretch, mu = nearest_stretches(s, span_count)

@@ -57,7 +57,7 @@ def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Si
 
     @wp.struct
     class Given:
-        """Parameters of the candidates, and what clusters have beyond a fit. plastic, axes: 0 or 1.
+        """Parameters of the candidates, and of clusters beyond a fit. plastic, axes: 0 or 1.
 
         strain: S^p - I by rows, laid out as fields of clusters are; with axes, `beta` holds W and C alike
         what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
@@ -405,7 +405,7 @@ def flow_kernel_for(dim: int, terms: int, scalar: Any, width: int) -> wp.Kernel:
 
     @wp.func
     def unit_measure(plastic: square, span_axes: square, span_count: int):
-        """S^p with its determinant made 1: scaled within what the cluster spans."""
+        """S^p with its determinant made 1: scaled within the cluster's span."""
         by = wp.pow(wp.determinant(plastic), -one / scalar(span_count))
         if span_count == wp.static(dim):
             return plastic * by

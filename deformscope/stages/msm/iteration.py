@@ -37,7 +37,7 @@ STRETCH = 0.05
 smoothly."""
 
 PREDICTED = 1e-2
-"""To what share the linear equations at rest are solved, for a state to begin from."""
+"""Share to which the linear equations at rest are solved, for a state to begin from."""
 
 STAY = 256
 """Evaluations of a persistent kernel before it returns for a check."""
@@ -70,7 +70,7 @@ class Ended:
 
 
 class Iteration:
-    """What both methods share: fields of the candidates, their parameters, and how sums over particles are taken."""
+    """Common parts of both methods: fields of the candidates, their parameters, and sums over particles."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int, *, aided: bool = False) -> None:
         self.body, self.volume = body, volume
@@ -119,7 +119,7 @@ class Iteration:
             self._progress(int(np.count_nonzero(self.state.state.numpy()[: self.layout.candidates] != k.RUNNING)))
 
     def put(self, u: FloatArray) -> None:
-        """Starts at displacements (B or 1, K, d); what of a residual is rounding grows with them."""
+        """Starts at displacements (B or 1, K, d); the rounding error of a residual grows with them."""
         self.layout.put(u, self.u)
         set_first(self.state.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
 
@@ -356,7 +356,7 @@ class Newton(Iteration):
         self.launch_blocks(kk.begin)
 
     def evaluate(self) -> None:
-        """The residual at `u`, and with it what derivatives there need."""
+        """The residual at `u`, and with it the values for derivatives there."""
         self.replay(self._launch_evaluate)
 
     def _launch_evaluate(self) -> None:
@@ -482,7 +482,7 @@ class Anderson(Iteration):
         return bool((self._iterate(self._launch_linear, 0.0, max_iterations).state == k.CONVERGED).all())
 
     def evaluate(self) -> None:
-        """The residual at `u`, and with it what derivatives there need."""
+        """The residual at `u`, and with it the values for derivatives there."""
         self.operator.residual(self.u, self.residual, self.parameters, self.all_groups(), self._kept)
 
     def _iterate(self, launches: Callable[[], None], tolerance: float, max_iterations: int) -> Ended:

@@ -1,14 +1,14 @@
 """Warp kernels of Newton's steps with conjugate gradients: one for each part of an iteration, and kernels that stay.
 
-They take fields of particles as they lie (see `layout.py`), whatever the clusters. Sums over particles are
-taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: finished ones have steps of 0, and
-a group in which all have ended is skipped.
+They take fields of particles in their layout (see `layout.py`), for any clusters. Sums over particles are taken in a
+fixed order, so that runs repeat bit for bit. Candidates are independent: finished ones have steps of 0, and a group in
+which all have ended is skipped.
 
 Kernels that stay do all passes of a step, and all steps, or many evaluations of a relaxation, in one launch. A block of
 threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU that
 saves the launches between passes, which cost more than a small body's work, and a pass's output is still cached when
 the next reads it. On a CPU a block is one thread, and there are no launches to save at any size. There every launch, a
-single evaluation too, goes through one copy of all passes in one module: compiling is what a first start waits for.
+single evaluation too, goes through one copy of all passes in one module: compilation dominates the first start.
 """
 
 import functools
@@ -74,7 +74,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.struct
     class NewtonState:
-        """What Newton's steps keep of each candidate (arrays of B), which groups have work to do, and on which fields.
+        """Memory of Newton's steps for each candidate (arrays of B), groups with work to do, and their fields.
 
         residual: also the right-hand side of a linear solve; changed: derivative of the goals along `direction`, less
         that; rho: residual of the linear solve; parts: of sums; groups: how many; most: steps of a linear solve
@@ -127,7 +127,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     @wp.func
     def place_of(span: Span, group: int, block: int):
-        """Where a lane's worth begins in a field, and how many of its numbers are the group's."""
+        """Begin of a lane's values in a field, and number of them that are the group's."""
         number = block * wp.static(width)
         return span.front + group * span.group + number, span.group - number
 
@@ -644,7 +644,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     """
     )
     def meet():
-        """All threads of the block have come here, and see what the others wrote."""
+        """All threads of the block wait here, and see each other's writes."""
 
     @wp.func(inline=False if on_cpu else None)
     def operate(
@@ -657,7 +657,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         group: int,
         thread: int,
     ):
-        """All passes over a group: goals (with `changing` their derivative) of what is at `offset` of u, into out.
+        """All passes over a group: goals (with `changing` their derivative) at `offset` of u, into out.
 
         before_offset: in u, of the displacement one time step before
         """

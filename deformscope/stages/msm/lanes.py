@@ -21,7 +21,7 @@ from numpy._core._multiarray_umath import __cpu_features__
 from deformscope.errors import InputError
 
 FORCE_BITS = "DEFORMSCOPE_VECTOR_BITS"
-"""Environment variable that takes the place of what the processor says, for tests: 256 or 512."""
+"""Environment variable that replaces the processor's own value, for tests: 256 or 512."""
 
 _FORCED = os.environ.get(FORCE_BITS, "512" if __cpu_features__.get("AVX512F") else "256")
 if _FORCED not in ("256", "512"):
@@ -130,7 +130,7 @@ def rows_for(count: int, width: int, scalar: Any) -> SimpleNamespace:
 
     @sized.func_native(f"{mat} r; {each} r.data[k][l] = when.c[l] > 0 ? m.data[k][l] : 0; return r;")
     def choose(when: lane, m: rows) -> rows:
-        """m where `when` is positive, else 0 (whatever m holds there)."""
+        """m where `when` is positive, else 0 (for any m there)."""
 
     moving = {"load": load, "store": store, "own": own, "row": row, "with_row": with_row}
     return SimpleNamespace(rows=rows, add=add, scale=scale, choose=choose, **moving)

@@ -324,7 +324,7 @@ class LatticeOperator(Operator):
         return self._passes(None)
 
     def _passes(self, parameters: Parameters | None, kept: object = None, what: int = GOAL) -> Any:
-        """What the passes go by, without motion. kept: where to leave what `change` needs (None: nowhere)"""
+        """Parameters of the passes, without motion. kept: place of the values for `change` (None: nowhere)"""
         passes = self.arrays.functions.Passes()
         passes.grid, passes.site, passes.rest = self.grid, self.arrays.site, self.arrays.rest
         passes.kept, passes.fields, passes.motion = kept or self.unkept(), self.fields, self.still

@@ -6,8 +6,8 @@ relative to the middle of the window. A thread slides along the axis for `run` c
 subtracting the one that leaves. With `run` = 1 it sums one window only, which suits a GPU for small ones.
 
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
-its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places that no cluster
-and no particle has stay 0 for ever, which is what lets every window run over the edges without asking.
+its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places without a cluster
+and a particle stay 0 for ever, so that every window may run over the edges without a test.
 """
 
 import functools
@@ -29,7 +29,7 @@ FAR = 1e4
 
 @functools.cache
 def motion_for(scalar: Any) -> Any:
-    """The struct type of what time stepping needs."""
+    """The struct type of a time step's parameters."""
 
     numbers = wp.array(dtype=scalar)
 
@@ -114,7 +114,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.struct
     class Site:
-        """What a cluster is at rest: `stride` between rows, `step` 1 where each has its own, else 0 (all are alike)."""
+        """Rest data of a cluster: `stride` between rows, `step` 1 if each has its own, else 0 (all are alike)."""
 
         valid: numbers  # 1 at a cell that has a cluster
         share: numbers  # 1 / mass of the window
@@ -152,7 +152,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.struct
     class Passes:
-        """What the passes go by; motion: of time stepping, or none.
+        """Parameters of the passes; motion: of time stepping, or none.
 
         pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
         residual and the direction's change; threads: of a block that stays
@@ -329,7 +329,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def particle_own(values: numbers, cell: int, abreast: int):
-        """What belongs to a particle, for the lanes at `cell` (of one group); one value if all are alike."""
+        """Data of a particle, for the lanes at `cell` (of one group); one value if all are alike."""
         if values.shape[0] == 1:
             return own(values, 0, 0)
         if wp.static(width == 1) or abreast == 1:
@@ -403,7 +403,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
         @wp.func(name=f"{name}_at")
         def solve(passes: Passes, at: int, cell: int, group: int, total: vecs.rows, moments: maps.rows, count: int):
-            """The goal map as what the particles add up: a shift, and slopes by axis."""
+            """The goal map as sums for the particles: a shift, and slopes by axis."""
             grid = passes.grid
             site = passes.site
             rest = passes.rest
@@ -486,7 +486,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.func
     def spread_slow(passes: Passes, group: int, item: int):
-        """What the clusters of a particle add up along the slow axis: the shift with its slope, the other slopes."""
+        """Sum over the clusters of a particle along the slow axis: the shift with its slope, the other slopes."""
         grid = passes.grid
         segment = item / grid.blocks_clusters
         in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)

@@ -64,7 +64,7 @@ class Layout:
         into.assign(host.reshape(-1))
 
     def get(self, field: Field, rows: int, place: IntArray | None = None) -> FloatArray:
-        """The particles of a field, or what is at other places (K,): (B, K, rows) float64."""
+        """The particles of a field, or values at other places (K,): (B, K, rows) float64."""
         place = self.place if place is None else place
         host = field.numpy().reshape(rows, self.stride)
         body = host[:, self.front : self.front + self.groups * self.group].reshape(rows, self.groups, -1, self.abreast)
@@ -79,7 +79,7 @@ class Layout:
         return wp.array(filled.astype(_dtype(dtype)), dtype=dtype, device=self.device)
 
     def refill(self, array: Field, values: FloatArray) -> None:
-        """Numbers of the candidates, (B,), into what `each` made."""
+        """Numbers of the candidates, (B,), into the arrays of `each`."""
         if self.device.startswith("cpu"):
             view = array.numpy()
             view[: len(values)] = values

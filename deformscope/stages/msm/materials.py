@@ -1,4 +1,4 @@
-"""Materials beyond one beta: a beta along each axis of the material, and what stays after yielding.
+"""Materials beyond one beta: a beta along each axis of the material, and plastic deformation.
 
 **Anisotropy.** beta is a compliance. A cluster stores 1/2 |p - A q|^2 + 1/2 min_R tr((A - R) W (A - R)^T), with A its
 best fit. For one beta, W = (1 - beta) A_qq: the stiffness of a unit spring A_qq^-1 in series with a compliance of beta
@@ -15,7 +15,7 @@ Linear fit, theta = 0.
 **Plasticity.** Müller et al. 2005, section 4.5: each cluster has a plastic deformation S^p, I at first. With the polar
 decomposition A = R S of its fit, S^p <- [I + dt creep (S - I)] S^p where |S - I|_2 > yield; then det S^p is made 1
 again (area in the plane; a flat cluster keeps the measure of what it spans), and |S^p - I|_2 is at most
-`maximum`. The rest vectors are S^p q. What the paper leaves open is decided here:
+`maximum`. The rest vectors are S^p q. Where the paper is incomplete, this module decides:
 
 - S is the stretch sqrt(A^T A), turned inside out: its smallest value negative; the flow stops short of turning S^p.
 - To the bound, S^p goes along I + s (S^p - I), det made 1, so that both hold: the paper's scaling alone breaks det = 1.
@@ -79,7 +79,7 @@ def axis_weights(
 ) -> tuple[FloatArray, FloatArray]:
     """W and C (see above) of clusters for candidates, (B, n, d, d) each.
 
-    gram: (n, d, d) second moments A_qq; span: (n, d, k) orthonormal, what all n clusters span; beta: (B, d)
+    gram: (n, d, d) second moments A_qq; span: (n, d, k) orthonormal, the span of all n clusters; beta: (B, d)
     """
     if span.shape[2] == len(axes):  # as they are, without the rounding of 1 - beta
         span = np.broadcast_to(np.eye(len(axes)), gram.shape)

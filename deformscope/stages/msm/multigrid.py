@@ -1,7 +1,7 @@
 """A preconditioner for the linear equations of lattice bodies: geometric multigrid, in float32.
 
 A coarse level is a lattice body of its own, with clusters on about half the particles along each axis. Its operator
-costs as little as that of the body, whatever the clusters' width, and nothing is assembled. Without conservation a
+costs as little as that of the body, for any width of the clusters, and nothing is assembled. Without conservation a
 body's energy is E_A + (1 - beta) (E_R - E_A): the residual of the best affine map, and the part of the affine map that
 no rotation fits. The first grows with second derivatives of the displacement, the second with strain, so clusters that
 reach twice as far weigh them differently. A coarse level has the factors that preserve both energies of smooth
@@ -9,8 +9,8 @@ displacements: it is a multiple of an operator of another beta, which may be bel
 
 A cycle is symmetric: Chebyshev's iteration before and after the coarse correction, whose interpolation (linear) and
 restriction are transposed. No held particle moves, and no coarse one next to it. All levels are linearised where the
-fine one is. Any positive definite preconditioner gives the same solution, so what is simplified here can cost
-iterations but nothing else.
+fine one is. Any positive definite preconditioner gives the same solution, so simplifications here can cost only
+iterations.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class CoarseRest:
     spread: FloatArray
 
     def body(self, scalar: Any, device: str) -> LatticeBody:
-        """The lattice body, without what is in no cluster."""
+        """The lattice body, without particles outside all clusters."""
         d = self.edges.shape[1]
         everything = np.flatnonzero(self.present)
         counts = LatticeClusters(self.corner.shape, everything, self.window, self.corner).cluster_counts()
@@ -171,7 +171,7 @@ def levels_of(body: LatticeBody, rest: BodyRest) -> list[tuple[CoarseRest, Latti
 
 
 def _energies(window: tuple[int, ...], axis: int) -> tuple[float, float]:
-    """What a cluster stores of a displacement quadratic in space, and of a strain; over the same factors for all."""
+    """Energies of a cluster for a displacement quadratic in space, and for a strain; over the same factors for all."""
     w = window[axis]
     second, fourth = (w * w - 1) / 12, (w * w - 1) * (3 * w * w - 7) / 240
     return float(np.prod(window)) * (fourth + second**2), float(np.prod(window)) * second
@@ -263,7 +263,8 @@ class Multigrid:
     @staticmethod
     def worth(body: Body, rest: BodyRest) -> TypeGuard[LatticeBody]:
         """Whether a body is large enough, wide enough for coarsening to a small size, and held in every piece: a piece
-        that nothing holds does not move. In float64: the last digits of float32 hide what slow modes pull. No particle
+        that nothing holds does not move. In float64: the last digits of float32 hide the forces of slow modes. No
+        particle
         slips: coarse ones are held along every axis."""
         if not isinstance(body, LatticeBody) or len(body.cell) <= LEAST or body.scalar is not wp.float64:
             return False

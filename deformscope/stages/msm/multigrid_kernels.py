@@ -1,7 +1,7 @@
 """Warp kernels of the multigrid preconditioner: transfers between two lattices, and a step of the smoother.
 
-What goes from one lattice to another is plain numbers, place by place and candidate by candidate; smoothing goes
-through fields in lanes.
+Values from one lattice to another are plain numbers, place by place and candidate by candidate; smoothing goes through
+fields in lanes.
 """
 
 import functools

@@ -169,7 +169,7 @@ class PlasticMsm:
     ) -> FloatArray:
         """Time stepping as `Msm.step`, S^p flowing by dt * creep of S - I in each step; returns (B, K, d)."""
         if not np.isfinite(self._creep).all():
-            raise ValueError("expected a finite creep [1/s] to step in time; `load` takes what flows at once")
+            raise ValueError("expected a finite creep [1/s] to step in time; `load` is for immediate flow")
         if self._moving is None:
             self._moving = self.body.start(self.size, self._position)
         operator = self._moving.operator

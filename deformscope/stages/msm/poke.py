@@ -1,4 +1,4 @@
-"""A poke: where, with what tip, how deep or how hard; which particles it touches; and the static state under it.
+"""A poke: its place, tip, and depth or force; its touched particles; and the static state under it.
 
 A rigid tip presses the particles under it. They follow it along its direction; sideways they stick to it or slip. A
 flat tip touches its whole footprint, a round one as much as it has sunk in. Force is that of the model's energy:
@@ -29,12 +29,12 @@ SETTLED = 1e-3
 MOST_ROUNDS, MOST_SLIDES = 40, 60
 
 SLIDE = 1.6
-"""How far a touched particle slides, in units of what separates it from its goals: over-relaxation."""
+"""Slip of a touched particle per distance from its goals: over-relaxation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tip:
-    """What pokes: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
+    """A tip: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
 
     slips: particles under it move freely sideways; else they stick to it
     """
@@ -133,7 +133,8 @@ class Pressed:
     """A static state under a tip.
 
     position: (K, d); touched: (m,) particles; depth: of the tip below where it first touches; reaction: net force along
-    the tip's direction, per unit of stiffness k [m]; converged: the state, and what touches, sticks and slips, settled
+    the tip's direction, per unit of stiffness k [m]; converged: the state, and the sets of touching, sticking and
+    slipping particles
     """
 
     position: FloatArray

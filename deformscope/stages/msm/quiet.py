@@ -9,13 +9,13 @@ import threading
 from types import ModuleType
 
 GREETING = b"Warp CUDA warning"
-"""How the line begins by which it complains of a missing GPU driver, below Python: that is no fault here."""
+"""Begin of the line of its warning of a missing GPU driver, below Python: that is no fault here."""
 _one_at_a_time = threading.Lock()
 _started = False
 
 
 def quiet_warp() -> None:
-    """Start warp without its greeting, once: what other threads write to stderr meanwhile comes a moment later."""
+    """Start warp without its greeting, once: stderr of other threads is delayed by a moment."""
     global _started
     import warp as wp
 

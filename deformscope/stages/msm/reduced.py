@@ -16,8 +16,8 @@ t follows from the held particles (t = mean p - T mean q~), and the goals are T 
 
 Everything linear is solved by the modes. The remaining unknowns are A = A~ J^T, of which e is a function, and R. The
 equations are Y + R U + e N = A, and R^T (K + e V) + W without a turning part, with (d, d) matrices that are sums over
-the modes. That is 5 unknowns in the plane and 12 in space, whatever the basis and the number of particles; Newton's
-steps find them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
+the modes. That is 5 unknowns in the plane and 12 in space, for any basis and number of particles; Newton's steps find
+them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
 
 Flags are checked: `converged` takes a Newton step below the tolerance, goals that agree with the state by separately
 evaluated equations, and for eq. 3.17, which has no energy, a state that its goals pull back to.

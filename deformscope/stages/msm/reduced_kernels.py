@@ -17,7 +17,7 @@ from deformscope.stages.msm.lanes import CPU_FLAGS, Doubles
 from deformscope.stages.msm.members import kernel_in, members
 
 BETA, THETA, TOLERANCE, MOST_ITERATIONS, STARTED, HELD = range(6)
-"""Places in a candidate's row: numbers first, then what is held, then the transform to start from."""
+"""Places in a candidate's row: numbers first, then held values, then the transform to start from."""
 
 RESIDUAL, ERROR, ITERATIONS, STATE, TRANSFORM = range(5)
 """Places in a candidate's result: numbers first, then the transform [m] by rows, then the translation [m]."""
@@ -226,7 +226,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def gain(body: ReducedBody, beta: scalar, mode: int):
-        """1 / (1 - beta lambda_j); 0 for what nothing holds in shape (beta = 1): it stays as at rest."""
+        """1 / (1 - beta lambda_j); 0 for modes that nothing holds in shape (beta = 1): they stay as at rest."""
         left = (one - beta) + beta * body.share[mode]
         if left <= tiny:
             return zero
@@ -435,7 +435,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
 
     @wp.func
     def stable(n: square, excess: scalar):
-        """Whether the goals pull the shape back while the denominator of eq. 3.17 stays as it is, for excess =
+        """Whether the goals pull the shape back while the denominator of eq. 3.17 is unchanged, for excess =
         beta (1 / denominator - 1): every eigenvalue of I - excess N above 0. Beyond, time stepping leaves the state."""
         m = identity() - n * excess
         good = wp.determinant(m) > zero and wp.trace(m) > zero

@@ -1,6 +1,6 @@
-"""Rest clusters of the MSM in float64 NumPy, and what its equations leave open.
+"""Rest clusters of the MSM in float64 NumPy, with the choices that its equations leave open.
 
-What the equations leave open is decided here, for degenerate clusters:
+Where the equations are incomplete, this module decides, for degenerate clusters:
 
 - Flat in space or on a line at rest: the fit uses the directions that the cluster spans (pseudo-inverse, chosen once
   at rest), and eq. 3.17 conserves its area or length instead of its volume.
@@ -18,7 +18,7 @@ rest volume at theta = 1:
   compressed cluster amplifies every displacement, so overlapping clusters at high beta and theta diverge.
 - "project" goes the share theta of the distance from the fit to the nearest fit of the rest volume. Its goals are the
   gradient of an energy that no step to them raises, so it cannot diverge; theta weights the pull to the rest volume.
-  Choose it for overlapping clusters, and wherever stability counts more than the thesis's numbers.
+  Choose it for overlapping clusters, and where stability counts more than the thesis's numbers.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ NO_ROTATION = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class RestCluster:
-    """What stays the same about one cluster.
+    """Constants of one cluster.
 
     index: (n,) its particles; mass: (n,); q: (n, d) from the mass centre, in units of the cluster's radius (eq. 3.8)
     q_basis: (n, r) q or q~ of eq. 3.14, mean-centred; inverse: (r, r) pseudo-inverse of sum m q~ q~^T
     span: (d, k) orthonormal directions that it spans; radius: root mean square distance from its centre
     root: (d, d) with A root = B, in which the cost of changing A is a plain distance, |dB|^2 up to a factor, and the
     measures of A and B are equal; only its first k columns are not 0
-    lift: (d, r) what a change of B does to the whole fit, dA~ = dB lift; 0 where changing A costs nothing
+    lift: (d, r) effect of a change of B on the whole fit, dA~ = dB lift; 0 where changing A costs nothing
     """
 
     index: IntArray
@@ -103,7 +103,7 @@ def rest_cluster(index: IntArray, m: FloatArray, q: FloatArray, radius: float, b
 
 
 def _measure_metric(gram: FloatArray, span: FloatArray, largest: float) -> tuple[FloatArray, FloatArray]:
-    """`root` and `lift` of a cluster. gram: (r, r) sum m q~ q~^T, without what the fit leaves out.
+    """`root` and `lift` of a cluster. gram: (r, r) sum m q~ q~^T, without the fit's residual.
 
     A change dA~ = [dA, dQ] of the best fit costs tr(dA~ gram dA~^T). For a given dA that is least with dQ = -dA C, C =
     G_AQ G_QQ^+. It is then tr(dA S dA^T) with the Schur complement S = G_AA - C G_QA: the quadratic terms adapt. If

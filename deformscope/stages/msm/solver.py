@@ -62,11 +62,11 @@ class Relaxed:
     position: (B, K, d) [m, or the unit of the rest shape]; residual: (B,) root mean square of goal - position;
     error: (B,) estimated distance from the static state, root mean square over particles (same unit)
     iterations: (B,) evaluations of goals or of their derivative; converged: (B,) `error` came below the tolerance;
-    diverged: (B,) the state ran away (eq. 3.17 with overlapping clusters can): its position is what was reached, and is
-    to be thrown away
+    diverged: (B,) the state diverged (eq. 3.17 with overlapping clusters can): its position is the last one, and is
+    useless
     smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
     unaided: (B,) the preconditioner did not help: plain conjugate gradients continued
-    out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are what was reached
+    out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are the last ones
     """
 
     position: FloatArray
@@ -163,8 +163,8 @@ class Msm:
     "quadratic"; slipping: the held particles that are held along one axis alone, and that axis: static states of more
     than one cluster find their lateral positions; precision: of the state; device: "cpu", "cuda:0"...
 
-    One candidate is one beta, one theta and one set of held positions. Whatever has a leading axis of B runs as B
-    candidates; the rest is shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
+    One candidate is one beta, one theta and one set of held positions. Arguments with a leading axis of B are B
+    candidates; others are shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
     that does not grow with their width. Other clusters are gathered particle by particle; a body of one cluster relaxes
     in the unknowns of that cluster.
     """
@@ -215,7 +215,8 @@ class Msm:
         return self._double if large else self._body
 
     def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> Msm:
-        """This body, by index lists, for what `materials` adds: betas along `axes` (d, d), clusters that yield."""
+        """This body, by index lists, for the additions of `materials`: betas along `axes` (d, d), clusters that
+        yield."""
         if axes is not None and self._basis != "linear":
             raise ValueError("expected a linear basis with a beta along each axis; got a quadratic one")
         made = self._alike()
@@ -539,7 +540,7 @@ class Msm:
     ) -> Gradient:
         """Gradient of a function of static states, given its own by positions: one symmetric solve for all parameters.
 
-        position: as for `sensitivity`; cotangent: (K, d) or (B, K, d), what the function changes by for each coordinate
+        position: as for `sensitivity`; cotangent: (K, d) or (B, K, d), the function's derivative by each coordinate
         (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
         the derivatives by beta and theta are solved for, and those by cluster are not given (nan).
         """
@@ -682,7 +683,7 @@ class Msm:
         return np.asarray(method.layout.get(method.residual, self.dim) * self.scale)
 
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
-        """Force that each particle asks of what holds it, per unit of the body's stiffness k [m]: (B, K, d).
+        """Force of each particle on its support, per unit of the body's stiffness k [m]: (B, K, d).
 
         The gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters, with volume conserved by
         projection since eq. 3.17 has no energy; at a static state 0 at the free particles.

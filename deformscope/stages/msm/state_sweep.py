@@ -1,4 +1,4 @@
-"""Static states of bodies over beta or theta: what the two parameters do (Thesis figures 3.5, 3.7 and 3.13)."""
+"""Static states of bodies over beta or theta: effect of the two parameters (Thesis figures 3.5, 3.7 and 3.13)."""
 
 from __future__ import annotations
 

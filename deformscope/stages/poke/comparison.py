@@ -1,4 +1,4 @@
-"""How well pokes that were not fitted are predicted: displacements and force of each, against what was measured."""
+"""Accuracy of predicted pokes that were not fitted: displacements and force of each, against the measurement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NEAR_M = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How one method did on one poke. surface_error: root mean square distance near the tip, as a share of the depth;
+    """Errors of one method on one poke. surface_error: root mean square distance near the tip, as a share of the depth;
     force: predicted [N] and force_error, relative; None where the method has none or none was measured"""
 
     method: str
@@ -29,7 +29,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class PokeComparison:
-    """A measured poke, what the model predicts, and how every method did."""
+    """A measured poke, the model's prediction, and the errors of every method."""
 
     poke: SeenPoke
     prediction: Prediction
@@ -39,7 +39,7 @@ class PokeComparison:
 
 @dataclass(frozen=True, slots=True)
 class PooledPokes:
-    """How the model did on several measured pokes. surface_error, force_error: root mean square, of the depth and of
+    """Errors of the model on several measured pokes. surface_error, force_error: root mean square, of the depth and of
     the measured force; forces: pokes whose force was measured and predicted; held: of these, how many 90 % intervals
     hold it; width: median of the intervals' widths, of the predicted force; None without forces"""
 
@@ -83,7 +83,7 @@ def _near(poke: SeenPoke) -> IntArray:
 
 
 def score_of(method: str, poke: SeenPoke, moved: FloatArray, force: float | None) -> Score:
-    """How displacements (n, 3) of the points, and a force, do on a measured poke."""
+    """Errors of displacements (n, 3) of the points, and of a force, on a measured poke."""
     near = _near(poke)
     error = float(np.sqrt(np.mean(np.sum((moved - poke.moved)[near] ** 2, axis=1)))) / poke.depth
     off = None if force is None or poke.force is None else force / poke.force - 1.0

@@ -1,8 +1,8 @@
-"""How stiff a place is, from the approach of a tip itself: force and arm, no camera.
+"""Stiffness of a place, from the approach of a tip itself: force and arm, no camera.
 
 Pressed by a tip, F = k (z - z0)^p, with p about 1.5 for a sphere and 1 for a flat tip. Taking the first force above a
-threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. What the arm yields
-under the force is taken off, as calibrated on a rigid block.
+threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. The arm's deflection
+under the force is subtracted, as calibrated on a rigid block.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ LAW_STEPS = 400
 
 @dataclass(frozen=True, slots=True)
 class ArmCompliance:
-    """How the arm yields along the normal.
+    """Compliance of the arm along the normal.
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
     position_sd_m: scatter of the arm's position about it [m]; dome: of the tip itself, its dent under a rigid block at
@@ -54,13 +54,13 @@ class ArmCompliance:
     dome: float = 0.0
 
     def depth_sd_m(self, force_n: float) -> float:
-        """What is not known of a depth under a force [m]."""
+        """Uncertainty of a depth under a force [m]."""
         return float(np.hypot(self.compliance_sd * force_n, self.position_sd_m))
 
 
 @dataclass(frozen=True, slots=True)
 class ContactFit:
-    """What an approach measures at the place.
+    """Measurement of an approach at the place.
 
     stiffness_n_per_mm: force over depth at `at_force_n` (apparent stiffness), with its 90 % `interval_n_per_mm`; of a
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and standard
@@ -68,9 +68,9 @@ class ContactFit:
     session share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
     at_force_n: the set force, also if the approach ended before it: the law is extrapolated to it, so that all touches
     compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which
-    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of what p and log_stiffness are
-    off by; peak_force_n: along the normal, tare taken off
-    residual_m: scatter of the arm's position about the law; arm_sd_m: what is not known of the depth for the arm's sake
+    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and
+    log_stiffness; peak_force_n: along the normal, tare taken off
+    residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
     samples: that were fitted
     peak_rate_n_per_s, peak_rate_interval_n_per_s: as of `peak_rate`
     """
@@ -241,7 +241,7 @@ def fitted_law(fit: ContactFit, arm: ArmCompliance, along_m: FloatArray) -> Floa
 def calibrate_compliance(
     time_s: FloatArray, position_m: FloatArray, force_n: FloatArray, normal: FloatArray, *, set_force_n: float = 3.0
 ) -> ArmCompliance:
-    """How the arm yields, from an approach to a rigid block. Arguments as in `fit_approach`: (n,) [s], (n, 3) [m],
+    """Compliance of the arm, from an approach to a rigid block. Arguments as in `fit_approach`: (n,) [s], (n, 3) [m],
     (n, 3) [N], (3,).
 
     z = z0 + c F + d F^(2/3): the compliance of a force sensor's rubber dome (Hertz 1882) is not the arm's, if it is

@@ -1,4 +1,4 @@
-"""How a foam creeps under a touch: its stiffness at once and when all has relaxed, how fast, and what a cycle loses.
+"""Creep of a foam under a touch: its immediate and relaxed stiffness, its rate, and the energy loss of a cycle.
 
 The law of `contact` with a memory. Where every modulus of a foam relaxes alike, E(t) = E0 (1 - g + sum g_i exp(-t/t_i))
 (a generalised Maxwell solid; one branch: the standard linear solid, Zener 1948), a ball that never retracts loads the
@@ -7,9 +7,8 @@ foam by
     d(t)^p / D0^p = [F(t) + sum_i j_i E_i(t)] / F0,      dE_i/dt = (F - E_i) / l_i
 
 (Lee and Radok 1960; p as in `contact`, D0 the immediate dent under the set force F0). Each branch of the creep
-compliance is a low-pass filter of the force with strength j_i and retardation time l_i. Forces are taken as measured
-and places are fitted, as in `contact`: the arm's scatter is what matters. Relaxation times t_i follow from those of
-creep.
+compliance is a low-pass filter of the force with strength j_i and retardation time l_i. Forces are treated as exact and
+places are fitted, as in `contact`: the arm's scatter dominates. Relaxation times t_i follow from those of creep.
 
 None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold
 determines creep within its duration: if a branch probably outlasts it, or nothing ends, a reason reports that, and the
@@ -50,7 +49,8 @@ from deformscope.stages.poke.slip import SlipFit, fit_slip
 CreepBehaviour = Literal["elastic", "viscous", "plastic", "slipping", "unidentified"]
 
 ELASTIC_MOST = 0.03
-"""Share of the modulus that may relax in a foam that counts as elastic: what arm's scatter and law leave open."""
+"""Share of the modulus that may relax in a foam that counts as elastic: the uncertainty due to the arm's scatter and
+the law."""
 KEPT_LEAST = 0.06
 """Permanent share of a dent from which a foam counts as plastic: below, the law's error may look the same."""
 SURE = 0.95
@@ -66,13 +66,13 @@ for all three."""
 FORCE_DRAWS = 400
 """Number of sampled laws from which the remaining force is computed."""
 LAYERED, LAYERED_SD = 0.05, 0.05
-"""What a layer on a table adds to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself may
-add to it."""
+"""Addition of a layer on a table to a ball's exponent: 0.04 to 0.07 on the slabs of `creep_law.BEND_SD`; foam itself
+may add to it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CreepFit:
-    """What a touch measured of a foam's creep; every interval holds 90 %.
+    """A touch's measurement of a foam's creep; every interval holds 90 %.
 
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
     deviation of the log of the latter; the relaxed one is None with a reason
@@ -83,7 +83,7 @@ class CreepFit:
     reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end
     short_record, no_plateau: probabilities of each
     force_kept: share of the force at the end of the approach that is left, held in place, for times within the hold
-    loss: energy that the cycle lost over what the way in took; None where the way out was not recorded
+    loss: energy that the cycle lost over that of the approach; None if the retract was not recorded
     held_s: how long the force was held; speed_m_s: of the approach in contact
     verdict: "slipping": the tip slid over the surface, and other values are doubtful; "plastic": a permanent dent;
     "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": none is SURE; why: in words
@@ -125,7 +125,7 @@ class CreepFit:
 
     @property
     def brief(self) -> str:
-        """Verdict, reasons, and what relaxes."""
+        """Verdict, reasons, and the relaxing share."""
         least, most = self.share_interval
         if self.verdict in ("elastic", "slipping"):
             return self.verdict
@@ -342,7 +342,7 @@ def cycle_loss(
 
     z_m, force_n: (n,) of a whole touch along the normal, zero of the force taken off; held: samples until the way back;
     clock_sd: deviation of the force's times against the place's, in samples.
-    None where the force did not come back to nothing. What the arm itself stores is no work on the foam.
+    None where the force did not come back to nothing. Energy stored in the arm is no work on the foam.
     """
     peak = float(force_n[:held].max())
     z_m = z_m - arm.compliance_m_per_n * force_n

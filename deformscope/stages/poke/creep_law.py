@@ -260,7 +260,7 @@ def _ball(radius_m: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _off_together(one: FloatArray, other: FloatArray) -> FloatArray:
-    """(a, b) covariance of what the law is off by at log forces (a,) and (b,): a process g less its value at 0."""
+    """(a, b) covariance of the law's errors at log forces (a,) and (b,): a process g less its value at 0."""
 
     def g(left: FloatArray, right: FloatArray) -> FloatArray:
         rise = np.exp(-LAW_RISE * (left[:, None] + right))

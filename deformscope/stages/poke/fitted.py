@@ -1,4 +1,4 @@
-"""What a calibration leaves behind: a body, the law that it follows and its stiffness, enough to predict a poke.
+"""Result of a calibration for predictions: a body, its law and its stiffness, enough to predict a poke.
 
 Two kinds of body: `layers`, material below a surface, whose lattice is made for each poke; and `particles`, the fitted
 particles themselves.
@@ -63,8 +63,8 @@ class FittedModel:
     body; rest: (n, 3) points of the surface, or (K, d) particles [m]; thickness: below a surface [m]
     shape, cell: lattice of the particles, if they have one; fixed: particles that do not move
     toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
-    tip: what the model was fitted with, and whether it slips
-    law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k there [N/m]
+    tip: of the fit, and whether it slips law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k
+    there [N/m]
     field_kind: kind of the surface between the pokes when the model was fitted
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
@@ -106,7 +106,7 @@ class FittedModel:
         return float(np.ptp(self.rest @ self.toward)) if self.thickness is None else self.thickness
 
     def beyond(self, depth: float, tip: Tip) -> tuple[str, ...]:
-        """In what respects a poke to a depth [m] lies beyond those that were fitted, in words."""
+        """How a poke to a depth [m] exceeds the fitted ones, as text."""
         found = []
         if depth > BEYOND * self.fitted_depth:
             found.append(f"{1e3 * depth:.3g} mm deep, fitted to {1e3 * self.fitted_depth:.3g} mm")
@@ -143,8 +143,8 @@ class FittedModel:
     def transfer_deviation(self, tip: Tip, depth: float, rivals: float = 0.0) -> float:
         """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted.
 
-        rivals: deviation of what rival laws say. They fit the same pokes and differ at other tips. Both are the same
-        uncertainty of the tip, so that the larger of the two counts, not both
+        rivals: deviation of rival laws' predictions. They fit the same pokes and differ at other tips. Both are the
+        same uncertainty of the tip, so that the larger of the two counts, not both
         """
         other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
         deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0
@@ -161,13 +161,13 @@ class MetStiffness:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """What a poke will do.
+    """Prediction of a poke.
 
     rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,)
     depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there
     force_deviation: of the force's logarithm for the law's, the tip's and the depth's sake, the place left out
     surface_error: how far particles of the surface near the tip may be off, root mean square [m]
-    extrapolated: in what respects the poke lies beyond what was fitted, in words
+    extrapolated: how the poke exceeds the fitted ones, as text
     layers: the lattice, for a body of layers; converged; residual: of the model, for points around the tip
     """
 

@@ -1,4 +1,4 @@
-"""What an inclusion below the surface does to touches above it: its footprint on apparent stiffness.
+"""Effect of an inclusion below the surface on touches above it: its footprint on apparent stiffness.
 
     shift = inclusion_shift(contrast_share(10.0), footprint(contact_m, radii_m, depths_m, aside_m))    # of log
     stiffness
@@ -51,7 +51,7 @@ def contrast_share(times: float) -> float:
 
 
 def inclusion_shift(share: FloatArray | float, footprint: FloatArray) -> FloatArray:
-    """(...,) what is added to log stiffness at a set force; share: h; footprint: of the same shape"""
+    """(...,) addition to log stiffness at a set force; share: h; footprint: of the same shape"""
     return np.asarray(-np.log1p(-np.minimum(CALIBRATED * share * footprint, MOST_SHARE)))
 
 

@@ -1,4 +1,4 @@
-"""What a stiffness that changes with the force does to the law that is fitted to a touch.
+"""Effect of a stiffness that changes with the force on the law that is fitted to a touch.
 
     to_log, to_exponent = law_response()
     log, exponent = to_log @ shifts, to_exponent @ shifts        # shifts (3,) of log stiffness under CONTACTS

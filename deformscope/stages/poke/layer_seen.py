@@ -36,7 +36,7 @@ class TableSeen:
 @dataclass(frozen=True, slots=True)
 class KnownLayer:
     """thickness_m: of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
-    table_m: height of what the foam lies on; uneven: whether the surface's shape is used
+    table_m: height of the table under the foam; uneven: whether the surface's shape is used
     """
 
     thickness_m: float | None
@@ -56,7 +56,7 @@ def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen |
 
 
 def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
-    """What is known of foam whose surface is so high (n,) [m] where it may be touched.
+    """Thickness and shape of foam with surface heights (n,) [m] at possible touches.
 
     stated_m: its stated thickness, if any: the foam then lies at z = 0; relief: whether its shape is used
     """
@@ -77,8 +77,7 @@ def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: floa
 
 @dataclass(frozen=True, slots=True)
 class LayerModulus:
-    """pa: Young's modulus; interval_pa: of 90 %, for what the stiffness and the thickness may be, at a known Poisson's
-    ratio"""
+    """pa: Young's modulus; interval_pa: of 90 %, due to the stiffness and the thickness, at a known Poisson's ratio"""
 
     pa: float
     interval_pa: tuple[float, float]
@@ -95,7 +94,7 @@ def modulus_of(
 ) -> LayerModulus | None:
     """Of foam of this stiffness at a force, under a ball on the layer; None with an unknown thickness.
 
-    dent_m: the dent at that force, where it was what was measured: then its modulus is that to the last bit
+    dent_m: the dent at that force, if it was the measured quantity: then its modulus is that to the last bit
     """
     if layer.thickness_m is None:
         return None

@@ -1,4 +1,4 @@
-"""What the shape of a layer does to a touch: its thickness there, the curvature of its surface, its edge.
+"""Effect of a layer's shape on a touch: its thickness there, the curvature of its surface, its edge.
 
     shift = shape_shift(LocalShape(thickness_m=0.03), depth_m=0.004, reference_m=0.05)
     log_stiffness + shift.log       # as the same foam would be on a level layer of the reference thickness
@@ -78,7 +78,7 @@ class ShapeShift:
 def shape_shift(
     shape: LocalShape, depth_m: float, *, reference_m: float, radius_m: float = 0.01, poisson: float = 0.3
 ) -> ShapeShift:
-    """What a level, wide layer of the reference thickness [m] would add to a touch's log stiffness at its force.
+    """Addition of a level, wide layer of the reference thickness [m] to a touch's log stiffness at its force.
 
     depth_m: of the dent at the force at which stiffness is taken [m]; radius_m: of the ball
     """

@@ -1,4 +1,4 @@
-"""What a fit of layers to pokes says: beta with its interval and verdict, stiffness, and a model that can be poked."""
+"""Result of a fit of layers to pokes: beta with its interval and verdict, stiffness, and a model for predictions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FINE, THETAS = 161, 21
 
 THETA_STEP = 0.05
 FELT = 0.1
-"""The least beta at which what theta does is taken: it goes with beta, and near 0 no more than rounding is seen."""
+"""The least beta at which theta's effect is evaluated: it is proportional to beta, and near 0 only rounding remains."""
 
 NUMERICS = 1e-3
 """Error that contact and lattice are solved to, as a share of the depth."""
@@ -327,7 +327,7 @@ def neighbouring_values(at: float, low: float, high: float) -> FloatArray:
 def _stiffness(
     fit: PokesFit, profile: Profile, posterior: Posterior, level: float
 ) -> tuple[float, tuple[float, float]] | None:
-    """k and its interval over what beta may be, the misfit of the surface and the scatter among the pokes."""
+    """k and its interval over beta's posterior, the misfit of the surface and the scatter among the pokes."""
     measured, k = fit.stiffness(fit.best)
     if not measured.size:
         return None

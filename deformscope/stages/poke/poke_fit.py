@@ -53,26 +53,27 @@ FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
 """The largest -log(1 - beta) and theta."""
 
 NEWEST = 2
-"""How layers are fitted. 1, as in older recordings: rounds find the slip of a tip's particles, and theta's effect is
-evaluated at the best beta, however small it is there."""
+"""Options of the fit of layers. 1, as in older recordings: rounds find the slip of a tip's particles, and theta's
+effect is evaluated at the best beta, however small it is there."""
 
 MOST_LAWS = 15
 """Laws that are tried for each cluster size, and one more where a step is refused."""
 SLOPE_STEP = 0.03
-"""Step of -log(1 - beta) and of theta over which the fit takes slopes: well above what contact is solved to."""
+"""Step of -log(1 - beta) and of theta for the fit's slopes: well above the accuracy of contact."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeenPoke:
     """One poke of a surface as it was measured.
 
-    at: (3,) the middle of what was touched, at rest [m]; depth: mean displacement of what was touched, downwards [m]
+    at: (3,) the middle of the touched points, at rest [m]; depth: mean displacement of the touched points, downwards
+    [m]
     touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
     noise: (n,) [m] or None; force: [N] or None
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and the misfit remains; None: every point alone
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
-    footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else what lies between the touched
+    footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else the area between the touched
     points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
     alone, not the material point that is there
@@ -94,12 +95,12 @@ class SeenPoke:
 
     @property
     def components(self) -> int:
-        """How many coordinates of each point's displacement were seen."""
+        """Number of observed coordinates of each point's displacement."""
         return 1 if self.heights_only else 3
 
 
 def seen_poke(seen: Observation) -> SeenPoke:
-    """The poke in an observation of a surface: its contact, or the held particles that moved, is what was touched.
+    """The poke in an observation of a surface: its contact, or the held particles that moved, are the touched points.
 
     Raises InputError for a flat (2D) observation, and where nothing was pressed down.
     """
@@ -265,7 +266,7 @@ class PosedPoke:
         return np.column_stack([np.zeros((len(found), 2)), height])
 
     def left(self, state: PokedBody) -> SurfaceLeft:
-        """What the first of these states leaves of the surface near the poke."""
+        """Residual of the first of these states on the surface near the poke."""
         poke, near = self.poke, self.near
         left = (poke.moved - self.moved(state)[0])[near]
         return SurfaceLeft(middle=poke.at[:2], tip=poke.tip, depth=poke.depth, points=poke.points[near], left=left)
@@ -370,7 +371,7 @@ def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatA
 
 @dataclass(frozen=True, slots=True)
 class ShapeFit:
-    """How well clusters of one size follow the pokes.
+    """Fit of clusters of one size to the pokes.
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
     same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
@@ -386,8 +387,8 @@ class ShapeFit:
 
     @property
     def score(self) -> float:
-        """What cluster sizes are compared by: the error over all pokes. All sizes have the same two parameters, so that
-        none can win by following noise."""
+        """Criterion of cluster sizes: the error over all pokes. All sizes have the same two parameters, so that none
+        can win by following noise."""
         return float(np.sqrt(np.mean(self.surface_error**2)))
 
 

@@ -30,7 +30,7 @@ START_SD = 0.02
 SMOOTHED = 9
 """Samples over which the way across is averaged."""
 SLID_M = 5e-4
-"""What slid less did not slide."""
+"""A smaller slip counts as none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ PRIOR_M, PRIOR_RAD = 0.015, 0.02
 SENSOR_M, INDEPENDENT = 0.002, 100.0
 """Deviation of a point, and how many are worth their number: errors of shape are shared by neighbours."""
 ALIKE_M = 0.004
-"""Where points are off by more after all, in the mean, they are of something else."""
+"""Points with a larger mean distance belong to something else."""
 ALIGNED_M = 0.003
 """Remaining error of the camera's pose, at the tip: 2.4 mm at most of 108 pictures of `studies.removal`, 0.6 mm as the
 median (seeds 1000 to 1005: `studies.seeds`)."""

@@ -72,7 +72,7 @@ class ParticleGrid:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """Where the particles are now, and how well that is known.
+    """Present positions of the particles, and their accuracy.
 
     position_px: (K, 2) (x, y) [px], always finite: a lost particle stays where it was last seen
     noise_px: (K,) one standard deviation of each coordinate, grown over the steps so far [px]

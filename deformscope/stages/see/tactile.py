@@ -1,4 +1,4 @@
-"""Where, over how much area and how hard a tactile sensor's pads are touched."""
+"""Place, area and force of contacts on a tactile sensor's pads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class TactileContact:
-    """What the pressures on each pad amount to.
+    """Summary of the pressures on each pad.
 
     center_m: (pads, 2) centre of pressure (x along the columns, y along the rows) from the outer corner of the pad's
     first texel [m], NaN without contact; area_m2: (pads,) of the texels in contact [m^2]

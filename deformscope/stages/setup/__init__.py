@@ -1,1 +1,1 @@
-"""Where things are to one another before anything is explored: table, tip, camera, force sensor, clocks."""
+"""Geometry before an exploration: table, tip, camera, force sensor, clocks."""

@@ -1,4 +1,4 @@
-"""Where a camera stands and how its lens projects, from views of a ChArUco board that the arm carries."""
+"""Pose and projection of a camera, from views of a ChArUco board that the arm carries."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class CameraEstimate:
 
 @dataclass(frozen=True, slots=True)
 class KnownLens:
-    """How a camera projects. focal_px, center_px: (x, y); distortion: OpenCV's k1, k2, p1, p2, k3"""
+    """Projection of a camera. focal_px, center_px: (x, y); distortion: OpenCV's k1, k2, p1, p2, k3"""
 
     focal_px: tuple[float, float]
     center_px: tuple[float, float]

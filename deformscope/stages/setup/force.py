@@ -35,7 +35,7 @@ LEAST_TURN = 0.15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceMount:
-    """How the sensor sits on the stick.
+    """Orientation of the sensor on the stick.
 
     R_tip_force: (3, 3) orthogonal: forces in the sensor's axes to the tip's; a determinant of -1 = an axis mirrored
     turn_rad, turn_half_rad: its turn about the stick, and half its interval; push_sd_rad: deviation of a push
@@ -50,8 +50,8 @@ class ForceMount:
 
 
 def mount(force_n: FloatArray, axes: FloatArray, *, prior: ErrorPrior = PUSHED) -> ForceMount:
-    """How the sensor sits, from the forces (n, 3) [N] that it gave while it was pushed along `axes` (n, 3), unit
-    vectors in the tip's frame.
+    """Orientation of the sensor, from its forces (n, 3) [N] during pushes along `axes` (n, 3), unit vectors in the
+    tip's frame.
 
     The sensor's z axis is taken to lie along the stick, one way or the other. Raises InputError for pushes too weak,
     along one axis alone, without one along the stick, or that fit no way of sitting.
@@ -131,7 +131,7 @@ def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSE
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeAir:
-    """What the sensor reads while nothing touches it.
+    """Readings of the sensor while nothing touches it.
 
     tare_n: (3,) its mean [N]; noise_n: (3,) deviation of a reading [N]
     drift_n_per_min, drift_half: (3,) and half its interval [N/min]
@@ -165,7 +165,7 @@ NOTHING = ErrorPrior(0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HangingWeight:
-    """What hangs on the sensor, from readings in free air in several poses.
+    """Load of the sensor, from readings in free air in several poses.
 
     weight_n, weight_half_n: its weight and half its interval [N]; bias_n: (3,) reading without it
     down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over
@@ -183,8 +183,8 @@ def hanging_weight(
 ) -> HangingWeight:
     """The weight on the sensor, from mean readings (n, 3) [N] with the tip turned as R_base_tip (n, 3, 3).
 
-    What hangs on the sensor pulls it as the tip pushes the world: f = b + R_tip_force^T R_base_tip^T w.
-    Raises InputError for poses that are turned too little.
+    A load on the sensor pulls it as the tip pushes the world: f = b + R_tip_force^T R_base_tip^T w. Raises InputError
+    for poses that are turned too little.
     """
     felt = np.asarray(force_n, np.float64)
     turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)

@@ -1,4 +1,4 @@
-"""Where a camera stands that sees a board which the arm carries, and where the board is on the arm; or from touches.
+"""Pose of a fixed camera that sees a board which the arm carries, and pose of the board on the arm; or from touches.
 
 Each view gives A Y = X B. A, the arm's end in its base frame, and B, the board in the camera's, are known; X, the
 camera in the base frame, and Y, the board on the arm's end, are sought.
@@ -49,7 +49,7 @@ class HandEye:
 
 
 def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
-    """Where the camera stands and where the board is on the arm, from n views: (n, 4, 4) each.
+    """Pose of the camera and of the board on the arm, from n views: (n, 4, 4) each.
 
     Their uncertainty comes from leaving out one view after the other (jackknife): errors of arm and camera need not be
     known, nor their ratio. Raises InputError for too few views, or turns about one axis alone.
@@ -194,7 +194,7 @@ class CameraFromTouches:
 
 
 def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: ErrorPrior = TOUCHED) -> CameraFromTouches:
-    """Where the camera stands that sees places (n, 3) [camera frame] which the tip touched (n, 3) [base frame].
+    """Pose of the fixed camera that sees places (n, 3) [camera frame] which the tip touched (n, 3) [base frame].
 
     Raises InputError for fewer than four, or places in one line.
     """

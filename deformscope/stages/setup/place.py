@@ -1,4 +1,4 @@
-"""Where a rectangle lies: its frame, its sides and the box around it, from its corners touched by a round tip.
+"""Pose of a rectangle: its frame, its sides and the box around it, from its corners touched by a round tip.
 
 The frame's origin is the first corner; x runs to the second, y to the third, z up.
 """
@@ -24,7 +24,7 @@ SHORTEST_M = 0.05
 UNLIKELY = 1e-3
 """Least probability of the corners' deviation from a rectangle: corners below it are refused."""
 AROUND_M, ABOVE_M = 0.03, 0.3
-"""How far the box of the tip goes beyond the rectangle, and above it."""
+"""Extent of the tip's box beyond the rectangle, and above it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

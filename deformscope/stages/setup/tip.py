@@ -1,4 +1,4 @@
-"""Where the tip is at the arm's end, by turning the arm about it: a pivot.
+"""Position of the tip at the arm's end, by turning the arm about it: a pivot.
 
 The ball at the tip stays in one place (a cone, a ring, a hole's rim) while the arm's end is turned about it. Each pose
 gives R p + t = q with the tip p in the frame of the arm's end and the place q in the base frame: linear in both.

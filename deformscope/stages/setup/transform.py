@@ -37,7 +37,7 @@ class ErrorPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastSquares:
-    """What a fit found.
+    """Result of a fit.
 
     value: (p,); covariance: (p, p) its scale included; dof: degrees of freedom of that scale (Student's t)
     sd: deviation of a residual, prior and residuals taken together; scatter: that of the residuals alone, NaN where

@@ -131,7 +131,7 @@ def left_out(points: FloatArray, apart: IntArray | None = None) -> FloatArray:
 
 
 def neighbour_count(squared: FloatArray, target: IntArray, classes: int) -> int:
-    """How many neighbours to ask: as the thesis for three and five classes, else by points left out, (n, n)."""
+    """Number of neighbours: as the thesis for three and five classes, else by points left out, (n, n)."""
     if classes in NEIGHBOURS:
         return NEIGHBOURS[classes]
     right = {
@@ -257,8 +257,8 @@ def usable(name: Name, raw: int) -> bool:
 def fitter(
     name: Name, points: FloatArray, target: IntArray, classes: int
 ) -> Callable[[FloatArray, IntArray, int], Quadratic | Linear]:
-    """What fits a Gaussian classifier of that name to some of the points (n, d), with the settings that suit all of
-    them. target: (n,) class of each"""
+    """The fit of a Gaussian classifier of that name to some of the points (n, d), with settings for all of them.
+    target: (n,) class of each"""
     if name == "linear":
         return partial(fit_linear, share=linear_share(points, target, classes))
     return fit_quadratic

@@ -1,7 +1,7 @@
 """Features made comparable and few: constant columns dropped, standardised, principal components (Thesis 2.4.2).
 
-All of it is fitted to the training side of a split alone, by scikit-learn; the test side is projected. What is fitted
-are arrays, so that a saved classifier answers without it.
+All of it is fitted to the training side of a split alone, by scikit-learn; the test side is projected. Fitted values
+are arrays, so that a saved classifier answers without the data.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Scaling:
     scale: FloatArray
 
     def apply(self, features: FloatArray) -> FloatArray:
-        """(n, q) standardised columns of (n, p) features. What was not measured (NaN) becomes the mean."""
+        """(n, q) standardised columns of (n, p) features. Missing values (NaN) become the mean."""
         scaled: FloatArray = (features[:, self.used] - self.mean) / self.scale
         return np.nan_to_num(scaled, copy=False, nan=0.0)
 
@@ -64,7 +64,7 @@ class Space:
 
 
 def kept_of(variance: FloatArray, share: float = EXPLAINED) -> int:
-    """How many components hold that share of the variance; falling (d,) variances."""
+    """Number of components that hold that share of the variance; falling (d,) variances."""
     if not variance.size or not variance.sum() > 0.0:
         return 0
     return int(np.searchsorted(np.cumsum(variance) / variance.sum(), share - 1e-12) + 1)

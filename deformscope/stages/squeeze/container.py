@@ -115,7 +115,7 @@ class ModelRenderer:
     def render(
         self, T_camera_container: FloatArray, pixels: FloatArray | IntArray, ray: FloatArray | None = None
     ) -> ModelView:
-        """What pixels (..., 2) as (column, row) see of the container at a pose (4, 4). ray: (..., 3), where known"""
+        """View of the container at a pose (4, 4) in pixels (..., 2) as (column, row). ray: (..., 3), where known"""
         pose = np.asarray(T_camera_container, dtype=np.float64)
         ray = (self.rays(pixels) if ray is None else ray) @ pose[:3, :3]
         eye = -pose[:3, 3] @ pose[:3, :3]  # in the container's frame, which does not move

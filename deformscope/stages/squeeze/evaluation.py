@@ -1,4 +1,4 @@
-"""How well the content is known from each modality, and how sure that is (Thesis 2.5).
+"""Accuracy of the content's classification from each modality, and its uncertainty (Thesis 2.5).
 
 Everything that is learned is learned inside the training side of each split: scaling, components, classifiers,
 calibration and fusion.
@@ -237,7 +237,7 @@ def _without_copies(
     protocol: Protocol,
     notes: list[str],
 ) -> ClassificationScore | None:
-    """What is recommended, evaluated on one trial of each set of near copies and on all that have none."""
+    """The recommended method, evaluated on one trial of each set of near copies and on all that have none."""
     shown = "; ".join(" ~ ".join(map(table.name, rows)) for rows in copies[:LISTED])
     more = f" and {len(copies) - LISTED} more" if len(copies) > LISTED else ""
     where = "another trial" if table.group is None else "one of another group"
@@ -460,7 +460,7 @@ def _time_steps(
 
 @dataclass(frozen=True, slots=True)
 class _Stops:
-    """Where a squeeze could have stopped by now. named: for each split (m,) the class then, -1 = not yet"""
+    """Possible stops of a squeeze up to now. named: for each split (m,) the class then, -1 = not yet"""
 
     named: list[IntArray]
 

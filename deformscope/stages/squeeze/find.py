@@ -4,8 +4,8 @@
     found.center_m, found.size_m, found.deviation_m
     compare(found, find_container(later_m, "cylinder")).kind
 
-What rises above the table is split into connected pieces as seen from above. The upright cylinder or box is fitted to
-the points of its sides by least squares (soft L1), its height to those of its top.
+Points above the table are split into connected pieces as seen from above. The upright cylinder or box is fitted to the
+points of its sides by least squares (soft L1), its height to those of its top.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from deformscope.results.declared import derived, reported
 from deformscope.stages.squeeze.track import CORRELATED_PX
 
 ABOVE_M = 0.015
-"""What is lower over the table is table: several deviations of a depth camera's noise at 1 m. Higher, flat containers
-are not seen; lower, noise of the table joins pieces."""
+"""Lower points belong to the table: several deviations of a depth camera's noise at 1 m. Higher, flat containers are
+not seen; lower, noise of the table joins pieces."""
 CELL_M, CELL_POINTS = 0.01, 3
 """Least number of points of an occupied cell seen from above: pixels are 2 mm apart at 1 m. A coarser one merges
 objects a centimetre apart; a finer one splits a side at grazing angles."""

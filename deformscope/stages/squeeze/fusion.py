@@ -206,8 +206,8 @@ def fit_expert(
 
 
 def fuse(pool: Pool, logs: FloatArray, present: BoolArray) -> FloatArray:
-    """(n, C) fused of (M, n, C) calibrated ones. Where one modality is there, it is that modality's own posterior;
-    where none is, nothing is known but the offsets.
+    """(n, C) fused of (M, n, C) calibrated ones. With one modality, it is that modality's own posterior; with none,
+    only the offsets count.
 
     present: (M, n) which modalities there are
     """

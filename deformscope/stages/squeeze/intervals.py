@@ -1,4 +1,4 @@
-"""How sure an evaluation is: intervals and comparisons over splits that share their trials."""
+"""Uncertainty of an evaluation: intervals and comparisons over splits that share their trials."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class ModalityModel:
 
 @dataclass(frozen=True, slots=True)
 class ContentModel:
-    """What is in a container, from any of its modalities.
+    """Content of a container, from any of its modalities.
 
     labels: C contents; modalities: by name; fusion: of these, in their order; steps: by modality one model for each
     step of the squeeze, `step_s` apart; step_fusion: of these, in their order, for each step, () = they are not fused

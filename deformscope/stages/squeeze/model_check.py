@@ -85,7 +85,7 @@ class ModelCheck:
 
 
 def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9, seed: int = 0) -> ModelCheck:
-    """How a model does on a table of new trials.
+    """Evaluation of a model on a table of new trials.
 
     Raises InputError for labels and columns that the model does not have, and for missing modalities.
     """

@@ -1,4 +1,4 @@
-"""How the depth around a fingertip differs from that of the rigid container: the visual feature (Thesis ch. 2).
+"""Difference of the depth around a fingertip from that of the rigid container: the visual feature (Thesis ch. 2).
 
 The sign is the thesis's: data minus model. A dent is positive, a wall that bulges towards the camera negative.
 """

@@ -1,4 +1,4 @@
-"""What a squeeze says in physical quantities: contact, force, indentation, stiffness of the wall, relaxation.
+"""Physical quantities of a squeeze: contact, force, indentation, stiffness of the wall, relaxation.
 
 They complement the raw features of the thesis, and have the same meaning on another hand and another container.
 """

@@ -1,4 +1,4 @@
-"""What is recorded of an arm that places the hand: how the container was seen, and which grasp was drawn."""
+"""Record of an arm that places the hand: measurements of the container, and the drawn grasp."""
 
 from __future__ import annotations
 

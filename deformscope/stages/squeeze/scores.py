@@ -1,4 +1,4 @@
-"""What the answers over all splits come to: accuracy, confusion and calibration, each with its interval."""
+"""Scores of the answers over all splits: accuracy, confusion and calibration, each with its interval."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BINS = 10
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """How often answers of a probability are right.
+    """Share of right answers over their probability.
 
     sure: (B,) mean posterior of the answers in each bin; right: (B,) share that was right; count: (B,) answers over all
     splits; band: (B, 2) within which `right` lies for a perfectly calibrated classifier, at the evaluation's level
@@ -36,7 +36,7 @@ class Reliability:
 
 @dataclass(frozen=True, slots=True)
 class ClassificationScore:
-    """How a method does on a modality.
+    """Score of a method on a modality.
 
     fusion: none, early (columns joined) or late (posteriors pooled); chance: the no-information rate, of always naming
     the most frequent of the classes that are tested; confusion: (C, C) answers over all splits, row = truth
@@ -105,8 +105,7 @@ def split_ratio(splits: Sequence[Split]) -> float:
 def worth_of(
     table: LabelledTable, protocol: Protocol | Literal["transfer"], splits: Sequence[Split], outcomes: Sequence[Answers]
 ) -> float:
-    """How many independent trials the answers are worth; the trials of a group are one cluster where groups are left
-    out."""
+    """Effective number of independent answers; the trials of a group are one cluster if groups are left out."""
     tested = np.unique(np.concatenate([one.rows for one in outcomes]))
     group = table.group if protocol in ("group", "transfer") else None
     if protocol == "transfer":

@@ -69,7 +69,7 @@ class TrackOptions:
 
 @dataclass(frozen=True, slots=True)
 class PoseEstimate:
-    """Where a container is. T_camera_container: (4, 4)
+    """Pose of a container. T_camera_container: (4, 4)
 
     directions: (6, 6) a direction of motion each row, container frame: translation, then rotation times `lever_m`
     deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) which are known so
@@ -92,7 +92,7 @@ class PoseEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """What is rendered of the container. pixels: (h, w, 2) column and row; ray: (h, w, 3); bulge: (h, w, k)"""
+    """The rendering of the container. pixels: (h, w, 2) column and row; ray: (h, w, 3); bulge: (h, w, k)"""
 
     pixels: IntArray
     ray: FloatArray
@@ -244,7 +244,8 @@ def _edge_rows(
     model_m: FloatArray,
     corner: tuple[int, int],
 ) -> _Rows:
-    """Where the data's depth jumps along the normals of the rendering's outline, against where the rendering ends."""
+    """Rows where the data's depth jumps along the normals of the rendering's outline, against the end of the
+    rendering."""
     nothing = _rigid(np.zeros((0, 6)), np.zeros(0), np.zeros(0), 1.0)
     inside = np.isfinite(model_m)
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -92,7 +92,7 @@ class TrackedContainer:
     @property
     @derived(key="degrees_of_freedom")
     def degrees(self) -> str:
-        """How many degrees of freedom are observed, and which are not, each named by its largest part."""
+        """Number of observed degrees of freedom, and the unobserved ones, each named by its largest part."""
         free = [] if self.directions is None else self.directions[self.observed == 0.0]
         names = sorted(DEGREES[int(np.abs(one).argmax())] for one in free)
         return f"{int(self.observed.sum())} of 6 observed" + f", not {', '.join(names)}" * bool(names)
@@ -154,7 +154,7 @@ class SqueezeFeatures:
 
 @dataclass(frozen=True, slots=True)
 class ContentPosterior:
-    """What a model takes the content for.
+    """A model's posterior of the content.
 
     since_s: since the first contact [s]; modality: its input; labels; probability: (k,) of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state

@@ -28,7 +28,7 @@ LENGTHS = (0.5, 1.0, 2.0)
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What a classifier answered. rows: (m,) tested trials; answer: (m,) classes; sure: (m,) posteriors of these;
+    """Answers of a classifier. rows: (m,) tested trials; answer: (m,) classes; sure: (m,) posteriors of these;
     log_truth: (m,) logarithm of the true class's posterior; components: number of components used"""
 
     rows: IntArray
@@ -39,7 +39,7 @@ class Answers:
 
 
 def joined_name(modalities: Sequence[str]) -> str:
-    """How several modalities together are called."""
+    """Name of several modalities together."""
     return "+".join(modalities)
 
 

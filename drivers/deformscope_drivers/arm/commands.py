@@ -29,7 +29,7 @@ need the weak direction."""
 
 
 class SpeedLimits(Protocol):
-    """How fast a command may ask an arm to move; its configuration says it.
+    """Speed limits of an arm's commands; its configuration has them.
 
     linear_limit_m_s, angular_limit_rad_s: of the end effector; joint_limit_deg_s: of any joint, whose own limit holds
     besides; command_deadline_s: default duration of a velocity

@@ -88,13 +88,13 @@ class Arm(Device[StateT]):
 
     @property
     def speed_limits(self) -> SpeedLimits:
-        """How fast a command may ask it to move: as its configuration says."""
+        """Speed limits of its commands, by its configuration."""
         limits: SpeedLimits = self.config
         return limits
 
     @property
     def state_hz(self) -> float:
-        """How often it should report: as its configuration says."""
+        """Rate of its reports, by its configuration."""
         hz: float = self.config.state_hz
         return hz
 

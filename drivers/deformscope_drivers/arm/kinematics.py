@@ -1,4 +1,4 @@
-"""Where an arm's links are for given joint angles, and which joint angles bring its end where it should be.
+"""Poses of an arm's links for given joint angles, and joint angles for a given pose of its end.
 
 Joints are in degrees, as vendors' interfaces give and take them; lengths are in metres, rotations in radians. Every
 joint turns about the z axis of its own frame, so a child's pose in its parent is `origin @ rotation_z(angle)`.
@@ -38,7 +38,7 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class InverseResult:
-    """What inverse kinematics found.
+    """Result of inverse kinematics.
 
     joints_deg: (n,) the best joint angles found, within the limits, whether or not they reach the target [deg]
     converged: both errors are within the requested tolerances

@@ -23,7 +23,7 @@ from deformscope_drivers.openni.process import serve
 
 RECORDING_SUFFIX = ".oni"
 _CAMERA = re.compile(r"(\w[\w:/@.-]*)?")
-"""What OpenNI2 may be given as the name of a camera. It takes any other name for a file's, and opens that."""
+"""Names of cameras for OpenNI2. It takes any other name for a file's, and opens that."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,7 +63,7 @@ def discover(
 
 
 def resolve_port(port: str, devices: Path = USB_DEVICES) -> str:
-    """What OpenNI2 calls the camera of a port: `usb:1-2` is looked up, anything else is its own name."""
+    """OpenNI2's name of a port's camera: `usb:1-2` is looked up, anything else is its own name."""
     if not port.startswith(USB_PORT):
         return port
     usb = usb_device(devices / port.removeprefix(USB_PORT))

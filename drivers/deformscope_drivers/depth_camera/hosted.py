@@ -141,7 +141,7 @@ class HostedCamera(Device[DepthImage]):
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _open_there(self) -> dict[str, Any]:
-        """What the process reports of the camera that it has opened."""
+        """The process's report on the opened camera."""
         try:
             self._hosted.start(self._serve, *self._settings())
             report: dict[str, Any] | None = self._hosted.opened(OPEN_TIMEOUT_S, self._closing)

@@ -1,4 +1,4 @@
-"""What every depth camera gives."""
+"""Common parts of every depth camera."""
 
 from __future__ import annotations
 

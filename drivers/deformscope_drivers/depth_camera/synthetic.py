@@ -33,7 +33,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class SyntheticDepthConfig(SyntheticConfig):
-    """What the camera adds to a view.
+    """Errors that the camera adds to a view.
 
     unit_m: the step of depth [m]
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's

@@ -75,8 +75,8 @@ class _WantedSettings:
 class Dsa(StreamDevice[TactileReading]):
     """The Weiss DSACON32m tactile controller of a Schunk SDH.
 
-    The controller's description (`controller`, `sensor`, `matrices`) is there once it is open. What was set is set
-    again after a lost link, since a controller that was switched off forgets.
+    The controller's description (`controller`, `sensor`, `matrices`) is there once it is open. Settings are repeated
+    after a lost link, because a controller that was switched off loses them.
     config: how it runs; transport: instead of the configuration's port
     """
 
@@ -117,7 +117,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     @property
     def sensor(self) -> messages.SensorInfo:
-        """How many matrices, and the sensor's serial number. Raises NotConnected before the first opening."""
+        """Number of matrices, and the sensor's serial number. Raises NotConnected before the first opening."""
         return self._known(self._sensor)
 
     @property

@@ -40,7 +40,7 @@ _SENSITIVITY_READ_BACK_BROKEN_UP_TO = 218
 
 @dataclass
 class _MatrixSettings:
-    """What was set of one matrix: sensitivity, 0 to 1; threshold, counts below which a texel reads 0."""
+    """Settings of one matrix: sensitivity, 0 to 1; threshold, counts below which a texel reads 0."""
 
     sensitivity: float = FACTORY_SENSITIVITY
     threshold: int = FACTORY_THRESHOLD

@@ -1,4 +1,4 @@
-"""What a DSACON32m and its host say to each other, and one table of how each message lies in its packet's payload.
+"""Messages between a DSACON32m and its host, and one table of each message's layout in its packet's payload.
 
 Source: Schunk's libraries as protocols.md 1a cites them (SDHLibrary-CPP, sdh/dsa.h). Little-endian throughout. Only
 messages whose payload is public are here: ids 00, 01, 02, 03, 0B, 0F, 12, 13 and 14.
@@ -50,7 +50,7 @@ class Adjust(IntFlag):
 
 
 FRAME_RLE = 0x01
-"""Flag of a frame whose texels are run-length encoded. What the other seven bits mean is not public."""
+"""Flag of a frame whose texels are run-length encoded. The meaning of the other seven bits is not public."""
 
 ERRORS = (
     *("success", "not available", "no sensor", "not initialised", "already running", "feature not supported"),
@@ -72,7 +72,7 @@ PENDING = ERRORS.index("pending")
 
 
 def error_name(code: int) -> str:
-    """What an error code means."""
+    """Meaning of an error code."""
     return ERRORS[code] if code < len(ERRORS) else "unknown error"
 
 
@@ -169,7 +169,7 @@ class MatrixInfo:
 
     @property
     def cells(self) -> int:
-        """How many texels the matrix has."""
+        """Number of texels of the matrix."""
         return self.cells_x * self.cells_y
 
 
@@ -270,7 +270,7 @@ Command = (
 
 
 class Layout(NamedTuple):
-    """How a message lies in its payload: what kind it is, and the `struct` of its fields, in their order."""
+    """Layout of a message in its payload: its kind, and the `struct` of its fields, in their order."""
 
     id: Id
     kind: type[Any]

@@ -116,7 +116,7 @@ class _DsaDecoder(FrameDecoder[EventT]):
 
     @abstractmethod
     def _event(self, id: int, payload: bytes, intact: bool) -> EventT | Refused:
-        """What a whole packet says; `intact`: its checksum is right."""
+        """Content of a whole packet; `intact`: its checksum is right."""
 
 
 class Decoder(_DsaDecoder[Reading | Reply]):

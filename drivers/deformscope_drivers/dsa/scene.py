@@ -1,4 +1,4 @@
-"""What a simulated tactile hand touches: pressures on its pads as a function of time."""
+"""Contacts of a simulated tactile hand: pressures on its pads as a function of time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _matrix(rows: int, index: int) -> MatrixInfo:
 
 
 class GraspScene:
-    """A hand that closes on something round and lets go, again and again.
+    """A hand that closes on something round and opens, again and again.
 
     Each pad is pressed by a patch that grows, drifts and shrinks: the distal pads first and most. At time 0 nothing is
     touched. shapes: (rows, columns) of each matrix; seed: where the patches are

@@ -11,7 +11,7 @@ _WRAP = 1 << 32
 
 
 class TimestampStatus(Enum):
-    """What a frame's time says about it."""
+    """Status of a frame by its time."""
 
     NEW = "new"
     REPEATED = "repeated"

@@ -238,7 +238,7 @@ class Jaco(Arm[JacoState]):
         self._erase()
 
     def _forget_commands(self, stopped_because: str = "") -> None:
-        """What was commanded is over, and the FIFO is due to be erased; no command can slip in between."""
+        """The command is over, and the FIFO is due to be erased; no command can slip in between."""
         with self._commanded:
             self._streamed = self._position_until_ns = None
             self._stopped = self._stopped or stopped_because

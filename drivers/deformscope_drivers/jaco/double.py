@@ -202,28 +202,28 @@ class JacoDouble:
 
     @property
     def rates_deg_s(self) -> FloatArray:
-        """How fast the joints turn now, (n,) [deg/s]."""
+        """Present speeds of the joints, (n,) [deg/s]."""
         with self._lock:
             self._live()
             return self._arm.rates_deg_s.copy()
 
     @property
     def joints_deg(self) -> FloatArray:
-        """Where the joints are now, (n,) [deg]."""
+        """Present angles of the joints, (n,) [deg]."""
         with self._lock:
             self._live()
             return self._arm.joints_deg.copy()
 
     @property
     def T_base_links(self) -> FloatArray:
-        """Where every joint's link and, last, the end effector are now, (n + 1, 4, 4) [m]."""
+        """Present poses of every joint's link and, last, of the end effector, (n + 1, 4, 4) [m]."""
         with self._lock:
             self._live()
             return np.array(self._arm.links)
 
     @property
     def T_base_end_effector(self) -> FloatArray:
-        """Where the end effector is now, (4, 4) [m]."""
+        """Present pose of the end effector, (4, 4) [m]."""
         with self._lock:
             self._live()
             pose: FloatArray = self._arm.links[-1].copy()
@@ -231,14 +231,14 @@ class JacoDouble:
 
     @property
     def fingers(self) -> FloatArray:
-        """Where the fingers are now, (3,) from 0 open to 6800 closed."""
+        """Present positions of the fingers, (3,) from 0 open to 6800 closed."""
         with self._lock:
             self._live()
             return self._arm.fingers.copy()
 
     @property
     def fifo_count(self) -> int:
-        """How many trajectory points wait in the arm's queue."""
+        """Number of trajectory points in the arm's queue."""
         with self._lock:
             self._live()
             return len(self._arm.fifo)

@@ -1,7 +1,7 @@
 """Every code that Kinova's library returns, as a named exception that says what to do.
 
-Codes and their vendor names are from Kinova's published headers (BSD-3, library 5.2.0); 1 is success. What to try is
-from the vendor's headers, from users' reports (kinova-ros) and from running the library without an arm.
+Codes and their vendor names are from Kinova's published headers (BSD-3, library 5.2.0); 1 is success. Remedies are from
+the vendor's headers, from users' reports (kinova-ros) and from running the library without an arm.
 
 VendorError                 any of them, with `code`, `symbol`, `meaning`, `remedy`
  +- UnknownCode             a code that no header names
@@ -138,7 +138,7 @@ _REMEDIES = {
     5003: "check the file's permissions",
     9999: "check that the arm is in a state that allows it (control started, no fault, FIFO not full)",
 }
-"""What to try; for a code that is not here the parts of the vendor's software do not fit each other."""
+"""Remedies; a code outside the list means that the parts of the vendor's software do not fit each other."""
 _KINDS = {"missing": LibraryMissing, "lost": LinkLost, "busy": Busy, "absent": NotConnected, "silent": NoReply}
 
 

@@ -84,7 +84,7 @@ class Functions(Protocol):
 
     @property
     def where(self) -> str:
-        """What to name in errors: the library's path."""
+        """The library's path, for errors."""
 
     def function(self, name: str) -> Callable[..., int]:
         """The function of that name without prefix, taking the structures of `structures`."""

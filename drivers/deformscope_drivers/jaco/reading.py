@@ -65,7 +65,7 @@ class StateReader:
 
     @property
     def call_ms(self) -> float:
-        """How long a call has taken lately [ms]."""
+        """Recent duration of a call [ms]."""
         return (self._call_ns or 0.0) / 1e6
 
     def whole(self) -> JacoState:

@@ -287,7 +287,7 @@ class SimulatedArm:
         return torque
 
     def torque_nm(self) -> FloatArray:
-        """What the joints' sensors show, gravity among it, (n,) [Nm]."""
+        """Readings of the joints' sensors, gravity included, (n,) [Nm]."""
         return self.external_torque_nm() + self.chain.gravity_torque_nm(self.links)
 
     def measured_wrench(self) -> FloatArray:

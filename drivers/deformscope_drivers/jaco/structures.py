@@ -1,4 +1,4 @@
-"""What Kinova's library exchanges: C structures by their published layout, and the numbers that go into them.
+"""Data of Kinova's library: C structures by their published layout, and the numbers that go into them.
 
 Layouts are facts of the published headers (KinovaTypes.h, BSD-3), naturally aligned; sizes were checked against the
 library 5.2.0. Positions are metres and radians (ThetaX, ThetaY, ThetaZ turn about x, the new y, the new z), joints
@@ -22,7 +22,7 @@ ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
 
 
 class PositionType(IntEnum):
-    """What a trajectory point asks for.
+    """Kind of a trajectory point.
 
     CARTESIAN_POSITION: metres and radians, base frame; ANGULAR_POSITION: degrees
     CARTESIAN_VELOCITY: X, Y, Z in m/s in the base frame, ThetaX, ThetaY, ThetaZ in rad/s in the end effector's frame
@@ -44,7 +44,7 @@ class ShapeType(IntEnum):
 
 
 class HandMode(IntEnum):
-    """What a trajectory point asks of the fingers."""
+    """Finger command of a trajectory point."""
 
     NONE = 0
     POSITION = 1
@@ -223,7 +223,7 @@ class ZoneShape(ctypes.Structure):
 
 
 class Zone(ctypes.Structure):
-    """Where the hand may move no faster than its limitation; 0 = not at all."""
+    """Box in which the hand may move no faster than its limitation; 0 = not at all."""
 
     _fields_ = [
         *_alike(c_int, "ID Expansion1"),

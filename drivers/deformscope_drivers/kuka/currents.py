@@ -1,4 +1,4 @@
-"""What the motors' currents of a simulated KUKA are made of: load and gravity, friction, ripple and noise."""
+"""Parts of a simulated KUKA's motor currents: load and gravity, friction, ripple and noise."""
 
 from __future__ import annotations
 

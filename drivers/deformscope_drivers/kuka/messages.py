@@ -47,7 +47,7 @@ class SenMessage:
 
 
 def decode_rob(data: bytes) -> RobMessage:
-    """What the controller says. Raises ProtocolViolation for what is none of its messages, or lacks what is needed."""
+    """The controller's message. Raises ProtocolViolation for what is none of its messages, or lacks what is needed."""
     root = _root(data, "Rob")
     delay = root.find("Delay")
     return RobMessage(

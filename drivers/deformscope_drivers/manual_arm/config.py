@@ -1,4 +1,4 @@
-"""Where a person has placed the stick before anything begins."""
+"""First place of the stick, as the person put it."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ class OpenniCamera:
         self._set()
 
     def words(self) -> dict[str, object]:
-        """What is sent to the program when the camera is open: sizes [px], rate [Hz], unit [m], field of view [rad],
+        """Message to the program when the camera is open: sizes [px], rate [Hz], unit [m], field of view [rad],
         names."""
         mode, info = self.depth.mode(), self._device.info()
         seen_as = self.color if self.color is not None and self._registers else self.depth

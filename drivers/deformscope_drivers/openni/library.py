@@ -22,7 +22,7 @@ API_VERSION = 2002  # OpenNI 2.2
 SONAME = "libOpenNI2.so.0"
 LIBRARY_NAME = "libOpenNI2.so"
 REDIST = "OPENNI2_REDIST"
-"""Where the vendor's installer says that it put the library."""
+"""Place of the library by the vendor's installer."""
 INSTALL = "sudo apt-get install -y libopenni2-0"
 
 OK = 0
@@ -266,7 +266,7 @@ class OpenniStream:
         return bool(value.value) if status == OK else None
 
     def frame_count(self) -> int | None:
-        """How many frames a recording has; None for a camera."""
+        """Number of frames of a recording; None for a camera."""
         value, size = c_int(), c_int(sizeof(c_int))
         number = StreamProperty.NUMBER_OF_FRAMES
         status = self._lib.oniStreamGetProperty(self.handle, number, byref(value), byref(size))
@@ -311,7 +311,7 @@ class OpenniStream:
 
 
 def pixel_bytes(pixel_format: int) -> int:
-    """How many bytes a pixel takes."""
+    """Bytes per pixel."""
     return 3 if pixel_format == PixelFormat.RGB888 else 2
 
 

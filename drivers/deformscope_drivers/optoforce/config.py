@@ -1,4 +1,4 @@
-"""How a DAQ is reached, how fast it sends, and what its sensors' counts are worth."""
+"""Connection of a DAQ, its rate, and the forces of its sensors' counts."""
 
 from __future__ import annotations
 

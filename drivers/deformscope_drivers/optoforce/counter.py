@@ -13,7 +13,7 @@ WRAP = 0x10000
 LEARNED_FROM = 8
 """Number of steps from which the usual one is estimated, and after which a new usual one is accepted."""
 LATE_STEPS = 16
-"""How far behind a reading may come that was overtaken by others."""
+"""Largest delay of a reading that others overtook."""
 JITTER_NS = 250_000_000
 """By how much the arrival of a reading may vary; a counter that is further ahead of the host's clock has jumped."""
 ANCHOR_NS = 10_000_000_000
@@ -35,7 +35,7 @@ class CounterStep(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """What lies between a reading and the one before it.
+    """Gap between a reading and the one before it.
 
     lost: number of missing readings; negative for readings that were counted as missing before and were not (the sum
     over a stream is its loss). While the step is learned it is 0; the reading that completes the learning carries what
@@ -76,7 +76,7 @@ class CounterTrack:
         self._ticks = 0
 
     def follow(self, counter: int, host_ns: int, *, twin: bool = False) -> Gap:
-        """What the next reading's counter says.
+        """Interpretation of the next reading's counter.
 
         host_ns: its arrival on the host's clock [ns]; twin: all of it is as in the reading before, which was then sent
         twice; a damaged counter may equal the one before, but not all else
@@ -216,7 +216,7 @@ class _Run:
     lost: int = 0
 
     def again(self, step: int) -> int:
-        """How often this step between counters has come in a row, this time included."""
+        """Number of successive occurrences of this step between counters, this time included."""
         if step != self.step:
             self.step, self.length, self.lost = step, 0, 0
         self.length += 1

@@ -53,7 +53,7 @@ def _nothing_touches(time_s: float) -> npt.ArrayLike:
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """What is simulated.
+    """The simulated sensors.
 
     scene: the loads; sensitivity: one for each channel, or one for all
     offset_counts: what every axis reads without load before it is zeroed
@@ -92,7 +92,7 @@ class Sensors:
 
 @dataclass(slots=True)
 class _VolatileSettings:
-    """What is gone after switching off.
+    """Settings that power-off loses.
 
     cleared_ns: since when the zero point is cleared; None = it is set
     """

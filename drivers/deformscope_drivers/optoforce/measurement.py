@@ -1,4 +1,4 @@
-"""What a DAQ's reading comes to: forces where a sensitivity report is known, counts otherwise.
+"""A DAQ's reading in physical units: forces with a sensitivity report, counts otherwise.
 
 Nothing here has a port or a thread: the device measures with it, and so does the replay of a recording's bytes.
 """

@@ -1,4 +1,4 @@
-"""What a reading that passed its checksum may still not be: the byte sum lets many double errors through."""
+"""Implausible values of a reading that passed its checksum: the byte sum misses many double errors."""
 
 from __future__ import annotations
 

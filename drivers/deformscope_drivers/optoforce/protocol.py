@@ -72,7 +72,7 @@ class Filter(IntEnum):
 
 
 class Zero(IntEnum):
-    """What a `Configure` does to the zero point, as on the wire."""
+    """Effect of a `Configure` on the zero point, as on the wire."""
 
     CLEAR = 0
     SET = 255
@@ -87,7 +87,7 @@ class Kind(Enum):
 
     @property
     def channels(self) -> int:
-        """How many sensors."""
+        """Number of sensors."""
         return 4 if self is Kind.FOUR_CHANNEL else 1
 
     @property
@@ -171,7 +171,7 @@ class Status(int):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What all channels measured at one moment, in the DAQ's units.
+    """Readings of all channels at one moment, in the DAQ's units.
 
     counter: 0 to 65535, wraps; whether it counts readings or the DAQ's own samples is not documented
     status: of the DAQ and its sensors
@@ -198,7 +198,7 @@ class Configure:
 
 @dataclass(frozen=True, slots=True)
 class ConfigReply:
-    """What the DAQ says to `Configure`: 0 = done. Some firmware does not report it."""
+    """The DAQ's reply to `Configure`: 0 = done. Some firmware does not report it."""
 
     result: int
 
@@ -258,7 +258,7 @@ class _OptoforceDecoder(FrameDecoder[EventT]):
 
 
 class Decoder(_OptoforceDecoder[Reply]):
-    """What a DAQ sends. A header within a packet is found if the packet is bad, and only then.
+    """Messages of a DAQ. A header within a packet is found if the packet is bad, and only then.
 
     fill_to: zeros that fill a packet up to a multiple of this belong to it (8 on CAN, where some DAQs may do so)
     """

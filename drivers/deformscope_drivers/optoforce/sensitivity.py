@@ -1,4 +1,4 @@
-"""What a count is worth: in each sensor's own sensitivity report, and nowhere else."""
+"""Force of a count: in each sensor's own sensitivity report, and nowhere else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What librealsense's errors mean, and what to do: its exceptions are all RuntimeError, and differ by their words."""
+"""Meanings of librealsense's errors, and remedies: its exceptions are all RuntimeError, and differ by their text."""
 
 from __future__ import annotations
 

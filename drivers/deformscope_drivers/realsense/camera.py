@@ -92,8 +92,7 @@ class RealsenseCamera:
         self._warm_up()
 
     def words(self) -> dict[str, object]:
-        """What is sent to the program when the camera is open: sizes [px], rate [Hz], unit [m], lens, names,
-        remarks."""
+        """Message to the program when the camera is open: sizes [px], rate [Hz], unit [m], lens, names, remarks."""
         rs = self._rs
         seen = self._stream(rs.stream.color if self._registers else rs.stream.depth)
         lens = seen.get_intrinsics()
@@ -137,7 +136,7 @@ class RealsenseCamera:
         return FrameMessage(host_ns, timestamp_us, number, width, height, wide, high, data, _packed(color, 3))
 
     def take_notes(self) -> list[str]:
-        """What the camera complained of since the last call."""
+        """Warnings of the camera since the last call."""
         notes, self._notes = self._notes, []
         return notes
 
@@ -181,7 +180,7 @@ class RealsenseCamera:
             raise SettingsRefused(expected, came, f"{port}one of {self._modes()}", self._where) from error
 
     def _modes(self) -> str:
-        """What depth pictures the camera has as it is connected, the largest at each rate."""
+        """Depth modes of the camera in its present connection, the largest at each rate."""
         largest: dict[int, tuple[int, int]] = {}
         for profile in self._device.first_depth_sensor().get_stream_profiles():
             if profile.stream_type() == self._rs.stream.depth:
@@ -323,5 +322,5 @@ def _packed(frame: Any, pixel_bytes: int) -> bytes:
 
 
 def as_device_error(error: Exception) -> DeviceError:
-    """What ended the process, where it was not a device's error already."""
+    """The reason for the process's end, unless it was a device's error already."""
     return error if isinstance(error, DeviceError) else meaning(error, "a RealSense camera", "realsense")

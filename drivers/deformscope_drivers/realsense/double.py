@@ -1,4 +1,4 @@
-"""Stands in for the module pyrealsense2, as far as `camera.py` uses it, over cameras that a file describes.
+"""Replaces the module pyrealsense2, as far as `camera.py` uses it, by cameras that a file describes.
 
 It behaves as librealsense 2.59 was seen to do on a camera made of software, and as its source and issues say:
 - frames have numbers and time stamps from a camera on its own clock: a late reader finds numbers missing

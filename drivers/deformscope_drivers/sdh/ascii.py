@@ -61,7 +61,7 @@ def encode_command(command: Command) -> bytes:
 
 
 def decode_command(line: str) -> Command:
-    """What the host asks, seen by the hand. Raises BadLine."""
+    """The host's command, decoded by the hand. Raises BadLine."""
     name, axis, text = _parts(line)
     return Command(name, _numbers(text), axis)
 
@@ -93,7 +93,7 @@ def _shown(name: str, index: int, value: float, decimals: int) -> str:
 
 
 def decode_reply(line: str) -> Event:
-    r"""What a line of the hand's says; without \r and \n. Raises BadLine."""
+    r"""Content of a line of the hand's; without \r and \n. Raises BadLine."""
     if line.startswith("@"):
         return DebugLine(line[1:])
     if error := _ERROR.fullmatch(line):

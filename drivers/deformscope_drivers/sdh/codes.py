@@ -120,7 +120,7 @@ def error_name(code: int) -> str:
 
 
 def error_advice(code: int) -> str:
-    """What a user may try against an error code."""
+    """Remedy for an error code."""
     return ERRORS[code][1] if 0 <= code < len(ERRORS) else "switch the hand off and on"
 
 

@@ -51,7 +51,7 @@ class SdhConnection(StreamDevice[HandReading]):
 
     @property
     def about(self) -> HandIdentity:
-        """What the hand said when it was opened."""
+        """The hand's identity when it was opened."""
         if self._about is None:
             raise NotConnected("a hand that was opened", "one that was not", "open() it", self.name)
         return self._about

@@ -36,7 +36,7 @@ STILL: ByAxis = (0.0,) * codes.AXIS_COUNT
 
 
 class CurrentMode(StrEnum):
-    """What a limit of the motor currents is for."""
+    """Purpose of a limit of the motor currents."""
 
     MOVE = "ilim"
     GRIP = "igrip"
@@ -151,8 +151,8 @@ class Sdh(SdhConnection):
     ) -> None:
         """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to continue.
 
-        When no further call comes in time, the driver's thread sets all to 0. acceleration_deg_s2: ramp, given once;
-        None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for ever.
+        Without a further call in time, the driver's thread sets all to 0. acceleration_deg_s2: ramp, given once; None =
+        as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for ever.
         """
         velocities = self.limits.velocities(velocity_deg_s, self.name)
         ramp = None if acceleration_deg_s2 is None else self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -399,7 +399,7 @@ class Sdh(SdhConnection):
         return _Started(sent_ns, duration_s, None, self._connections, self._stops)
 
     def _set(self, name: str, values: ByAxis) -> None:
-        """Set, and see that it is so. How finely the hand repeats a value is not documented."""
+        """Set, and see that it is so. The precision of the hand's repeated values is not documented."""
         reported = self._values(name, *values)
         agrees = len(reported) == len(values) and all(
             abs(is_ - wanted) <= ECHO_TOLERANCE + 1e-3 * abs(wanted)

@@ -24,7 +24,7 @@ _REASONS: Final = {"name": UNKNOWN, "axis": INDEX}  # why a line was refused -> 
 
 
 class Port(Enum):
-    """What the hand hangs on: whether binary messages have a checksum, and the pace."""
+    """Port of the hand: whether binary messages have a checksum, and the pace."""
 
     RS232 = "rs232"
     CAN = "can"

@@ -1,4 +1,4 @@
-"""What travels between host and hand, apart from its bytes."""
+"""Messages between host and hand, apart from their bytes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the host sends.
+    """A message of the host.
 
     name: the ASCII protocol's name, lower case; also for binary requests, whose code it stands for
     values: one a value; none = ask
@@ -21,7 +21,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the hand measured.
+    """A measurement of the hand.
 
     quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap` and `tvav`
     are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity

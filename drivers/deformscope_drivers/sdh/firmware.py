@@ -1,4 +1,4 @@
-"""What a simulated SDH hand does with commands, and how its firmware answers them.
+"""Commands of a simulated SDH hand, and its firmware's answers.
 
 Without documentation (marked "assumed") it takes the simplest behaviour: the answer to `stop`, that `selgrip` turns the
 base axis only, and the commands that are refused during a grip.
@@ -24,7 +24,7 @@ SETTINGS = {
     "ihold": "hold_current_a",
     "power": "powered",
 }
-"""What of an `Axis` a command sets or reports."""
+"""Values of an `Axis` that a command sets or reports."""
 
 
 class Refusal(Exception):

@@ -1,4 +1,4 @@
-"""Where the fingers of the SDH are, from the angles of its seven axes. Pure arithmetic.
+"""Poses of the SDH's fingers, from the angles of its seven axes. Pure arithmetic.
 
 Hand frame: origin at the foot of the palm, z away from the wrist, x from finger 2 to finger 0, y from finger 1 (the
 thumb) to the middle between the two others. The proximal joints are on an equilateral triangle with side 66 mm, 17 mm

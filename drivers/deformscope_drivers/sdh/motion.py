@@ -1,4 +1,4 @@
-"""How a simulated hand moves: seven axes with profiles, velocity control, limits, obstacles, and motors that warm up.
+"""Motion of a simulated hand: seven axes with profiles, velocity control, limits, obstacles, and motors that warm up.
 
 Known from Schunk's library and its trace of old firmware: all axes of a pose move start and end together, and the
 grasps' angles. The sin² profile takes twice the distance over the set velocity (8.31 deg at 40 deg/s have T=0.42s, 42
@@ -139,7 +139,7 @@ class Axis:
         self.velocity_deg_s = self.reference_deg_s = 0.0
 
     def current_a(self) -> float:
-        """What the motor draws: an assumption that only warms it."""
+        """The motor's current: an assumption that only warms it."""
         if not self.powered:
             return 0.0
         if self.state in (codes.AxisState.CW_BLOCKED, codes.AxisState.CCW_BLOCKED):

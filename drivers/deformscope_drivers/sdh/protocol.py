@@ -67,7 +67,7 @@ def encode(command: Command, *, binary_checksum: bool | None = None) -> bytes:
 
 
 def encode_reply(event: Event, *, binary_checksum: bool | None = None, decimals: int = 2) -> bytes:
-    """What the hand answers, in text or in binary, as `encode`."""
+    """The hand's answer, in text or in binary, as `encode`."""
     if binary_checksum is None:
         return text.encode_reply(event, decimals)
     if isinstance(event, TextReply | DebugLine):
@@ -76,7 +76,7 @@ def encode_reply(event: Event, *, binary_checksum: bool | None = None, decimals:
 
 
 class Decoder(FrameDecoder[Event]):
-    """What the hand sends.
+    """Messages of the hand.
 
     checksummed: whether binary replies must have their checksum (True: RS-232), must not (False: CAN, TCP), or may
     (None: by their length). A line with an unknown name is refused.
@@ -108,7 +108,7 @@ class Decoder(FrameDecoder[Event]):
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """What the host sent, seen by the hand.
+    """The host's message, decoded by the hand.
 
     command: None for a line without a command of the hand; then `reason` has the cause, "empty" for an empty line
     binary: whether it came in binary, and is answered in binary
@@ -120,7 +120,7 @@ class Received:
 
 
 class CommandDecoder(FrameDecoder[Received]):
-    """What the host sends. `checksummed` as in `Decoder`."""
+    """Messages of the host. `checksummed` as in `Decoder`."""
 
     def __init__(self, *, checksummed: bool | None = None) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What the hand's driver gives back."""
+"""Return values of the hand's driver."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandReading:
-    """Where the hand is. The protocol has motor current limits and no measured currents, so there are none here.
+    """Pose of the hand. The protocol has motor current limits and no measured currents, so there are none here.
 
     stamp: when the angles arrived; states and velocities were requested right before them (3.4 ms each on RS-232)
     position_deg, velocity_deg_s: (7,) by axis; state: of each axis
@@ -34,7 +34,7 @@ class HandReading:
 
 @dataclass(frozen=True, slots=True)
 class HandIdentity:
-    """What the hand says it is. firmware: its release; binary: whether the driver speaks binary to it"""
+    """The hand's own identity. firmware: its release; binary: whether the driver speaks binary to it"""
 
     firmware: str
     firmware_date: str
@@ -45,7 +45,7 @@ class HandIdentity:
 
 
 class Outcome(StrEnum):
-    """How a motion ended."""
+    """End of a motion."""
 
     STARTED = "started"  # it was not waited for
     REACHED = "reached"  # still, at the targets; for grips, whose targets the hand knows alone: still, nothing met
@@ -58,7 +58,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveResult:
-    """How a motion went.
+    """Result of a motion.
 
     duration_s: what the hand planned, None where old firmware does not report it
     elapsed_s: time until it was seen at rest
@@ -78,7 +78,7 @@ class MoveResult:
 
 @dataclass(frozen=True, slots=True)
 class StopReport:
-    """What `stop` could do: the hand confirmed it, and a move or a velocity ends.
+    """Effect of `stop`: the hand confirmed it, and a move or a velocity ends.
 
     grip_left_s: `stop` does not end a motion of `select_grip` and `grip` (nor does switching off, in Schunk's words);
     remaining time of such a motion, 0 = there was none

@@ -23,7 +23,7 @@ SELECT_TIMEOUT_S = 2
 
 
 class Setting(Enum):
-    """What can be set at a camera: the name of OpenCV's property."""
+    """A setting of a camera: the name of OpenCV's property."""
 
     FOURCC = "CAP_PROP_FOURCC"
     WIDTH = "CAP_PROP_FRAME_WIDTH"

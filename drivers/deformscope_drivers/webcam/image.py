@@ -1,4 +1,4 @@
-"""What every colour camera gives."""
+"""Common parts of every colour camera."""
 
 from __future__ import annotations
 
