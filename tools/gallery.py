@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 MOMENTS: dict[str, dict[str, float]] = {
     "tension": {},
-    "explore": {"touch": 1},
+    "explore": {"touch": 2},
     "rig": {"session_s": 3.5},
     "squeeze": {"session_s": 4.2},
 }
