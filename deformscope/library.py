@@ -464,7 +464,7 @@ def load_classifier(path: Path | str) -> ContentModel:
 def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> VerifyResult:
     """Whether a recording is whole: `ok`, and `error` with the reason where it is not.
 
-    stages: list its stages of computation; privacy: list what it says of people and machines
+    stages: list its stages of computation; privacy: list information on people and machines
     Raises InputError for what is no recording, or one that a run is writing.
     """
     from deformscope.runs.verification import verify_recording
@@ -489,7 +489,7 @@ def export(
 
     out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as of `calibrate_beta`
     options: the other fields of `deformscope.config.ExportConfig`: only, camera, anonymous, license, overwrite...
-    Raises InputError for what cannot be read or written; then the folder is as it was.
+    Raises InputError for what cannot be read or written; then the folder is unchanged.
     """
     from deformscope.config import ExportConfig
     from deformscope.runs.exporting import export_recording
