@@ -21,7 +21,7 @@ export PYTHONUNBUFFERED := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime docs lint format clean
+.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime docs gallery lint format clean
 
 help:
 	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
@@ -33,6 +33,7 @@ help:
 	@printf '%-20s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
 	@printf '%-20s%s\n' 'make samples' 'make the small recordings in recordings/ anew'
 	@printf '%-20s%s\n' 'make docs' 'the site, in build/site'
+	@printf '%-20s%s\n' 'make gallery' 'pictures and films of every view, in build/gallery (needs Vulkan)'
 	@printf '%-20s%s\n' 'make lint' 'lints and types alone'
 	@printf '%-20s%s\n' 'make format' 'write the house format'
 	@printf '%-20s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
@@ -103,6 +104,9 @@ test-realtime: setup
 docs: setup
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --quiet
 	@echo 'read it: $(PY) -m http.server --bind 127.0.0.1 --directory build/site, at http://127.0.0.1:8000'
+
+gallery: setup
+	@$(PY) tools/gallery.py
 
 bench: setup
 	@$(PY) -m deformscope bench

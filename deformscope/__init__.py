@@ -18,28 +18,48 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deformscope.errors import InputError
     from deformscope.library import (
+        calibrate_axes,
         calibrate_beta,
+        calibrate_both,
+        calibrate_field,
         calibrate_theta,
+        calibrate_viscous,
+        calibrate_yield,
+        catalog,
         classify,
+        compare_recordings,
+        discard,
         explore,
+        export,
+        import_recording,
         load_classifier,
         open_dataset,
         open_recording,
         predict,
         record,
+        recover,
         replay,
+        report,
         squeeze,
         sweep,
+        verify,
     )
     from deformscope.runs.calibration import CalibrationResult
+    from deformscope.runs.catalog import CatalogResult, ComparedRecordings
     from deformscope.runs.classification import ClassificationResult
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.exporting import ExportResult
+    from deformscope.runs.joint_calibration import JointResult
+    from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import PredictionResult
+    from deformscope.runs.recording_report import RecordingReport
     from deformscope.runs.recordings import OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
+    from deformscope.runs.result import FoundResult
     from deformscope.runs.squeeze_result import SqueezeResult
     from deformscope.runs.sweep import SweepResult
+    from deformscope.runs.verification import VerifyResult
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.see.flow import dense_flow
     from deformscope.version import __version__
@@ -47,8 +67,10 @@ if TYPE_CHECKING:
 _NAMES = {
     "runs.classification": "ClassificationResult",
     "errors": "InputError",
-    "library": "calibrate_beta calibrate_theta classify explore load_classifier open_dataset open_recording predict"
-    " record replay squeeze sweep",
+    "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
+    "calibrate_viscous calibrate_yield catalog classify compare_recordings discard explore "
+    "export import_recording load_classifier open_dataset open_recording predict record "
+    "recover replay report squeeze sweep verify",
     "runs.calibration": "CalibrationResult",
     "runs.datasets": "OpenDataset",
     "runs.exploration_result": "ExplorationResult",
@@ -57,6 +79,13 @@ _NAMES = {
     "runs.replay_result": "ReplayResult",
     "runs.squeeze_result": "SqueezeResult",
     "runs.sweep": "SweepResult",
+    "runs.exporting": "ExportResult",
+    "runs.result": "FoundResult",
+    "runs.joint_calibration": "JointResult",
+    "runs.materials": "MaterialResult",
+    "runs.verification": "VerifyResult",
+    "runs.catalog": "CatalogResult ComparedRecordings",
+    "runs.recording_report": "RecordingReport",
     "stages.msm.solver": "Msm",
     "stages.see.flow": "dense_flow",
     "version": "__version__",
@@ -66,31 +95,52 @@ _HOMES = {name: module for module, names in _NAMES.items() for name in names.spl
 
 __all__ = [
     "CalibrationResult",
+    "CatalogResult",
     "ClassificationResult",
+    "ComparedRecordings",
     "ExplorationResult",
+    "ExportResult",
+    "FoundResult",
     "InputError",
+    "JointResult",
+    "MaterialResult",
     "Msm",
     "OpenDataset",
     "OpenRecording",
     "PredictionResult",
     "RecordResult",
+    "RecordingReport",
     "ReplayResult",
     "SqueezeResult",
     "SweepResult",
+    "VerifyResult",
     "__version__",
+    "calibrate_axes",
     "calibrate_beta",
+    "calibrate_both",
+    "calibrate_field",
     "calibrate_theta",
+    "calibrate_viscous",
+    "calibrate_yield",
+    "catalog",
     "classify",
+    "compare_recordings",
     "dense_flow",
+    "discard",
     "explore",
+    "export",
+    "import_recording",
     "load_classifier",
     "open_dataset",
     "open_recording",
     "predict",
     "record",
+    "recover",
     "replay",
+    "report",
     "squeeze",
     "sweep",
+    "verify",
 ]
 
 

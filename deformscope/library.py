@@ -16,19 +16,26 @@ from deformscope.terminal import Progress, Say, messages_to, shown_progress
 
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray, ImageArray
-    from deformscope.config import BetaConfig, ThetaConfig
+    from deformscope.config import AxesConfig, BetaConfig, FieldConfig, ThetaConfig, ViscousConfig, YieldConfig
     from deformscope.config.explore import BetaModel, Detail, Feel, Goal, Pace, Planner
     from deformscope.config.flags import Selectable, TipName
+    from deformscope.config.rigs import ExportFormat
     from deformscope.runs.calibration import CalibrationResult, PairArrays
+    from deformscope.runs.catalog import CatalogResult, ComparedRecordings
     from deformscope.runs.classification import ClassificationResult, TableSource
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.exporting import ExportResult
+    from deformscope.runs.joint_calibration import JointResult
+    from deformscope.runs.materials import MaterialResult
     from deformscope.runs.prediction import ModelSource, PredictionResult
+    from deformscope.runs.recording_report import RecordingReport
     from deformscope.runs.recordings import OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
-    from deformscope.runs.result import ViewerChoice
+    from deformscope.runs.result import FoundResult, ViewerChoice
     from deformscope.runs.squeeze_result import SqueezeResult
     from deformscope.runs.sweep import SweepResult
+    from deformscope.runs.verification import VerifyResult
     from deformscope.stages.squeeze.model import ContentModel
 
     CalibrationSource: TypeAlias = str | Path | PairArrays | Sequence[str] | Sequence[Path] | Sequence[ImageArray]
@@ -109,6 +116,97 @@ def _calibrate(
     with _python_names(), shown_progress(progress) as note:
         config = kind.of(**{"sources": names, "viewer": "none", "joint": together, **given})
         return calibrate(config, arrays, progress=note)[0]
+
+
+def calibrate_both(
+    sources: str | Path | Sequence[str | Path],
+    *,
+    joint: bool = False,
+    progress: Progress | bool | None = None,
+    **options: Any,
+) -> JointResult | list[JointResult]:
+    """Find beta and theta of pairs together, with their joint posterior: one result, or of several pairs one each.
+
+    sources: pair files, `sample:pair`; joint: one beta and one theta of all pairs
+    progress, options: as of `calibrate_beta`, out of `deformscope.config.BothConfig`
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import BothConfig
+    from deformscope.runs.joint_calibration import calibrate_jointly
+
+    with _python_names(), shown_progress(progress) as note:
+        config = BothConfig.of(**{"sources": _names(sources), "joint": joint, "viewer": "none", **options})
+        found = calibrate_jointly(config, progress=note)
+    return found[0] if len(found) == 1 else found
+
+
+def calibrate_axes(
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+) -> MaterialResult:
+    """Find a beta along each axis of a material: of images, a recording, or pair files in one fit.
+
+    progress, options: as of `calibrate_beta`, out of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import AxesConfig
+
+    return _calibrate_material(AxesConfig, sources, options, progress)
+
+
+def calibrate_field(
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+) -> MaterialResult:
+    """Find how stiff each place of a thing is against the others, of images, a recording, or one pair file.
+
+    progress, options: as of `calibrate_beta`, out of `deformscope.config.FieldConfig`: frame, force_n...
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import FieldConfig
+
+    return _calibrate_material(FieldConfig, sources, options, progress)
+
+
+def calibrate_yield(
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+) -> MaterialResult:
+    """Find the strain at which a thing yields, of images, a recording, or a motion file (`sample:press`).
+
+    progress, options: as of `calibrate_beta`, out of `deformscope.config.YieldConfig`: beta, creep, at, force...
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import YieldConfig
+
+    return _calibrate_material(YieldConfig, sources, options, progress)
+
+
+def calibrate_viscous(
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+) -> MaterialResult:
+    """Find what share of a modulus relaxes, how fast, and what stays, of images, a recording, or a motion file.
+
+    progress, options: as of `calibrate_beta`, out of `deformscope.config.ViscousConfig`: at, released, force...
+    Raises InputError for what cannot be used, and TypeError for options that it has not.
+    """
+    from deformscope.config import ViscousConfig
+
+    return _calibrate_material(ViscousConfig, sources, options, progress)
+
+
+def _calibrate_material(
+    kind: type[AxesConfig | FieldConfig | YieldConfig | ViscousConfig],
+    sources: str | Path | Sequence[str | Path],
+    options: dict[str, Any],
+    progress: Progress | bool | None,
+) -> MaterialResult:
+    from deformscope.runs.materials import calibrate_material
+
+    with _python_names(), shown_progress(progress) as note:
+        config = kind.of(**{"sources": _names(sources), "viewer": "none", **options})
+        return calibrate_material(config, progress=note)
+
+
+def _names(sources: str | Path | Sequence[str | Path]) -> list[str]:
+    return [str(one) for one in ([sources] if isinstance(sources, str | Path) else sources)]
 
 
 def predict(
@@ -361,6 +459,104 @@ def load_classifier(path: Path | str) -> ContentModel:
     from deformscope.files import classifier_file
 
     return classifier_file.load_classifier(Path(path))
+
+
+def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> VerifyResult:
+    """Whether a recording is whole: `ok`, and `error` with the reason where it is not.
+
+    stages: list its stages of computation; privacy: list information on people and machines
+    Raises InputError for what is no recording, or one that a run is writing.
+    """
+    from deformscope.runs.verification import verify_recording
+
+    return verify_recording(Path(path), stages=stages, privacy=privacy)
+
+
+def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
+    """Make a whole recording of one that was cut short; `found["recovered"]` is its path.
+
+    out: a new file, default NAME.recovered.rrd next to it. Raises InputError where nothing can be read.
+    """
+    from deformscope.runs.recovery import recover_recording
+
+    return recover_recording(Path(path), None if out is None else Path(out))
+
+
+def export(
+    path: Path | str, out: Path | str, *, to: ExportFormat, progress: Progress | bool | None = None, **options: Any
+) -> ExportResult:
+    """Write a recording in a format of others; `found["files"]` lists what was written.
+
+    out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as of `calibrate_beta`
+    options: the other fields of `deformscope.config.ExportConfig`: only, camera, anonymous, license, overwrite...
+    Raises InputError for what cannot be read or written; then the folder is unchanged.
+    """
+    from deformscope.config import ExportConfig
+    from deformscope.runs.exporting import export_recording
+
+    with _python_names(), shown_progress(progress) as note:
+        config = ExportConfig.of(recording=path, out=out, to=to, **options)
+        return export_recording(config, note or (lambda what, done, total: None))
+
+
+def import_recording(
+    source: Path | str, *, map: Path | str, record: Path | str, overwrite: bool = False, **options: Any
+) -> RecordResult:
+    """Make a recording of a bag, a table, or a folder of them.
+
+    map: a TOML file that says what becomes of what, as `deformscope import --inspect` proposes one; record: a new .rrd
+    options: the other fields of `deformscope.config.ImportConfig`, such as those of stages
+    Raises InputError for what the map must say and for what is wrong; then nothing is left.
+    """
+    from deformscope.config import ImportConfig
+    from deformscope.runs.importing import import_source
+
+    with _python_names():
+        given = {"map": map, "record": record, "overwrite": overwrite, "viewer": "none"}
+        return import_source(ImportConfig.of(source=source, **given | options))
+
+
+def report(path: Path | str) -> RecordingReport:
+    """The figures of a recording, from what it holds alone: `figures()`, `lacks`, and `page()` as HTML.
+    Raises InputError where it is none."""
+    from deformscope.runs.recording_report import report_recording
+
+    return report_recording(Path(path))
+
+
+def catalog(
+    folder: Path | str,
+    *,
+    where: str = "",
+    sort: str = "",
+    columns: Sequence[str] = (),
+    progress: Progress | bool | None = None,
+) -> CatalogResult:
+    """The recordings of a folder, as `table` (Arrow): settings, results with intervals, losses.
+
+    where: a condition, such as 'beta < 0.5 and verdict == "identified"'; sort: a column, -column for descending
+    columns: to show; progress: as of `calibrate_beta`. Raises InputError for what cannot be used.
+    """
+    from deformscope.runs.catalog import catalogue
+
+    with _python_names(), shown_progress(progress) as note:
+        return catalogue(Path(folder), where, sort, list(columns), progress=note)
+
+
+def compare_recordings(first: Path | str, second: Path | str) -> ComparedRecordings:
+    """How two recordings differ: settings, results, and readings of devices aligned by contact.
+    Raises InputError where one is none."""
+    from deformscope.runs import catalog as catalogs
+
+    return catalogs.compare_recordings(Path(first), Path(second))
+
+
+def discard(path: Path | str, reason: str, *, episode: int = 0) -> None:
+    """Mark a recording, or one of its episodes (from 1), as not to be used, in its ledger. Nothing is deleted.
+    Raises InputError where it is none, or has no such episode."""
+    from deformscope.runs.recordings import OpenRecording
+
+    OpenRecording(Path(path)).discard(reason, episode)
 
 
 def open_recording(path: Path | str) -> OpenRecording:

@@ -3,4 +3,4 @@
 from __future__ import annotations
 
 __version__ = "0.1.0"
-"""The one that `pyproject.toml` declares, by semantic versioning."""
+"""By semantic versioning; the build reads it here."""

@@ -13,6 +13,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+import yaml
 
 import deformscope
 from tests.patience import PATIENCE_S
@@ -319,10 +320,13 @@ print(sorted(set(heavy) & set(sys.modules)))
     _prints(script, "[]\n")
 
 
-def test_version_is_told_once() -> None:
-    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+def test_version_is_declared_once_and_cited() -> None:
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
 
-    assert deformscope.__version__ == declared
+    assert "version" in built["project"]["dynamic"]
+    assert built["tool"]["hatch"]["version"] == {"path": "deformscope/version.py"}
+    assert deformscope.__version__ == cited
 
 
 def test_a_driver_in_a_users_script_loads_nothing_of_ours() -> None:

@@ -10,6 +10,7 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -19,6 +20,7 @@ from tests.executor.test_tasks import paths_of_tests
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 HOWTO = sorted((DOCS / "howto").glob("*.md"))
 EXPLANATION = sorted((DOCS / "explanation").glob("*.md"))
 DEVELOPERS = [*sorted((DOCS / "developers").glob("add-*.md")), DOCS / "developers" / "engine.md"]
@@ -121,6 +123,36 @@ def test_addresses_of_before_lead_to_pages() -> None:
     assert "exploring.md" in maps
     assert [new for new in maps.values() if not (DOCS / new).is_file()] == []
     assert [old for old in maps if (DOCS / old).exists()] == []
+
+
+def test_notebooks_are_small_and_have_pictures() -> None:
+    assert len(NOTEBOOKS) == 5
+    for path in NOTEBOOKS:
+        assert path.stat().st_size < 250_000
+        assert '"image/png"' in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=page_name)
+def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a kernel of its own, in an empty folder; each cell draws as many pictures as the one that ships."""
+    pytest.importorskip("ipykernel", reason="notebooks need pip install 'deformscope[notebooks]'")
+    client = pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat")
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    ships = nbformat.read(path, 4)
+    notebook = nbformat.read(path, 4)
+
+    client.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
+
+    for cell, before in zip(notebook.cells, ships.cells, strict=True):
+        if cell.cell_type == "code":
+            assert pictures(cell) == pictures(before), cell.source
+
+
+def pictures(cell: Any) -> int:
+    return sum("image/png" in one.get("data", {}) for one in cell.outputs)
 
 
 def test_messages_of_the_troubleshooting_page_are_the_programs() -> None:

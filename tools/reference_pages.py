@@ -292,6 +292,36 @@ def python() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+# Licences -------------------------------------------------------------------------------------------------------------
+
+
+def licences() -> str:
+    """The licence of each package that an installation brings, as its metadata says."""
+    from importlib import metadata
+
+    from packaging.requirements import Requirement
+
+    found: dict[str, tuple[str, ...]] = {}
+    left = [Requirement(one) for one in metadata.requires("deformscope") or () if "extra ==" not in one]
+    while left:
+        name = left.pop().name
+        try:
+            about = metadata.metadata(name)
+        except metadata.PackageNotFoundError:
+            continue  # of another system or Python
+        if about["Name"] in found:
+            continue
+        classified = [one.split(" :: ")[-1] for one in about.get_all("Classifier") or () if one.startswith("License")]
+        stated = (about.get("License") or "").partition("\n")[0]
+        named = about.get("License-Expression") or ", ".join(classified) or stated
+        found[about["Name"]] = (about["Name"], about["Version"], named)
+        wanted = [Requirement(one) for one in metadata.requires(name) or ()]
+        left += [one for one in wanted if one.marker is None or one.marker.evaluate({"extra": ""})]
+    rows = [found[name] for name in sorted(found, key=str.lower)]
+    about_it = "What `pip install deformscope` brings, from the packages' metadata where this page was made."
+    return f"# Licences of dependencies\n\n{about_it}\n\n{_table(('package', 'version', 'licence'), rows)}\n"
+
+
 # Notebooks ------------------------------------------------------------------------------------------------------------
 
 
@@ -364,6 +394,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "quantities": quantities_page,
     "rig-file": rig_file,
     "python": python,
+    "licences": licences,
     "studies": studies,
 }
 

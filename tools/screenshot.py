@@ -102,8 +102,10 @@ def shoot(
     complaints = []
     for view in viewer.get_state().views:
         name = "".join(letter if letter.isalnum() else "_" for letter in view.name)[:40]
-        with contextlib.suppress(ConnectionError):  # not found: it is behind another tab
+        try:
             viewer.save_screenshot(str(out / f"{prefix}{name}.png"), view_id=view.view_id)
+        except ConnectionError:  # not found: it is behind another tab; until the viewer's notice of that is gone
+            time.sleep(NOTICES_S)
     time.sleep(NOTICES_S)  # until the notices over the window are gone
     viewer.save_screenshot(str(out / f"{prefix}window.png"))
     for view in viewer.get_state().views:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from deformscope.cli.common import show_table, write_json
 from deformscope.config import DiscardRecordingConfig
-from deformscope.recording.discards import discard
 from deformscope.runs.recordings import OpenRecording
 
 
 def run(config: DiscardRecordingConfig) -> None:
     """Mark it in its ledger."""
     recording = OpenRecording(config.recording)
-    discard(config.recording, config.reason, config.episode, recording.notes())
+    recording.discard(config.reason, config.episode)
     show_table(str(config.recording), [("discarded", str(one)) for one in recording.discarded()])
     write_json(recording.as_json(), config.json)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 _DOUBLES = "deformscope doctor --example --doubles > rig.toml\n"
+_PLACED = _DOUBLES + "deformscope calibrate tip rig.toml\ndeformscope calibrate place rig.toml\n"
+_SEEN = _PLACED + "deformscope calibrate camera rig.toml\ndeformscope calibrate force rig.toml\n"
 _PAIR = "deformscope calibrate beta sample:pair --record pair.rrd\n"
 _BENCH = "deformscope record lab:bench --seconds 2 --record bench.rrd\n"
 _TRIAL = "deformscope squeeze lab:containers --content rice --container box-01 --dataset squeezes\n"
@@ -26,18 +28,18 @@ EXAMPLES: dict[str, str] = {
     "doctor": "deformscope doctor sample:rig",
     "devices": "deformscope devices",
     "calibrate tip": _DOUBLES + "deformscope calibrate tip rig.toml",
-    "calibrate place": _DOUBLES + "deformscope calibrate tip rig.toml\ndeformscope calibrate place rig.toml",
+    "calibrate place": _PLACED.strip(),
     "calibrate camera": _DOUBLES + "deformscope calibrate camera rig.toml --picture views.png",
-    "calibrate force": _DOUBLES + "deformscope calibrate force rig.toml",
+    "calibrate force": _PLACED + "deformscope calibrate force rig.toml",
     "calibrate time": _DOUBLES + "deformscope calibrate time rig.toml",
     "calibrate arm": "deformscope calibrate arm lab:homogeneous-rigid",
     "arm where": "deformscope arm where sample:rig",
     "arm files": _KUKA + "deformscope arm files kuka.toml --out controller",
     "arm home": "deformscope arm home sample:rig --yes",
-    "arm go": "deformscope arm go lab:two-60-150 --above 0.30,0.20",
-    "arm jog": "deformscope arm jog lab:two-60-150",
+    "arm go": _SEEN + "deformscope arm go rig.toml --above 0.30,0.20",
+    "arm jog": _SEEN + "deformscope arm jog rig.toml",
     "record": _BENCH.strip(),
-    "live": "deformscope live lab:bench --seconds 3 --stage tactile",
+    "live": "deformscope live lab:bench --seconds 3 --stage tactile --viewer page",
     "double": "deformscope double optoforce --seconds 3",
     "replay": _PAIR + "deformscope replay pair.rrd",
     "verify": _PAIR + "deformscope verify pair.rrd --stages",
@@ -52,7 +54,7 @@ EXAMPLES: dict[str, str] = {
     + "deformscope export bench.rrd --to csv --out tables\n"
     + "deformscope import --inspect tables > map.toml\n"
     + "deformscope import tables --map map.toml --record again.rrd",
-    "recover": _BENCH + "head -c 1000000 bench.rrd > cut.rrd\ndeformscope recover cut.rrd",
+    "recover": _BENCH + "head -c -100000 bench.rrd > cut.rrd\ndeformscope recover cut.rrd",
     "discard": _PAIR + "deformscope discard pair.rrd --reason 'the tip slipped'",
     "dataset list": _TRIAL + "deformscope dataset list squeezes",
     "dataset relabel": _TRIAL + "deformscope dataset relabel squeezes lab-0-box-01-00000 --content flour",

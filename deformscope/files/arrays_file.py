@@ -24,6 +24,8 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 DEFLATED_AT_MOST = 1100
 """No compressed byte becomes more than 1032."""
+SAMPLES = {"pair": "sample:pair", "motion": "sample:press"}
+"""An example of each kind of file."""
 LATTICE_CELLS = 10_000_000
 """Largest number of cells of a lattice with holes: arrays of that size are made."""
 
@@ -109,8 +111,8 @@ def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np
     """`rest` (K, d), d = 2 or 3, of a file with all arrays of its kind."""
     if missing := [name for name in needed if name not in found]:
         keys = ", ".join(sorted(found)) or "nothing"
-        where = f"`{kind.capitalize()} files` in docs/reference/pair-files.md"
-        raise InputError(f"{' and '.join(missing)} in the {kind} file", keys, where)
+        hint = f"{', '.join(needed)}, as {SAMPLES[kind]} has them"
+        raise InputError(f"{' and '.join(missing)} in the {kind} file", keys, hint)
     rest = numbers(found, "rest")
     if rest.ndim != 2 or rest.shape[1] not in (2, 3):
         raise InputError("rest of shape (K, 2) or (K, 3)", str(rest.shape))

@@ -72,6 +72,8 @@ DPI = 130
 PLACE = (0.12, 0.12, 0.7, 0.69)
 """Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
+UNIT_LETTERS = 8
+"""A longer label of a colour bar ends at the right edge of the picture."""
 LEAST_SURE = 0.25
 """Probability of a label at which its colour is as pale as it gets."""
 
@@ -464,7 +466,9 @@ def _draw_map(
     if norm is None:  # whole numbers, not differences from one, and as short as there is room
         bar.locator, bar.formatter = MaxNLocator(4), FuncFormatter(lambda value, _: f"{value:.3g}")
         bar.update_ticks()
-    bar.ax.text(0.55, -0.035, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
+    edge = 4.6 if values.shape[1] > 1.2 * values.shape[0] else 5.6  # the bar of a square map is narrower
+    x, y, side = (0.55, -0.035, "left") if len(label) <= UNIT_LETTERS else (edge, -0.12, "right")
+    bar.ax.text(x, y, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha=side)
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
@@ -639,7 +643,8 @@ def _say(axes: Axes, words: str, shape: tuple[int, ...] = (), cell_m: float = 0.
 
 
 def _title(axes: Axes, title: str, words: str) -> None:
-    wrapped = textwrap.wrap(words, 52, break_on_hyphens=False)[:ROWS_OF_WORDS]
+    square = axes.get_aspect() == 1.0 and np.ptp(axes.get_xlim()) < 1.2 * np.ptp(axes.get_ylim())
+    wrapped = textwrap.wrap(words, 42 if square else 52, break_on_hyphens=False)[:ROWS_OF_WORDS]
     axes.text(
         0.0, 1.03, "\n".join(wrapped), transform=axes.transAxes, fontsize=10, va="bottom", ha="left", color="#3b4048"
     )

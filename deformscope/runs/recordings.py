@@ -14,7 +14,7 @@ from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
-from deformscope.recording.discards import Discard
+from deformscope.recording.discards import Discard, discard
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import RecordingTables
@@ -78,6 +78,10 @@ class OpenRecording(LibraryResult):
     def discarded(self) -> list[Discard]:
         """Its discarded parts, with reasons; they are in the file nevertheless."""
         return self._replay.discarded
+
+    def discard(self, reason: str, episode: int = 0) -> None:
+        """Mark it, or one of its episodes (from 1), as not to be used, in its ledger."""
+        discard(self.path, reason, episode, self.notes())
 
     def estimates(self) -> list[dict[str, Any]]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""

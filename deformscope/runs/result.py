@@ -59,6 +59,20 @@ class LibraryResult(ABC):
         return self.findings().html()
 
 
+@dataclass(frozen=True, slots=True)
+class FoundResult(LibraryResult):
+    """What a command found or wrote. found: its JSON; shown: the same for people"""
+
+    found: Mapping[str, Any]
+    shown: tuple[Table, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        return dict(self.found)
+
+    def tables(self) -> tuple[Table, ...]:
+        return self.shown
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceResult(LibraryResult):
     """Results of a source.

@@ -49,5 +49,8 @@ def test_an_example_runs_as_typed(name: str, tmp_path: Path) -> None:
             text=True,
             stdin=subprocess.DEVNULL,
         )
+        if "arm jog" in line:  # keys of a terminal move the arm
+            assert "a terminal" in ended.stderr
+            continue
         allowed = (0, EXIT_LOSSES) if LOSES in line else (0,)
         assert ended.returncode in allowed, f"{line}: {ended.stderr[-2000:]}"

@@ -1,8 +1,4 @@
-"""`deformscope recover`: a whole recording out of an unfinished or cut-off one.
-
-deformscope recover run.part.rrd
-deformscope recover run.part.rrd --out saved.rrd
-"""
+"""A whole recording out of an unfinished or cut-off one."""
 
 from __future__ import annotations
 
@@ -11,9 +7,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from deformscope.cli.common import show_table, write_json
-from deformscope.config import RecoverConfig
 from deformscope.errors import InputError
+from deformscope.pictures.report import Table
 from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
@@ -21,12 +16,12 @@ from deformscope.recording.losses import to_text
 from deformscope.recording.reader import check_magic
 from deformscope.recording.rrd_file import write_outcome
 from deformscope.recording.target import remove_strays
+from deformscope.runs.result import FoundResult
 
 
-def run(config: RecoverConfig) -> None:
+def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
     """Write the readable part of a recording as a new one, with its ledger. The original is only read."""
-    path = config.recording
-    out = config.out or path.with_name(f"{path.stem.split('.part')[0]}.recovered.rrd")
+    out = out or path.with_name(f"{path.stem.split('.part')[0]}.recovered.rrd")
     _check(path, out)
     # Beside the new file, so that the last step is a rename.
     with tempfile.TemporaryDirectory(prefix=f".{out.stem}.", suffix=".part", dir=out.parent) as scratch:
@@ -44,7 +39,7 @@ def run(config: RecoverConfig) -> None:
         whole.replace(out)
     remove_strays(path.parent)
     write_ledger(out, facts.counts, facts.losses)
-    _report(config, path, out, facts, damage)
+    return _report(path, out, facts, damage)
 
 
 def _check(path: Path, out: Path) -> None:
@@ -76,7 +71,7 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
     )
 
 
-def _report(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: str) -> None:
+def _report(path: Path, out: Path, facts: Facts, damage: str) -> FoundResult:
     """damage: where reading ended before the end of the file; empty = nowhere"""
     missing: dict[str, int] = {}
     if ledger_path(path).exists():
@@ -96,7 +91,6 @@ def _report(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: 
         *((("damage", f"{damage}: nothing after it is readable"),) if damage else ()),
         ("original", f"{path}: as it was"),
     ]
-    show_table(str(path), rows)
     found = {
         "recording": path,
         "recovered": out,
@@ -106,4 +100,4 @@ def _report(config: RecoverConfig, path: Path, out: Path, facts: Facts, damage: 
         "missing": missing,
         "damage": damage,
     }
-    write_json(found, config.json)
+    return FoundResult(found, (Table(rows, caption=str(path)),))

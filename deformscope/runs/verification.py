@@ -1,20 +1,14 @@
-"""`deformscope verify`: whether a recording is whole.
-
-deformscope verify run.rrd
-deformscope verify run.rrd --stages
-deformscope verify run.rrd --privacy
-"""
+"""Whether a recording is whole: its bytes, its structure, and what it counted as lost."""
 
 from __future__ import annotations
 
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deformscope.cli.common import EXIT_LOSSES, say, show, show_table, write_json
-from deformscope.config import VerifyConfig
 from deformscope.errors import InputError
-from deformscope.pictures.findings import table_text
+from deformscope.pictures.report import Table
 from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import LedgerCheck, check_recording, read_counts
@@ -22,6 +16,7 @@ from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text
 from deformscope.recording.provenance import left_out
 from deformscope.recording.reader import Replay, check_magic
+from deformscope.runs.result import FoundResult
 
 if TYPE_CHECKING:
     from deformscope.recording.stages import RecordedStage
@@ -36,9 +31,24 @@ class Damaged(InputError):
     """The recording has changed, or was never finished."""
 
 
-def run(config: VerifyConfig) -> int:
-    """Check bytes, structure and completeness. Returns the exit status; raises Damaged where something is wrong."""
-    path = config.recording
+@dataclass(frozen=True, slots=True)
+class VerifyResult(FoundResult):
+    """What `verify` found. error: what is wrong with the recording, None = nothing; remarks: on what was listed
+    losses: what it lacks although it can be read whole"""
+
+    error: Damaged | None = None
+    remarks: tuple[str, ...] = ()
+    losses: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool | None:
+        """Whether it is whole and finished; None = it has no ledger to compare its bytes with."""
+        return None if self.found["ok"] is None else bool(self.found["ok"])
+
+
+def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False) -> VerifyResult:
+    """Check bytes, structure and completeness; stages, privacy: list those too. Raises InputError for what is no
+    recording, or one that a run is writing."""
     if not path.is_file():
         part = next(iter(sorted(path.parent.glob(f"{path.stem}.part*{path.suffix}"))), None)
         hint = f"the unfinished one: {part}" if part is not None else ""
@@ -66,7 +76,7 @@ def run(config: VerifyConfig) -> int:
     unfinished = unfinished and not problems
     counts = (read_counts(path) if differs == [] else {}) or facts.counts  # a damaged ledger says nothing
     reached = "" if facts.until_s is None else f" until {facts.until_s:.1f} s"
-    show_table(str(path), _rows(facts, check, structure, reached, counts, unfinished=unfinished))
+    tables = [Table(_rows(facts, check, structure, reached, counts, unfinished=unfinished), caption=str(path))]
     found: dict[str, Any] = {
         "recording": path,
         "ok": False if problems or unfinished else None if differs is None else True,
@@ -82,41 +92,45 @@ def run(config: VerifyConfig) -> int:
         "losses": facts.losses,
         "discarded": facts.discarded,
     }
-    if config.stages and not problems:
-        found["stages"] = _list_stages(path)
-    if config.privacy and not problems:
-        found["privacy"] = _list_private(path)
-    write_json(found, config.json)
+    remarks: list[str] = []
+    if stages and not problems:
+        found["stages"] = _stages(path, tables, remarks)
+    if privacy and not problems:
+        found["privacy"] = _private(path, tables)
+    error = None
     if problems:
         hint = f"an intact copy, or its readable part: deformscope recover {path}"
-        raise Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
-    if unfinished:
+        error = Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
+    elif unfinished:
         kept = f"everything{reached} is there" if reached else "its readable part exists"
-        raise Damaged("a finished recording", f"one of an interrupted run; {kept}", f"deformscope recover {path}", path)
-    return _name_losses(facts, checked=differs is not None, reached=reached)
+        came = f"one of an interrupted run; {kept}"
+        error = Damaged("a finished recording", came, f"deformscope recover {path}", path)
+    losses = _losses(facts, checked=differs is not None, reached=reached) if error is None else []
+    return VerifyResult(found, tuple(tables), error, tuple(remarks), tuple(losses))
 
 
-def _list_stages(path: Path) -> list[RecordedStage]:
-    """Print them."""
+def _stages(path: Path, tables: list[Table], remarks: list[str]) -> list[RecordedStage]:
+    """The stages; their tables and what is to be remarked of them are added."""
     from deformscope.recording.stages import recorded_stages
     from deformscope.runs.recording_report import stage_tables
 
     stages = recorded_stages(path)
-    show(*map(table_text, stage_tables(stages)))
-    say(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
+    tables += stage_tables(stages)
+    remarks.append(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
     if not any(one.computed for one in stages):
-        say("costs: not recorded, as in older and in deterministic recordings")
+        remarks.append("costs: not recorded, as in older and in deterministic recordings")
     return stages
 
 
-def _list_private(path: Path) -> dict[str, str]:
-    """Print information on people and machines, by its place."""
+def _private(path: Path, tables: list[Table]) -> dict[str, str]:
+    """Information on people and machines, by its place; its table is added."""
     from deformscope.recording.streams import RecordingTables
 
     replay = Replay(path, trust=True)
     found = left_out(replay.properties) | RecordingTables(replay).left_out()
     lines = {place: textwrap.shorten(said, SHOWN_LETTERS, placeholder=" ...") for place, said in found.items()}
-    show_table("information on people and machines (export --anonymous leaves it out)", [*lines.items()])
+    title = "information on people and machines (export --anonymous leaves it out)"
+    tables.append(Table([*lines.items()], caption=title))
     return found
 
 
@@ -160,8 +174,8 @@ def _rows(
     ]
 
 
-def _name_losses(facts: Facts, *, checked: bool, reached: str) -> int:
-    """Name the faults of a recording that is readable to its end."""
+def _losses(facts: Facts, *, checked: bool, reached: str) -> list[str]:
+    """The faults of a recording that is readable to its end."""
     remarks = []
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")
@@ -169,6 +183,4 @@ def _name_losses(facts: Facts, *, checked: bool, reached: str) -> int:
         remarks.append(f"it was recovered{reached}: later data are lost")
     if not checked:
         remarks.append("it has no ledger: changed bytes cannot be detected")
-    for line in remarks:
-        say(f"deformscope: {line}")
-    return EXIT_LOSSES if remarks else 0
+    return remarks

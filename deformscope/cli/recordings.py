@@ -1,0 +1,54 @@
+"""`deformscope verify`, `recover` and `export`: whether a recording is whole, what can be read of one that is not, and
+formats of others.
+
+deformscope verify run.rrd
+deformscope verify run.rrd --stages
+deformscope verify run.rrd --privacy
+deformscope recover run.part.rrd --out saved.rrd
+deformscope export r.rrd --to parquet --out tables
+deformscope export r.rrd --to mcap --out bag --only wrench arm
+deformscope export r.rrd --images frames --camera front
+"""
+
+from __future__ import annotations
+
+from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_json
+from deformscope.config import ExportConfig, RecoverConfig, VerifyConfig
+
+
+def verify(config: VerifyConfig) -> int:
+    """Check bytes, structure and completeness. Returns the exit status; raises Damaged where something is wrong."""
+    from deformscope.runs.verification import verify_recording
+
+    found = verify_recording(config.recording, stages=config.stages, privacy=config.privacy)
+    show(found)
+    write_json(found.as_json(), config.json)
+    for line in found.remarks:
+        say(line)
+    if found.error is not None:
+        raise found.error
+    for line in found.losses:
+        say(f"deformscope: {line}")
+    return EXIT_LOSSES if found.losses else 0
+
+
+def recover(config: RecoverConfig) -> None:
+    """Write what can be read of a recording as a new one."""
+    from deformscope.runs.recovery import recover_recording
+
+    found = recover_recording(config.recording, config.out)
+    show(found)
+    write_json(found.as_json(), config.json)
+
+
+def export(config: ExportConfig) -> int:
+    """Write it, and list what was written. Returns the command's exit status."""
+    from deformscope.runs.exporting import export_recording
+
+    with fit_progress() as progress:
+        found = export_recording(config, progress)
+    show(found)
+    write_json(found.as_json(), config.json)
+    for line in found.remarks:
+        say(f"deformscope: {line}")
+    return EXIT_LOSSES if found.remarks or not found.checked else 0
