@@ -16,12 +16,14 @@ SAMPLE_SCHEME = "sample:"
 
 
 def resolve(path: str | Path) -> Path:
-    """`sample:NAME` becomes the sample's file, or the folder of its images; any other text is unchanged."""
+    """`sample:NAME` becomes the sample's file, or the folder of its images; `sample:NAME/FILE` becomes one of these
+    images; any other text is unchanged."""
     text = str(path)
     if not text.startswith(SAMPLE_SCHEME):
         return Path(path).expanduser()
-    folder = sample_path(text.removeprefix(SAMPLE_SCHEME))
-    return next(folder.glob(f"{folder.name}.*"), folder)
+    name, _, file = text.removeprefix(SAMPLE_SCHEME).partition("/")
+    folder = sample_path(name)
+    return folder / file if file else next(folder.glob(f"{folder.name}.*"), folder)
 
 
 def ending_of(path: str | Path) -> str:

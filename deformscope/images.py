@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
+from deformscope.file_io import read_file
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_QUALITY = 90
@@ -28,12 +29,7 @@ cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 def read_image(path: str | Path) -> ImageArray:
     """One image file: (H, W) grey or (H, W, 3) RGB, uint8 or uint16; transparency is left out."""
-    path = Path(path)
-    try:
-        encoded = path.read_bytes()
-    except OSError as error:
-        raise InputError("an image", (error.strerror or str(error)).lower(), where=path) from error
-    return decode_image(encoded, path)
+    return decode_image(read_file(path, "an image"), path)
 
 
 def decode_image(encoded: bytes, where: object) -> ImageArray:

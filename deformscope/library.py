@@ -308,14 +308,14 @@ def sweep(
     Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
     """
     from deformscope.config.executor import ExecutorOptions
-    from deformscope.runs.sweep import SweepOptions, call_function, files_in, function_variations, sweep_on
+    from deformscope.runs.sweep import SweepOptions, call_function, files_in, function_variations, one_thread, sweep_on
 
     out = Path(out)
     with _python_names(), shown_progress(progress) as note:
         how = SweepOptions(ExecutorOptions(executor, address), workers, send, limit_s)
         files: Sequence[Path | str] = files_in(Path(sources), out) if isinstance(sources, str | Path) else list(sources)
         variations = function_variations(function, vary or {}, options)
-        return sweep_on(call_function, files, variations, out, how, progress=note)
+        return sweep_on(call_function, files, variations, out, how, begin=one_thread, progress=note)
 
 
 def classify(

@@ -128,6 +128,7 @@ class RegionOutcome:
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
     cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: count may be more
+    met: true regions in which a touch was made: no other can be counted
     """
 
     condition: str
@@ -147,6 +148,7 @@ class RegionOutcome:
     touches: int
     cells_held: float = np.nan
     at_least: bool = False
+    met: int = 0
 
     @property
     def right(self) -> bool:
@@ -313,6 +315,10 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         shown = posterior.region_map()
     truth = surface.true
     right = shown.region_count == truth.region_count
+    met = 0
+    if truth.labels is not None:
+        at = [np.argmin(((posterior.grid.centres_m - one.xy_m) ** 2).sum(axis=1)) for one in posterior.touches]
+        met = len(np.unique(truth.labels.ravel()[at]))
     levels = covered = 0
     width = wrong = np.nan
     z: tuple[float, ...] = ()
@@ -346,6 +352,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         touches=len(posterior.touches),
         cells_held=float((np.abs(shown.field - truth.log_stiffness) <= Z_90 * shown.field_sd).mean()),
         at_least=shown.at_least,
+        met=met,
     )
 
 
@@ -431,6 +438,7 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     ),
     Quantity("level_width", lambda some: _or_nan(np.median, [one.width for one in some]), {"width": number(3)}),
     Quantity("number_right", lambda some: Rate.of(one.right for one in some), {"number right": share(2)}),
+    Quantity("met_right", lambda some: Rate.of(one.count == one.met for one in some), {"as many as met": share(2)}),
     Quantity("number_claimed", lambda some: float(np.mean([one.claimed for one in some])), {"claimed": number(2)}),
     Quantity(
         "true_number_probability",

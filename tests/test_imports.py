@@ -39,7 +39,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "results": ("plain",),
     "capsule": ("arrays",),
     "solid": ("arrays",),
-    "images": ("arrays", "errors"),
+    "images": ("arrays", "errors", "file_io"),
     "frames": ("arrays",),
     # Stages are pure: arrays in, frozen results out.
     "stages.msm": ("arrays", "errors"),
@@ -55,7 +55,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "stages.setup": ("arrays", "errors"),
     "pictures": ("arrays", "errors", "images", "processes", "results", *STAGES),
     "log": ("arrays", "frames", "images", "pictures", "plain", "rows", *STAGES),
-    "rig": ("errors", "frames"),
+    "rig": ("errors", "file_io", "frames"),
     "robot": ("arrays", "capsule", "errors", "rig", "solid"),
     # The simulated world must not share the model that is fitted to it.
     "lab": ("arrays", "capsule", "errors", "processes", "rig", "robot", "solid"),
@@ -63,7 +63,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "rows": ("arrays", "frames", "images", "results", "stages.map", "stages.squeeze"),
     "page.server": ("errors",),
     "recording": (
-        *("arrays", "errors", "frames", "images", "log", "page.server", "results", "rows", "session", *STAGES),
+        *("arrays", "errors", "file_io", "frames", "images", "log", "page.server", "plain", "results", "rows"),
+        *("session", *STAGES),
     ),
     "files": ("arrays", "errors", "file_io", "frames", "images", "recording", *STAGES),
     # What others recorded, as frames.
@@ -90,7 +91,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("plain", "recording", "rig", "robot", "runs", "session", *STAGES),
     ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
-    "bench": ("arrays", "bench_cases", "errors", "plain", "version", *STAGES),
+    "bench": ("arrays", "bench_cases", "errors", "plain", "processes", "version", *STAGES),
     "config": ("bench_cases", "errors", "file_io"),
     "file_io": ("errors",),
     "terminal": ("errors",),
@@ -277,6 +278,18 @@ def test_other_engines_are_imported_in_their_own_processes_alone() -> None:
     assert importers == ["deformscope.bench.peer_process"]
 
 
+def _prints(script: str, expected: str) -> None:
+    """A script runs in a process of its own and prints this alone."""
+    # Not installed, the packages are found where pytest found them.
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    shown = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment
+    )
+
+    assert shown.stderr == ""
+    assert shown.stdout == expected
+
+
 def test_help_loads_nothing_heavy() -> None:
     pytest.importorskip("tyro")
     script = """
@@ -290,14 +303,20 @@ with contextlib.redirect_stdout(io.StringIO()):
 heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem numpy serial can pyarrow rich".split()
 print(sorted(set(heavy) & set(sys.modules)))
 """
-    # Not installed, the packages are found where pytest found them.
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    shown = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment
-    )
+    _prints(script, "[]\n")
 
-    assert shown.stderr == ""
-    assert shown.stdout == "[]\n"
+
+def test_a_command_loads_what_it_needs_as_it_needs_it() -> None:
+    script = """
+import importlib, sys
+from deformscope.cli import COMMANDS
+for name, command in COMMANDS.items():
+    if not name.startswith("reproduce"):
+        importlib.import_module(command.module)
+heavy = "open3d sklearn scipy.stats matplotlib can mcap rosbags ray".split()
+print(sorted(set(heavy) & set(sys.modules)))
+"""
+    _prints(script, "[]\n")
 
 
 def test_version_is_told_once() -> None:
@@ -316,10 +335,4 @@ import deformscope_drivers.wires, deformscope_drivers.ports
 heavy = "rerun warp open3d sklearn scipy cv2 matplotlib skfem pyarrow rich tyro deformscope pytest".split()
 print(sorted(set(heavy) & set(sys.modules)))
 """
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    shown = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment
-    )
-
-    assert shown.stderr == ""
-    assert shown.stdout == "[]\n"
+    _prints(script, "[]\n")

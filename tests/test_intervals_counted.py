@@ -21,8 +21,8 @@ from deformscope.results.render import format_value
 from deformscope.stages.map.exploration import InclusionsResult, MapRegion
 from studies.__main__ import summaries
 
-DOC = Path(__file__).parents[1] / "docs" / "validation.md"
-HEADING = "## What stands behind each interval"
+DOC = Path(__file__).parents[1] / "docs" / "results" / "coverage.md"
+HEADING = "## Which study counts each interval"
 
 
 def with_ends() -> set[str]:
@@ -68,7 +68,7 @@ def test_every_interval_is_in_the_table_and_the_table_names_no_other() -> None:
 
 
 def test_each_has_a_study_that_is_there_or_is_called_an_estimate() -> None:
-    root = DOC.parents[1]
+    root = DOC.parents[2]
     for name, (command, where) in table().items():
         if command == "open":
             continue

@@ -23,7 +23,11 @@ README = ROOT / "README.md"
 EVERY = [one for page in printed.PAGES for one in printed.printed(page)]
 LONG = ("make demo", "deformscope explore")
 """What takes longer than some seconds begins so."""
-ILLUSTRATIONS = {"docs/architecture.md": 2, "docs/page.md": 1, "drivers/README.md": 1}
+ILLUSTRATIONS = {
+    "docs/developers/architecture.md": 2,
+    "docs/howto/watch-a-rig.md": 1,
+    "drivers/README.md": 1,
+}
 """Blocks fenced as ```text, which nothing prints: drawings (that of the layers has its own
 test), a line of udev's, an address."""
 TYPED = [(kind, body) for kind, body in printed.FENCE.findall(README.read_text("utf-8")) if "make " not in body]
@@ -84,7 +88,9 @@ def test_the_flags_of_a_command_in_a_page_are_known(page: Path, line: str) -> No
 
 def understood(line: str) -> tuple[str, Any]:
     """The command of a line, and its options."""
-    name, rest = cli.find_command(shlex.split(line.partition(" > ")[0], comments=True)[1:])
+    words = shlex.split(line, comments=True)
+    end = next((index for index, one in enumerate(words) if one in (">", "||")), len(words))
+    name, rest = cli.find_command(words[1:end])
     return name, cli.parse(getattr(config, cli.COMMANDS[name].config), rest)
 
 
@@ -196,7 +202,7 @@ def test_what_is_written_is_as_shown(tmp_path: Path) -> None:
 
 
 def test_the_recording_of_the_docs_is_the_one_that_is_kept() -> None:
-    """Its command in docs/calibrating.md makes what recordings/manifest.toml says."""
+    """Its command in docs/results/fits.md makes what recordings/manifest.toml says."""
     import tomllib
 
     manifest = tomllib.loads((ROOT / "recordings" / "manifest.toml").read_text(encoding="utf-8"))

@@ -1,6 +1,6 @@
 """The picture of the layers, out of the imports of every file: python tools/layers.py [--write]
 
-Prints it, or puts it into docs/architecture.md. `tests/test_docs.py` holds the page to what this prints.
+Prints it, or puts it into docs/developers/architecture.md. `tests/test_docs.py` holds the page to what this prints.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import textwrap
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "architecture.md"
+PAGE = ROOT / "docs" / "developers" / "architecture.md"
 BEGIN, END = "<!-- layers -->\n```text\n", "```\n<!-- end of layers -->"
 WIDTH = 118
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="replace the picture in docs/architecture.md")
+    parser.add_argument("--write", action="store_true", help="replace the picture in docs/developers/architecture.md")
     picture = drawing()
     if not parser.parse_args().write:
         print(picture, end="")

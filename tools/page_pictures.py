@@ -1,4 +1,4 @@
-"""The pictures of the page in README.md and docs/page.md, made anew:
+"""The pictures of the page in README.md and docs/howto, made anew:
 
     python tools/page_pictures.py [live explore fit film]
 

@@ -20,9 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+TUTORIALS = ROOT / "docs" / "tutorials"
+"""Their prints are shown as text, and `tests/test_site.py` types them."""
+PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.parent != TUTORIALS)]
 PAGES += [ROOT / "drivers" / "README.md", ROOT / "recordings" / "README.md"]
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FENCE = re.compile(r"^```(\w*)(?: [^\n]*)?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.(\d+))?")
 LEFT_OUT = "..."
 OF_THE_MACHINE = ("time", "recording", "supervisor looked")

@@ -18,6 +18,7 @@ import os
 import pkgutil
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,11 +55,22 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 # Commands ------------------------------------------------------------------------------------------------------------
 
 
+SHARED = """# Commands
+
+From `deformscope COMMAND --help`. Every command that computes takes `--json FILE|-`, `--record FILE.rrd`,
+`--viewer auto|native|page|none` and `--overwrite`; those that draw random numbers take `--seed N`.
+
+A SOURCE is a video, a folder of frames (natural order, 8 or 16 bit), images in order, a recording (`.rrd`), pair files
+(`.npz`), or a sample: `sample:tension`, `sample:video` (images), `sample:pair`, `sample:poke` (pair files),
+`sample:squeezes` (for `classify`). Exit codes: [Troubleshooting](../troubleshooting.md).
+"""
+
+
 def commands() -> str:
     """Every command with its own help."""
     from deformscope.cli import COMMANDS
 
-    parts = ["# Commands\n\nFrom `deformscope COMMAND --help`."]
+    parts = [SHARED]
     for name, command in COMMANDS.items():
         parts.append(f"## deformscope {name}\n\n{_sentence(command.summary)}\n\n{_help_of(name)}")
     return "\n\n".join(parts) + "\n"
@@ -73,8 +85,10 @@ def _help_of(name: str) -> str:
         main([*name.split(), "--help"])
     lines = [line.rstrip() for line in shown.getvalue().strip().splitlines()]
     kept = "\n".join(line for line in lines if set(line.strip()) != {"-"})
+    kept, _, example = kept.partition("\nexample:\n")
     usage, description, flags = re.split(r"\n\n+", kept, maxsplit=2)
     parts = [f"```text\n{usage}\n```", _escaped(" ".join(description.split()))]
+    parts.append(f"```sh\n{textwrap.dedent(example)}\n```")
     for title, lines in re.findall(r"^ (\S.*)\n((?:(?! \S).*\n?)*)", flags, re.MULTILINE):
         about, rows = _flags_of(lines.splitlines())
         parts += [f"**{title.capitalize()}.** {about}", _table(("flag", "meaning"), rows)]
@@ -184,7 +198,7 @@ def rig_file() -> str:
     from deformscope.rig.driver_table import DRIVERS
     from deformscope.rig.rig_file import SECTIONS
 
-    parts = ["# Keys of a rig file", "A rig file is TOML. [Rigs and devices](../rigs.md) shows whole ones."]
+    parts = ["# Keys of a rig file", "A rig file is TOML. [Write a rig file](../howto/write-a-rig-file.md) shows how."]
     for name, kind in SECTIONS.items():
         parts.append(f"## [{name}]\n\n{_summary(kind)}\n\n{_keys(kind)}")
     for name, driver in DRIVERS.items():
@@ -226,6 +240,21 @@ def _default(one: dataclasses.Field[Any]) -> str:
     return "" if one.default_factory is dataclasses.MISSING else f"`{one.default_factory()!r}`"
 
 
+# Studies --------------------------------------------------------------------------------------------------------------
+
+
+def studies() -> str:
+    """Every study with what it counts."""
+    from studies.__main__ import summaries
+
+    about = (
+        "In a checkout, `python -m studies NAME` runs a study with the flags of commands for files and pictures."
+        " `--resume FILE` keeps each outcome as it comes. [Results](../results/coverage.md) has what they found."
+    )
+    rows = [(f"`{name}`", _escaped(said)) for name, said in summaries().items()]
+    return f"# Studies\n\n{about}\n\n{_table(('study', 'what it counts'), rows)}\n"
+
+
 # Python ---------------------------------------------------------------------------------------------------------------
 
 
@@ -233,7 +262,10 @@ def python() -> str:
     """The functions and results of `import deformscope as ds`."""
     import deformscope
 
-    parts = ["# Python", "`import deformscope as ds`. [From a script](../library.md) shows them at work."]
+    parts = [
+        "# Python",
+        "`import deformscope as ds`. [Use from Python](../howto/use-from-python.md) shows them at work.",
+    ]
     for name in deformscope.__all__:
         if not name.startswith("__"):
             home = getattr(deformscope, name).__module__
@@ -280,6 +312,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "quantities": quantities_page,
     "rig-file": rig_file,
     "python": python,
+    "studies": studies,
 }
 
 if __name__ == "__main__":

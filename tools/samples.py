@@ -1,4 +1,5 @@
-"""Makes the samples of the laboratory that ship (`sample:pair`, `sample:poke`, `sample:video`, `sample:squeezes`) anew.
+"""Makes the samples of the laboratory that ship (`sample:pair`, `sample:poke`, `sample:press`, `sample:video`,
+`sample:squeezes`, `sample:table`) anew.
 
 python tools/samples.py [NAME...]
 """
@@ -20,6 +21,10 @@ from deformscope.lab.foam import FOAMS
 from deformscope.lab.slab import RigidTip, Slab
 from deformscope.lab.slab import press as press_slab
 from deformscope.lab.speckle import View, film
+from deformscope.stages.msm.clusters import lattice as lattice_clusters
+from deformscope.stages.msm.materials import Plasticity
+from deformscope.stages.msm.plastic import PlasticMsm
+from deformscope.stages.msm.solver import Msm
 
 FOLDER = Path(__file__).resolve().parents[1] / "deformscope" / "samples"
 FOAM = FOAMS[2]
@@ -67,6 +72,27 @@ def poke() -> bytes:
     return arrays(rest=rest, deformed=rest + dent.displaced + noise, **pressed, **tip)
 
 
+def press_and_release() -> bytes:
+    """A block in the plane that yields: frame by frame while a tool presses it, holds it, and lets it go."""
+    shape, beta, dt = (5, 7), 0.7, 0.25
+    rows, columns = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
+    rest = 0.01 * np.column_stack([columns.ravel(), shape[0] - 1 - rows.ravel()])
+    low, tip = np.flatnonzero(rows.ravel() == shape[0] - 1), np.array([2, 3, 4])
+    pressing = np.concatenate([low, tip])
+    body = PlasticMsm(Msm(rest, lattice_clusters(rest, shape, np.arange(len(rest)), 3), pressing), Plasticity(0.06))
+    loads = [0.5, 1.0, *[1.0] * 6, *[0.0] * 8]
+    motion, held = [], np.zeros((len(loads), len(rest)), dtype=bool)
+    for frame, load in enumerate(loads):
+        index = pressing if load else low
+        at = rest[index]
+        at[len(low) :, 1] -= load * 0.014
+        body.hold(index)
+        motion.append(body.load(at, beta, settled=1e-4).position[0])
+        held[frame, index] = True
+    noise = np.random.default_rng(0).normal(0.0, NOISE_M, (len(loads), *rest.shape))
+    return arrays(rest=rest, motion=np.stack(motion) + noise, held=held, dt=dt, shape=shape, noise_m=NOISE_M)
+
+
 def video() -> bytes:
     """What a camera sees of the push."""
     view = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=5000.0)
@@ -100,6 +126,20 @@ def squeezes() -> bytes:
     return arrays(label=label, group=group, trial=trial, **found)
 
 
+def table() -> bytes:
+    """The same squeezes as a CSV table, with the features of touch and of physics alone."""
+    with np.load(FOLDER / "squeezes" / "squeezes.npz") as found:
+        features = {name: found[name] for name in ("tactile", "physical")}
+        head = [f"{name}.{column}" for name, values in features.items() for column in range(values.shape[1])]
+        rows = zip(found["label"], found["group"], found["trial"], *(one for one in features.values()), strict=True)
+        lines = [
+            ",".join([*words, *("" if np.isnan(one) else f"{one:.5g}" for some in numbers for one in some)])
+            for *words, in_touch, physical in rows
+            for numbers in [(in_touch, physical)]
+        ]
+    return "\n".join([",".join(["label", "group", "trial", *head]), *lines, ""]).encode()
+
+
 def arrays(**named: object) -> bytes:
     file = io.BytesIO()
     np.savez_compressed(file, allow_pickle=False, **{name: np.asarray(one) for name, one in named.items()})
@@ -109,8 +149,10 @@ def arrays(**named: object) -> bytes:
 MAKE: dict[str, tuple[str, Callable[[], bytes]]] = {
     "pair": (".npz", pair),
     "poke": (".npz", poke),
+    "press": (".npz", press_and_release),
     "video": (".mp4", video),
     "squeezes": (".npz", squeezes),
+    "table": (".csv", table),
 }
 
 

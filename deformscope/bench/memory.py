@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import gc
 from pathlib import Path
 
 import warp as wp
+
+from deformscope.processes import release_memory
 
 
 class Meter:
@@ -29,8 +29,7 @@ class Meter:
             self._base = wp.get_mempool_used_mem_current(self._device)
             self._highest = wp.get_mempool_used_mem_high(self._device)
             return
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)  # what is free goes back, else it would hide what is taken next
+        release_memory()  # what is free would hide what is taken next
         try:
             Path("/proc/self/clear_refs").write_text("5")
         except OSError:

@@ -19,6 +19,7 @@ import re
 import select
 import signal
 import sys
+import textwrap
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -26,6 +27,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from deformscope.cli.examples import EXAMPLES
 from deformscope.errors import InputError, printable
 from deformscope.version import __version__
 
@@ -234,7 +236,8 @@ def _status(dispatch: Callable[[list[str]], int], args: list[str], signals: Sequ
     except InputError as error:
         return _fail(str(error), EXIT_INPUT)
     except Exception as error:
-        return _fail(_explain(error), EXIT_UNEXPECTED)
+        refused = isinstance(error, OSError) and error.strerror and not _missing_library(error)
+        return _fail(_explain(error), EXIT_INPUT if refused else EXIT_UNEXPECTED)
 
 
 # Finding the command -------------------------------------------------------------------------------------------------
@@ -354,6 +357,8 @@ def parse(config: Any, args: Sequence[str], prog: str = "deformscope") -> Any:
             return tyro.cli(config, args=list(args), prog=prog, config=(tyro.conf.FlagCreatePairsOff,))
         except SystemExit as stop:
             if stop.code in (0, None):
+                if example := EXAMPLES.get(prog.removeprefix("deformscope ")):
+                    print(f"example:\n{textwrap.indent(example, '  ')}")
                 raise
     raise _usage_error(said.getvalue(), prog)
 

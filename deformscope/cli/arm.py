@@ -50,7 +50,7 @@ def files(config: FilesConfig) -> None:
     for name, text in controller_files(entry.config).items():
         (config.out / name).write_text(text, "utf-8")
         say(f"wrote {config.out / name}")
-    say("no controller has run these files: read docs/arms.md, and try them in mode T1 first")
+    say("no controller has run these files: read docs/howto/set-up-a-kuka.md, and try them in mode T1 first")
 
 
 def home(config: HomeConfig) -> None:

@@ -19,6 +19,7 @@ from typing import Literal
 from deformscope.cli.common import say, show, write_json
 from deformscope.config import DoctorConfig
 from deformscope.errors import InputError
+from deformscope.file_io import resolve
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import Rig, RigDevice, load_rig
 from deformscope.runs.commissioning import RigStep, begin, commissioning_steps, next_step
@@ -52,8 +53,8 @@ class Unfit(InputError):
 def run(config: DoctorConfig) -> None:
     """Check everything, report all of it, and raise Unfit where something fails."""
     if config.example:
-        name = "rig-doubles.toml" if config.doubles else "rig-example.toml"
-        print((resources.files("deformscope") / "lab" / name).read_text(encoding="utf-8"), end="")
+        example = Path(str(resources.files("deformscope"))) / "lab" / "rig-example.toml"
+        print((resolve("sample:rig") if config.doubles else example).read_text(encoding="utf-8"), end="")
         return
     if (step := _nothing_yet(config.rig)) is not None:
         doubles = step.command.replace(" >", " --doubles >")

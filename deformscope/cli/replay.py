@@ -8,15 +8,17 @@ deformscope replay out.rrd --record again.rrd --json -
 
 from __future__ import annotations
 
-from deformscope.cli.common import console, fit_progress, say, show, write_json
+from deformscope.cli.common import EXIT_LOSSES, console, fit_progress, say, show, write_json
 from deformscope.config import ReplayConfig
 from deformscope.pictures.findings import table_text
 from deformscope.pictures.report import Table
+from deformscope.recording.ledger import ledger_path
 from deformscope.runs.replay import replay_on
 
 
-def run(config: ReplayConfig) -> None:
-    """Recompute a recording from its inputs; raises `Different` where the numbers do not come out as recorded."""
+def run(config: ReplayConfig) -> int:
+    """Recompute a recording from its inputs; raises `Different` where the numbers do not come out as recorded. Returns
+    the command's exit status."""
     with fit_progress() as progress:
         found = replay_on(config, progress)
     show(*(table_text(one) if isinstance(one, Table) else one for one in found.shown))
@@ -27,3 +29,4 @@ def run(config: ReplayConfig) -> None:
         say(note)
     if found.verdict:
         console().print(found.verdict)
+    return 0 if ledger_path(config.recording).exists() else EXIT_LOSSES

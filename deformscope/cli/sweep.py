@@ -27,6 +27,7 @@ from deformscope.config.options import marks_of
 from deformscope.errors import InputError
 from deformscope.plain import plain
 from deformscope.runs.sweep import (
+    EXIT_STATUS,
     FILES,
     SweepOptions,
     SweepTask,
@@ -76,7 +77,8 @@ def find_sources(options: SweepConfig) -> list[Path]:
     if options.source.suffix == ".parquet" or options.where:
         from deformscope.runs.catalog import catalogued_paths
 
-        return in_order(catalogued_paths(options.source, options.where), options.match, options.source)
+        paths = catalogued_paths(options.source, options.where)
+        return in_order(paths, options.out, options.match, options.source)
     return files_in(options.source, options.out, options.match)
 
 
@@ -106,7 +108,7 @@ def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> V
     if "viewer" in kind.__dataclass_fields__ or "output" in kind.__dataclass_fields__:
         words += [] if "--viewer" in given else ["--viewer", "none"]
     options: CommandOptions = cli.parse(kind, [str(example), *words], prog)
-    if written := [one for one in options.writes() if KEY not in str(one.path)]:
+    if written := [one for one in options.writes() if not one.path.name.startswith(KEY) or len(one.path.parts) > 1]:
         raise InputError(f"a file for each task after {written[0].flag}", str(written[0].path), f"'{KEY}.rrd'")
     read = [one for one in options.reads() if one != str(example)]
     identity = [name, plain(_with(options, fields[0], "")), *contents_of(read)]
@@ -148,5 +150,6 @@ def run_swept(task: SweepTask) -> Any:
             options = cli.parse(getattr(config, command.config), [source, *words])
         else:
             options = _with(swept.options, swept.source, source)
-        cli.run_options(options, getattr(importlib.import_module(command.module), command.function))
-    return json.loads(out.getvalue())
+        status = cli.run_options(options, getattr(importlib.import_module(command.module), command.function))
+    found = json.loads(out.getvalue())
+    return {**found, EXIT_STATUS: status} if status and isinstance(found, dict) else found

@@ -10,6 +10,8 @@ from tyro.conf import OmitArgPrefixes
 
 from deformscope.config import flags
 from deformscope.config.options import RecordedOptions, ViewOptions
+from deformscope.errors import InputError
+from deformscope.file_io import SAMPLE_SCHEME
 
 MeasuredFlag = Annotated[Path | None, flags.one_word("FILE.npz", Path), flags.unset, flags.ends(".npz"), flags.Reads()]
 
@@ -33,6 +35,11 @@ class SetupOptions(RecordedOptions):
     """Draw the residual of each measurement to a PNG."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
+
+    def check(self) -> None:
+        if self.write and self.rig.startswith(SAMPLE_SCHEME):
+            hint = "--no-write, or deformscope doctor --example --doubles > rig.toml"
+            raise InputError("a rig file that can be written into", "a sample", hint, self.rig)
 
 
 @dataclass(frozen=True, slots=True)

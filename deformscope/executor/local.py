@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Collection
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from concurrent import futures
+from concurrent.futures import Future
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from multiprocessing.pool import ThreadPool
 from typing import Any
 
@@ -28,20 +28,20 @@ class HereWorker:
             attempt.set_exception(error)
         return attempt
 
-    def ready(self, under_way: Collection[Future[Any]]) -> list[Future[Any]]:
-        return list(under_way)
+    def ready(self, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
+        return futures.wait(under_way, RENEW_S, futures.FIRST_COMPLETED).done
 
     def result(self, attempt: Future[Any]) -> Any:
         return attempt.result()
 
     def give_up(self, attempt: Future[Any]) -> None:
-        """It is done already."""
+        """Nothing ends a thread."""
 
     def close(self) -> None:
         """There is nothing to end."""
 
 
-class ThreadWorkers:
+class ThreadWorkers(HereWorker):
     """Threads of this process, for what is computed below Python of arrays that are here; they keep no program alive
     that is interrupted."""
 
@@ -53,82 +53,82 @@ class ThreadWorkers:
         self._pool.apply_async(function, arguments, callback=attempt.set_result, error_callback=attempt.set_exception)
         return attempt
 
-    def ready(self, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
-        return wait(under_way, RENEW_S, FIRST_COMPLETED).done
-
-    def result(self, attempt: Future[Any]) -> Any:
-        return attempt.result()
-
-    def give_up(self, attempt: Future[Any]) -> None:
-        """A thread cannot be ended."""
-
     def close(self) -> None:
         self._pool.terminate()
 
 
-@dataclass(frozen=True, slots=True)
-class _Process:
-    """pool: of one process, so that it is known which task a process ended with; ours: the process ends with it"""
-
-    pool: ProcessPoolExecutor
-    ours: Connection
-
-    @classmethod
-    def new(cls) -> _Process:
-        ours, theirs = SPAWN.Pipe()
-        return cls(ProcessPoolExecutor(1, SPAWN, follow_parent, (theirs,)), ours)
-
-
 class LocalWorkers:
-    """So many processes, begun as they are needed; one that ends is replaced."""
+    """So many processes, begun as they are needed; one that ends is replaced. An attempt is the pipe to its process."""
 
     def __init__(self, count: int) -> None:
         self.capacity = count
-        self._free: list[_Process] = []
-        self._busy: dict[Future[Any], _Process] = {}
+        self._free: list[Connection] = []
+        self._processes: dict[Connection, SpawnProcess] = {}
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        process = self._free.pop() if self._free else _Process.new()
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Connection:
+        pipe = self._free.pop() if self._free else self._begin()
         try:
-            with starting():
-                attempt: Future[Any] = process.pool.submit(function, *arguments)
-        except BrokenProcessPool:  # it ended while it waited
-            _end(process)
+            pipe.send((function, arguments))
+        except OSError:  # it ended while it waited
+            self._end(pipe)
             return self.submit(function, *arguments)
-        self._busy[attempt] = process
-        return attempt
+        return pipe
 
-    def ready(self, under_way: Collection[Future[Any]]) -> set[Future[Any]]:
-        return wait(under_way, RENEW_S, FIRST_COMPLETED).done
+    def _begin(self) -> Connection:
+        ours, theirs = SPAWN.Pipe()
+        process = SPAWN.Process(target=_work, args=(theirs,))
+        with starting():
+            process.start()
+        theirs.close()
+        self._processes[ours] = process
+        return ours
 
-    def result(self, attempt: Future[Any]) -> Any:
-        process = self._busy.pop(attempt)
+    def ready(self, under_way: Collection[Connection]) -> list[Any]:
+        return wait(under_way, RENEW_S)
+
+    def result(self, attempt: Connection) -> Any:
         try:
-            found = attempt.result()
-        except BrokenProcessPool as error:
-            _end(process)
+            done, value = attempt.recv()
+        except (EOFError, OSError) as error:
+            self._end(attempt)
             raise WorkerLost("its process ended: killed, short of memory, or ended by a library") from error
-        except Exception:
-            self._free.append(process)
-            raise
-        self._free.append(process)
-        return found
+        self._free.append(attempt)
+        if not done:
+            raise value
+        return value
 
-    def give_up(self, attempt: Future[Any]) -> None:
-        self._busy[attempt].ours.close()
+    def give_up(self, attempt: Connection) -> None:
+        self._processes[attempt].kill()  # native code that never returns to Python is ended too
 
     def close(self) -> None:
-        every = [*self._free, *self._busy.values()]
-        self._free, self._busy = [], {}
-        for process in every:
-            process.ours.close()
-        for process in every:
-            _end(process)
+        for process in self._processes.values():
+            process.kill()
+        for pipe in list(self._processes):
+            self._end(pipe)
+
+    def _end(self, pipe: Connection) -> None:
+        process = self._processes.pop(pipe)
+        pipe.close()
+        process.kill()
+        process.join()
 
 
-def _end(process: _Process) -> None:
-    process.ours.close()
-    process.pool.shutdown(cancel_futures=True)
+def _work(pipe: Connection) -> None:
+    """Compute what comes through the pipe, one after the other, until it is closed or the parent ends."""
+    follow_parent()
+    while True:
+        answer: tuple[bool, Any]
+        try:
+            function, arguments = pipe.recv()
+            answer = True, function(*arguments)
+        except Exception as error:
+            answer = False, error
+        try:
+            pipe.send(answer)
+        except OSError:
+            return
+        except Exception as error:  # what cannot pass between processes
+            pipe.send((False, RuntimeError(f"{type(error).__name__}: {error}")))
 
 
 def core_count() -> int:

@@ -17,8 +17,6 @@ ANSWER_S = 5.0
 """Within this a cluster's address answers."""
 COUNT_S = 5.0
 """Nodes come and go: the cores are counted so often."""
-AHEAD = 2
-"""Tasks under way for each core, so that none waits for the next."""
 
 
 class RayWorkers:
@@ -44,12 +42,11 @@ class RayWorkers:
 
     @property
     def capacity(self) -> int:
-        """Tasks under way at most, by the cores that there are now."""
+        """Tasks under way at most: one for each core that there is now, a wait counts for its limit."""
         if time.monotonic() - self._counted > COUNT_S or not self._cores:
             self._counted = time.monotonic()
             self._cores = int(self._ray.cluster_resources().get("CPU", 0))
-        ahead = max(AHEAD * self._cores, 1)
-        return ahead if self._limit is None else min(ahead, self._limit)
+        return max(self._cores if self._limit is None else min(self._cores, self._limit), 1)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
         if function not in self._remote:

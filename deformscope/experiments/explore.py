@@ -36,6 +36,7 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 
 ESTIMATES_FAILED = "estimates failed"
+AT_END = "recording at its end"
 DRY_RUN = "dry run"
 """Kind of the stop at the end of a dry run, which is as it should be."""
 AFTER_S = 0.5
@@ -366,7 +367,7 @@ class RecordedRobot:
     def _next(self) -> Any:
         if not self.given:
             stop = ExplorationStop(
-                kind="recording at its end", reason="nothing was recorded after it", advice="", action="stop", touch=0
+                kind=AT_END, reason="nothing was recorded after it", advice="", action="stop", touch=0
             )
             raise ExplorationStopped(stop, 0)
         return self.given.pop(0)

@@ -31,6 +31,7 @@ from deformscope.experiments.touch_fit import (
     off_seen_m,
     touch_estimate,
 )
+from deformscope.processes import release_memory
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
 from deformscope.session import measuring
@@ -180,6 +181,7 @@ class ExplorationStages:
         self._no_way.clear()  # from here there may be one
         after = self.explorer.touch(made, lambda: self.geometry.dent(touched))
         every = (after.estimate, after.perception, made.force_pose, after.maps, after.inclusions)
+        release_memory()  # of a process of its own, or on a simulated clock: nothing waits for it
         return self._computed(tuple(one for one in every if one is not None), began)
 
     def _computed(self, results: tuple[Result, ...], began: float, touch: Touch | None = None) -> Computed:

@@ -45,6 +45,8 @@ TRAVEL_M = 0.03
 ASIDE_M, LEAST_WAY_M = 3e-3, 1e-3
 """Largest distance of the tip from the straight path to a touch. One that dents less has its direction from the way
 before contact too."""
+UNSEEN = 0.1
+"""Share of the dent that may pass between the last reading before contact and the first of it."""
 LOADED, STILL = (0.02, 5e-5), (0.05, 2e-4)
 """Bounds of the greatest depth in time: how close to it the dent must be before and after it, as a share of the dent,
 and at least [m]."""
@@ -69,6 +71,11 @@ class _Approaches(ApproachChooser):
             self._end()
             self._free_n = None
 
+    @property
+    def met_ns(self) -> int | None:
+        """Contact of an approach that has not ended."""
+        return self._since_ns
+
     def _follow(self, passed_s: float) -> float:
         return 1.0 - math.exp(-passed_s / FOLLOW_S)
 
@@ -90,6 +97,8 @@ def find_touches(
     arms_ns: list[int] = []
     began_ns = 0
     for item in items:
+        if isinstance(item, ArmFrame) and not np.isfinite([item.position_m, item.rotation_rad]).all():
+            continue  # as of a robot that lost itself for a while
         began_ns = began_ns or host_ns(item)
         chooser.see(item)
         if isinstance(item, DepthFrame) and item.device == camera:
@@ -102,6 +111,8 @@ def find_touches(
             touches.append(_touch(frames, chooser.contact_ns, images_ns, names, setup, options))
         except InputError as error:
             left_out.append(f"approach after {(chooser.contact_ns - began_ns) / 1e9:.1f} s: {error}")
+    if chooser.met_ns is not None:
+        left_out.append(f"approach after {(chooser.met_ns - began_ns) / 1e9:.1f} s: the recording ends within it")
     if not touches:
         came = f"none of {len(left_out)} approaches, {left_out[0]}" if left_out else chooser.lacks
         raise InputError("touches of the surface in the recording", came, "its [tool] and [surface]")
@@ -129,7 +140,8 @@ def _touch(
     arm_ns, wrench_ns = np.array(list(states), np.int64), np.array(list(readings), np.int64)
     free = wrench_ns < wrench_ns[:1] + (contact_ns - wrench_ns[:1]) // 2
     met = int(np.searchsorted(arm_ns, contact_ns))
-    if free.sum() < 3 or not 0 < met < len(arm_ns) - 1:
+    first = int(np.searchsorted(wrench_ns, contact_ns))
+    if free.sum() < 3 or first == len(wrench_ns) or not 0 < met < len(arm_ns) - 1:
         raise InputError("readings in free air and states of the arm around contact", "too few")
     raw_n = np.array([one.force_n[0] for one in readings.values()])
     tare_n = raw_n[free].mean(axis=0)
@@ -169,6 +181,12 @@ def _touch(
     along_m = -(center_m @ normal)
     most_m = float(along_m[met:].max())
     dent_m = most_m - float(along_m[met])
+    gaps_m = center_m[[met, newest[first]]] - center_m[[met - 1, newest[first - 1]]]
+    unseen_m = float(np.linalg.norm(gaps_m, axis=1).max())
+    if unseen_m > max(
+        UNSEEN * dent_m, 5.0 * np.median(np.linalg.norm(np.diff(center_m[start : peak + 1], axis=0), axis=1))
+    ):
+        raise InputError("readings without a gap at contact", f"{1e3 * unseen_m:.2g} mm of way between two")
     before_m, after_m = (max(of * dent_m, least) for of, least in (LOADED, STILL))
     loaded = met + int(np.argmax(along_m[met:] >= most_m - before_m)) + 1
     still_ns = int(arm_ns[np.flatnonzero(along_m >= most_m - after_m)[-1]])
@@ -208,6 +226,7 @@ class RecordedTouches(AtOnce):
     """Looks and touches as they were recorded; earlier device items are passed over. given: as `RecordedRobot`
 
     count: of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
+    asked: whether somebody asked to end: no further touch is given
     """
 
     def __init__(self, given: list[Looked | Touched], source: ItemSource, left_out: Sequence[str]) -> None:
@@ -218,11 +237,14 @@ class RecordedTouches(AtOnce):
             for one in touched
             for ns, ticks in zip(one.used.wrench_ns, one.used.wrench_ticks, strict=True)
         )
-        super().__init__(RecordedRobot(list(given)))
+        self._given, self.asked = list(given), lambda: False
+        super().__init__(RecordedRobot(self._given))
         self.left_out, self._source = left_out, source
         source.until_ns = source.start_ns
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
+        if self.asked():
+            self._given.clear()
         done = super().carry_out(command, keep)
         if not done.exception() and (used := getattr(done.result(), "used", None)) is not None:
             self._source.until_ns = int(used.depth_ns[-1] if isinstance(used, LookFrames) else used.end_ns)
@@ -244,7 +266,8 @@ def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup
         camera = rig.camera.device if kind == "depth" else ""
         found = [one.device for one in streams if one.kind == kind and camera in ("", one.device)]
         if len(found) != 1:
-            raise InputError(f"one {kind} device in the recording", ", ".join(found) or "none", where=path)
+            came, hint = ", ".join(found) or "none", "in the map of its import"
+            raise InputError(f"one {kind} device in the recording", came, hint, path)
         names += found
     T_base_surface = np.array(rig.surface.T_arm_surface, dtype=np.float64)
     T_surface_camera = np.linalg.inv(T_base_surface) @ np.array(rig.camera.T_arm_camera)

@@ -109,7 +109,7 @@ def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np
     """`rest` (K, d), d = 2 or 3, of a file with all arrays of its kind."""
     if missing := [name for name in needed if name not in found]:
         keys = ", ".join(sorted(found)) or "nothing"
-        where = f"`{kind.capitalize()} files` in docs/calibrating.md"
+        where = f"`{kind.capitalize()} files` in docs/reference/pair-files.md"
         raise InputError(f"{' and '.join(missing)} in the {kind} file", keys, where)
     rest = numbers(found, "rest")
     if rest.ndim != 2 or rest.shape[1] not in (2, 3):

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 SUFFIXES = (".npz", ".csv", ".parquet")
-HOW = "`Tables` in docs/containers.md"
+HOW = "`Tables` in docs/reference/trial-tables.md"
 ABOUT = ("label", "group", "kind", "trial")
 """Columns about a trial; every other one is a feature."""
 SERIES = "series."

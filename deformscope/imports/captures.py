@@ -47,10 +47,14 @@ class Counted:
         self.first_ns, self.gap_ns = (self.first_ns, max(self.gap_ns, ns - self.last_ns)) if self.count else (ns, 0)
         self.last_ns, self.count = ns, self.count + 1
 
+    @property
+    def rate_hz(self) -> float:
+        """In the mean; 0 of one alone."""
+        span_ns = self.last_ns - self.first_ns
+        return 1e9 * (self.count - 1) / span_ns if span_ns > 0 else 0.0
+
     def health(self) -> Health:
-        span_s = (self.last_ns - self.first_ns) / 1e9
-        rate_hz = (self.count - 1) / span_s if span_s > 0 else 0.0
-        return Health(Link.CLOSED, "", self.count, skipped_bytes=self.skipped, lost=self.lost, rate_hz=rate_hz)
+        return Health(Link.CLOSED, "", self.count, skipped_bytes=self.skipped, lost=self.lost, rate_hz=self.rate_hz)
 
 
 class CaptureStream(Counted):
@@ -70,8 +74,11 @@ class CaptureStream(Counted):
             torques = len(first.counts) > force.size  # type: ignore[union-attr]
             self._known = Stream(stream.device, stream.kind, stream.driver, channels=len(force), torques=torques)
 
-    def describe(self, known: Mapping[str, Any] | None) -> Stream:
+    def describe(self) -> Stream:
         return self._known
+
+    def behind_s(self, reader: Reader) -> None:
+        """Bytes have no stamps but when they came."""
 
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""
@@ -103,7 +110,7 @@ class _Clock:
     """When pieces came: as they say, or by the controller's clock, or by the rate of readings."""
 
     def __init__(self, stream: MappedStream) -> None:
-        self._stream, self._offset_ns = stream, round(float(stream.offset_s) * 1e9)
+        self._stream, self._offset_ns = stream, stream.offset_ns
         self._readings, self._now_ns, self._first_ms = 0, self._offset_ns, -1
         self._unwrap = Unwrap(1 << 32)
 

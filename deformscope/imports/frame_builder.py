@@ -20,6 +20,7 @@ from deformscope.images import PNG_SIGNATURE, decode_image, read_image
 from deformscope.imports.import_map import ASKED, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
+from deformscope.recording.utf8_path import utf8_path
 from deformscope_drivers.clock import Stamp
 
 KINDS: dict[Kind, type] = {
@@ -215,7 +216,11 @@ def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     force = self.values(row, "force_n").reshape(-1, 3)
     torque = self.values(row, "torque_nm", size=force.size).reshape(-1, 3)
     if self.stream.nan == "refuse" and not self.own and not np.isfinite(force).all():
-        raise InputError(f"forces of {self.stream.device} that are numbers", f"NaN in frame {at.index}", 'nan = "keep"')
+        is_empty = any(row[one] is None for one in columns_of("force_n", row))
+        came = "nothing, or NaN," if is_empty else "inf" if np.isinf(force).any() else "NaN"
+        raise InputError(
+            f"forces of {self.stream.device} that are numbers", f"{came} in frame {at.index}", 'nan = "keep"'
+        )
     counts = self.values(row, "counts", np.int64, 0)
     flags = bool(row.get("overload", False)), bool(row.get("usable", True))
     known = None if np.isnan(torque).all() else torque
@@ -333,7 +338,7 @@ def _of_file(stream: MappedStream, path: Path) -> Any:
         raise stream.missing("units.points", "m, cm, mm or um", unit)
     import open3d as o3d
 
-    points = np.asarray(o3d.io.read_point_cloud(path, remove_nan_points=False).points) * SI[unit][1]
+    points = np.asarray(o3d.io.read_point_cloud(utf8_path(path), remove_nan_points=False).points) * SI[unit][1]
     head = path.read_bytes()[:4096].decode("latin-1")
     size = [re.search(rf"^{name} (\d+)$", head, re.MULTILINE) for name in ("HEIGHT", "WIDTH")]
     height, width = (int(one[1]) if one is not None else 1 for one in size)

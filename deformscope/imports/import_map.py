@@ -33,7 +33,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     units: of the source's fields that do not say them themselves
     time: the column of its stamps; of messages `header`, or `log` for when they were recorded; of files, a text file
     with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
-    offset_s: added to its stamps, where its clock is another one [s]
+    offset_s: added to its stamps, where its clock is another one [s]; None = it is the others', which is looked at
     nan: `keep` takes forces that are no numbers, which are refused otherwise
     unit_m: what a step of distances is [m]: of files always; of real numbers it is chosen, 1e-4 without it
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
@@ -50,7 +50,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     units: dict[str, str] = {}
     time: str = "header"
     time_unit: str = ""
-    offset_s: Annotated[float, msgspec.Meta(ge=-1e10, le=1e10)] | Literal["?"] = 0.0
+    offset_s: Annotated[float, msgspec.Meta(ge=-1e10, le=1e10)] | Literal["?"] | None = None
     nan: Literal["refuse", "keep"] = "refuse"
     unit_m: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] = 0.0
     pose: str = ""
@@ -65,6 +65,11 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     rate_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0
     driver: str = ""
     config: dict[str, Any] = {}
+
+    @property
+    def offset_ns(self) -> int:
+        """What is added to its stamps [ns]."""
+        return round(float(self.offset_s or 0.0) * 1e9)
 
     def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
         """The error that asks for a key."""

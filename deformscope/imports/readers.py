@@ -9,13 +9,15 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Protocol
 
 import pyarrow as pa
 
 from deformscope.errors import InputError
 from deformscope.files.sources import natural_key
+from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
+from deformscope.recording.utf8_path import utf8_path
 
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (".csv", ".parquet")
@@ -72,8 +74,9 @@ class Reader(Protocol):
     """An open source. about: what an export of ours says of itself"""
 
     @property
-    def about(self) -> Mapping[str, Any]: ...
+    def about(self) -> Manifest: ...
 
+    @property
     def topics(self) -> dict[str, Topic]: ...
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -83,25 +86,20 @@ class Reader(Protocol):
 @contextlib.contextmanager
 def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> Iterator[Reader]:
     """Open a source. times: columns that hold them. Raises InputError for what cannot be read."""
-    if not path.exists():
-        raise InputError("a bag, a table, or a folder of one of them", "nothing there", where=path)
-    is_bag = path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
-    if is_bag:
+    try:
+        next(path.iterdir(), None) if path.is_dir() else path.open("rb").close()
+    except FileNotFoundError:
+        raise InputError("a bag, a table, or a folder of one of them", "nothing there", where=path) from None
+    except OSError as error:
+        raise InputError("a source that can be read", (error.strerror or "").lower(), where=path) from error
+    suffix = path.suffix.lower()
+    if suffix in BAGS or (path / "metadata.yaml").is_file():
         with _opened_bag(path) as reader:
             yield reader
-        return
-    if path.is_file() and path.suffix.lower() in (".bin", ".raw", ".log"):
+    elif path.is_file() and suffix in (".bin", ".raw", ".log"):
         yield ByteReader(path)
-        return
-    if path.is_dir() and (files := _numbered(path)) and not any(path.rglob("*.parquet")):
-        yield FileReader(path, files)
-        return
-    tables = [path] if path.is_file() else sorted(one for one in path.rglob("*") if one.suffix.lower() in TABLES)
-    if not tables or tables[0].suffix.lower() not in TABLES:
-        came = "a folder without one" if path.is_dir() else repr(path.suffix or path.name)
-        known = ", ".join((*BAGS, *TABLES))
-        raise InputError(f"a bag or tables ({known})", came, where=path)
-    yield TableReader(path, tables, skip_rows, times)
+    else:
+        yield FolderReader(path, skip_rows, times)
 
 
 @contextlib.contextmanager
@@ -133,8 +131,9 @@ class BagReader:
 
     def __init__(self, path: Path, bag: Any) -> None:
         self._path, self._bag = path, bag
-        self.about = _metadata(path) if path.suffix == ".mcap" else {}
+        self.about = _metadata(path) if path.suffix == ".mcap" else Manifest()
 
+    @cached_property
     def topics(self) -> dict[str, Topic]:
         found: dict[str, Topic] = {}
         for one in self._bag.connections:
@@ -162,31 +161,33 @@ class BagReader:
             raise _unreadable(self._path, error) from error
 
 
-def _metadata(path: Path) -> dict[str, Any]:
+def _metadata(path: Path) -> Manifest:
     """What our own exports say of themselves; empty where the package is missing, or it says nothing."""
     try:
         from mcap.reader import make_reader
     except ImportError:
-        return {}
+        return Manifest()
     with path.open("rb") as file:
         try:
             metadata = [one for one in make_reader(file).iter_metadata() if one.name == "deformscope"]
         except Exception as error:
             raise _unreadable(path, error) from error
-    return {name: json.loads(value) for name, value in metadata[0].metadata.items()} if metadata else {}
+    said = metadata[0].metadata if metadata else {}
+    return read_manifest({name: json.loads(value) for name, value in said.items()}, path)
 
 
 class ByteReader:
     """Bytes of a device: a file as they came (`.bin`, `.raw`), or frames of a CAN bus as candump logs them (`.log`)."""
 
-    about: Mapping[str, Any] = {}
+    about = Manifest()
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._path, self._name = path, _name(Path(path.name))
 
+    @cached_property
     def topics(self) -> dict[str, Topic]:
         if self._path.suffix.lower() != ".log":
-            return {self._path.name: Topic(self._path.name, "bytes")}
+            return {self._name: Topic(self._name, "bytes")}
         found: Counter[str] = Counter(message.topic for message in self.messages(None))
         return {name: Topic(name, "candump", count) for name, count in found.items()}
 
@@ -195,7 +196,7 @@ class ByteReader:
         if self._path.suffix.lower() != ".log":
             with self._path.open("rb") as file:
                 while data := file.read(1 << 16):
-                    yield Message(self._path.name, 0, data)
+                    yield Message(self._name, 0, data)
             return
         with self._path.open(encoding="ascii", errors="replace") as lines:
             for number, line in enumerate(lines, 1):
@@ -210,70 +211,58 @@ class ByteReader:
                     yield Message(topic, ns, bytes.fromhex(found[5]))
 
 
-class FileReader:
-    """A folder of images or of points, a file a frame, by folder and ending; a topic is a pattern (`depth/*.png`)."""
+class FolderReader:
+    """Tables, named by their places in the folder, and files of images or of points, a frame each, by their folder and
+    ending: such a topic is a pattern (`depth/*.png`). path: of the folder, or of one table"""
 
-    about: Mapping[str, Any] = {}
-
-    def __init__(self, path: Path, files: Mapping[str, list[Path]]) -> None:
-        self.path, self._files = path, files
-
-    def topics(self) -> dict[str, Topic]:
-        return {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
-
-    def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        for name in topics:
-            for path in self._files[name]:
-                yield Message(name, 0, path)
-
-
-def _numbered(folder: Path) -> dict[str, list[Path]]:
-    """Files of images and points in natural order, by pattern."""
-    found: dict[str, list[Path]] = {}
-    for path in sorted(folder.rglob("*"), key=natural_key):
-        if path.suffix.lower() in FILES and path.is_file():
-            place = path.relative_to(folder).parent / f"*{path.suffix}"
-            found.setdefault(place.as_posix(), []).append(path)
-    return found
-
-
-class TableReader:
-    """Tables: one, or all below a folder, named by their places in it."""
-
-    def __init__(self, path: Path, tables: list[Path], skip_rows: int, times: Collection[str]) -> None:
-        self._skip_rows, self._times = skip_rows, times
-        self._tables = {(one.name if one == path else one.relative_to(path).as_posix()): one for one in tables}
+    def __init__(self, path: Path, skip_rows: int, times: Collection[str]) -> None:
+        self.path, self._skip_rows, self._times = path, skip_rows, times
+        self._tables: dict[str, Path] = {}
+        self._files: dict[str, list[Path]] = {}
+        for one in sorted(sorted(path.rglob("*")), key=natural_key) if path.is_dir() else [path]:
+            place, suffix = one.relative_to(path if path.is_dir() else path.parent), one.suffix.lower()
+            if suffix in TABLES:
+                self._tables[_name(place)] = one
+            elif suffix in FILES and one.is_file():
+                self._files.setdefault(_name(place.parent / f"*{one.suffix}"), []).append(one)
+        if not self._tables and not self._files:
+            known, came = ", ".join((*BAGS, *TABLES, *FILES)), repr(path.suffix or path.name)
+            came = "a folder without one" if path.is_dir() else came
+            raise InputError(f"a bag, tables or images ({known})", came, where=path)
         self.about = _manifest(path / "export.json")
 
+    @cached_property
     def topics(self) -> dict[str, Topic]:
-        found = {}
+        found = {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
         for name, path in self._tables.items():
             with self._opened(name) as (schema, count, _):
                 metadata = schema.metadata or {}
                 units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
                 units |= {one.name: "ns" for one in schema if _has_ns(one.type)}
-                kinds = metadata.get(b"deformscope.kinds", b"").decode().split()
-            if own := self._own(name):
-                units |= {one["name"]: one["unit"] for one in own["columns"] if one["name"] in units}
-                kinds = kinds or [own.get("kind", "")]
-            found[name] = Topic(name, path.suffix.lower()[1:], count, units, kinds[-1] if kinds else "")
+                own = self._own(name)
+                units |= {one.name: one.unit for one in own.columns if one.name in units}
+                kinds = metadata.get(b"deformscope.kinds", b"").decode().split() or [own.kind]
+            found[name] = Topic(name, path.suffix.lower()[1:], count, units, kinds[-1])
         return found
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         for name in topics:
-            with self._opened(name) as (_, _, batches):
-                for batch in batches:
-                    for row in _in_ns(batch).to_pylist():
-                        yield Message(name, 0, row)
+            for path in self._files.get(name, ()):
+                yield Message(name, 0, path)
+            if name in self._tables:
+                with self._opened(name) as (_, _, batches):
+                    for batch in batches:
+                        for row in _in_ns(batch).to_pylist():
+                            yield Message(name, 0, row)
 
-    def _own(self, name: str) -> Mapping[str, Any]:
+    def _own(self, name: str) -> ExportedStream:
         """What the manifest of an export says of a table; empty of others."""
-        return next((one for one in self.about.get("streams", []) if name in one["files"]), {})
+        return next((one for one in self.about.streams if name in one.files), ExportedStream())
 
     def _types(self, name: str, schema: pa.Schema) -> dict[str, pa.DataType]:
         """Of columns of a CSV whose first rows do not show it: a fraction may stand further below."""
-        if own := self._own(name):
-            said = {one["name"]: one["type"] for one in own["columns"] if one["type"] in ("double", "int64")}
+        if own := self._own(name).columns:
+            said = {one.name: one.type for one in own if one.type in ("double", "int64")}
             return {one: pa.type_for_alias(said[one]) for one in schema.names if one in said}
         shown = (pa.int64(), pa.null())
         return {one.name: pa.float64() for one in schema if one.type in shown and one.name not in self._times}
@@ -282,7 +271,7 @@ class TableReader:
     def _opened(self, name: str) -> Iterator[tuple[pa.Schema, int | None, Iterator[pa.RecordBatch]]]:
         from pyarrow import csv, parquet
 
-        path = self._tables[name]
+        path = utf8_path(self._tables[name])
         try:
             if path.suffix.lower() == ".parquet":
                 with parquet.ParquetFile(path) as file:
@@ -294,17 +283,23 @@ class TableReader:
             with csv.open_csv(path, read_options=read, convert_options=types) as file:
                 yield file.schema, None, iter(file)
         except (pa.ArrowException, OSError, ValueError) as error:
-            came = " ".join(str(error).split())[:160]
-            raise InputError("a table that can be read", came, "skip_rows in the map", path) from error
+            came, refused = " ".join(str(error).split())[:160], isinstance(error, PermissionError)
+            hint = "" if refused else "skip_rows in the map"
+            raise InputError("a table that can be read", came, hint, self._tables[name]) from error
 
 
-def _manifest(path: Path) -> dict[str, Any]:
+def _name(place: PurePath) -> str:
+    """Of a topic, which a map in UTF-8 can hold."""
+    return place.as_posix().encode(errors="backslashreplace").decode()
+
+
+def _manifest(path: Path) -> Manifest:
     """What our own exports say of themselves; empty where the file is another's."""
     try:
         found = json.loads(path.read_bytes())
     except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) and "schema_version" in found else {}
+        found = {}
+    return read_manifest(found, path)
 
 
 def _has_ns(kind: pa.DataType) -> bool:

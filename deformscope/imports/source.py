@@ -6,11 +6,9 @@ import heapq
 import itertools
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 
 from deformscope.errors import InputError
@@ -19,16 +17,18 @@ from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host
 from deformscope.imports.captures import CaptureStream, Counted, check_capture
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
 from deformscope.imports.import_map import ASKED, MOST_NS, ImportMap, MappedStream
-from deformscope.imports.readers import TABLE_TYPES, FileReader, Message, Reader
+from deformscope.imports.readers import TABLE_TYPES, FolderReader, Message, Reader
+from deformscope.recording.export.manifest import DRIVER
 from deformscope.recording.item_source import ItemSource
 from deformscope.recording.streams import columns_of
 from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
 
-DRIVER = "imported"
-"""Of a stream that no driver gave."""
 APART_S = 10.0
 """A stream so far from all others in time has another clock, or the map would say so."""
+CLOCKS_APART_S = 1.0
+"""Stamps that differ so much from when they were recorded are of another clock."""
+START_APART_NS = 86_400 * 10**9
 WAITING = 64
 """Messages of a stream of several topics that wait for those of the same time."""
 
@@ -38,7 +38,7 @@ class ImportSource(ItemSource):
     map has them; raises InputError for what the map must say"""
 
     def __init__(self, reader: Reader, asked: ImportMap) -> None:
-        self._topics = reader.topics()
+        self._topics = reader.topics
         for stream in asked.streams:
             for name in (*stream.topics, *([stream.pose] if stream.pose else ())):
                 if name not in self._topics:
@@ -51,11 +51,14 @@ class ImportSource(ItemSource):
             one.device: CaptureStream(one, configs[one.device], reader) if one.driver else _Stream(one, reader)
             for one in asked.streams
         }
-        known = reader.about.get("devices", {})
-        streams = tuple(one.describe(known.get(name)) for name, one in self._made.items())
+        streams = tuple(reader.about.stream(name, one.describe()) for name, one in self._made.items())
+        self._check_first(reader)
         super().__init__(self._read(reader), streams, asked.start_ns)
         if self._next is None:
             raise InputError("a source with frames for the map's streams", "none", self._hint(*self._made.values()))
+        if abs(host_ns(self._next) - self.start_ns) > START_APART_NS:
+            came = f"{self.start_ns}, of which the first stamp is {(host_ns(self._next) - self.start_ns) / 1e9:.4g} s"
+            raise InputError("start_ns within a day of the first stamp", came, "the map without it")
 
     def take(self, wait_s: float) -> list[Item]:
         """The next frames. Raises InputError where it ends, and the clocks are not one."""
@@ -88,11 +91,8 @@ class ImportSource(ItemSource):
             by_topic.setdefault("/tf_static", []).extend(posed)
         for message in reader.messages(by_topic):
             for one in by_topic[message.topic]:
-                if (frame := one.take(message)) is None:
-                    continue
-                if one.count == 1:
-                    self._compare_clocks([other for other in streams if other.count and one.is_off(other)])
-                yield frame
+                if (frame := one.take(message)) is not None:
+                    yield frame
 
     def _hint(self, *empty: _Stream | CaptureStream) -> str:
         is_posed = any(one.stream.kind == "arm" for one in empty)
@@ -102,31 +102,44 @@ class ImportSource(ItemSource):
         if empty := [one for one in self._made.values() if not one.count]:
             came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
             raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
-        self._compare_clocks(list(self._made.values()))
+        same = {name: one for name, one in self._made.items() if one.stream.offset_s is None}
+        for (name, one), (other, its) in itertools.combinations(same.items(), 2):
+            if (apart_s := max(its.first_ns - one.last_ns, one.first_ns - its.last_ns) / 1e9) > APART_S:
+                first_ns = {name: abs(one.first_ns - self.start_ns), other: abs(its.first_ns - self.start_ns)}
+                raise self._of_another_clock(first_ns, apart_s)
 
-    def _compare_clocks(self, streams: Sequence[_Stream | CaptureStream]) -> None:
-        spans = {one.stream.device: (one.first_ns, one.last_ns) for one in streams}
-        for (name, (first, last)), (other, (begin, end)) in itertools.combinations(spans.items(), 2):
-            apart_s = max(begin - last, first - end) / 1e9
-            if apart_s > APART_S:
-                latest = max((name, other), key=lambda one: abs(spans[one][0] - self.start_ns))
-                came = f"stamps {apart_s:.4g} s from those of {name if latest == other else other}"
-                raise self._made[latest].stream.missing("offset_s", "how its clock differs", came)
+    def _check_first(self, reader: Reader) -> None:
+        """Compare first stamps with when they were recorded, of streams whose clock the map says nothing of."""
+        every = ((name, one.behind_s(reader)) for name, one in self._made.items() if one.stream.offset_s is None)
+        found = sorted((behind, name) for name, behind in every if behind is not None)
+        if found and (apart_s := found[-1][0] - found[0][0]) > CLOCKS_APART_S:
+            raise self._of_another_clock({name: abs(behind) for behind, name in (found[0], found[-1])}, apart_s)
+
+    def _of_another_clock(self, away: Mapping[str, float], apart_s: float) -> InputError:
+        """away: how far two streams are from the beginning, or from when they were recorded"""
+        one, other = sorted(away, key=away.__getitem__)
+        came = f"stamps {apart_s:.4g} s from those of {one}"
+        return self._made[other].stream.missing("offset_s", "how its clock differs", came)
 
 
 class _Stream(Counted):
     """One stream of the map, as it is read."""
 
     def __init__(self, stream: MappedStream, reader: Reader) -> None:
-        topics = reader.topics()
+        topics = reader.topics
         self.stream, self._builder = stream, FrameBuilder(stream, topics)
         self._units = {name: unit for one in stream.topics for name, unit in topics[one].units.items()}
         self._is_table = all(topics[name].type in (*TABLE_TYPES, "files") for name in stream.topics)
         is_file = topics[stream.topics[0]].type == "files"
+        if (
+            len({topics[name].type if topics[name].type in (*TABLE_TYPES, "files") else "" for name in stream.topics})
+            > 1
+        ):
+            raise stream.missing("topics", "of one kind: tables, files, or messages", ", ".join(stream.topics))
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         self._types = {name: one.type for name, one in topics.items()}
         super().__init__()
-        self._log_ns = self._behind_ns = 0
+        self._log_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
         self._links: dict[str, tuple[str, Pose, float]] = {}
         self._pose: Pose | None = None
@@ -142,19 +155,16 @@ class _Stream(Counted):
         if foreign and stream.time in ("header", "log", ASKED):
             raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
 
-    def describe(self, known: Mapping[str, Any] | None) -> Stream:
-        if known is not None:
-            return msgspec.convert({**known, "device": self.stream.device, "driver": DRIVER}, Stream)
-        forces = len(columns_of("force_n", self._builder.columns))
-        torques = bool(columns_of("torque_nm", self._builder.columns))
-        pads = self.stream.pads
-        return Stream(
-            self.stream.device, self.stream.kind, DRIVER, pads=pads, channels=max(forces // 3, 1), torques=torques
-        )
+    def describe(self) -> Stream:
+        """What it is where an export does not say it."""
+        forces, torques = (columns_of(one, self._builder.columns) for one in ("force_n", "torque_nm"))
+        channels, about = max(len(forces) // 3, 1), self.stream
+        return Stream(about.device, about.kind, DRIVER, pads=about.pads, channels=channels, torques=bool(torques))
 
-    def is_off(self, other: _Stream) -> bool:
-        """Whether its stamps differ from when they were recorded by so much more or less; itself is."""
-        return other is self or abs(self._behind_ns - other._behind_ns) > APART_S * 1e9
+    def behind_s(self, reader: Reader) -> float | None:
+        """By how much its first stamp is behind when it was recorded [s]; None where a source does not say that."""
+        first = next(iter(reader.messages(self.stream.topics[:1])), None)
+        return None if first is None or not first.log_ns else (first.log_ns - self._when(first)) / 1e9
 
     def frames(self, reader: Reader) -> Iterator[Frame]:
         """Of tables and files: all rows, those of all topics in order of time."""
@@ -195,8 +205,9 @@ class _Stream(Counted):
         if self.count and (step_s < 0 or (message.log_ns and step_s - passed_s > APART_S)):
             came = f"{-step_s:.4g} s before the last" if step_s < 0 else f"{step_s:.4g} s after {passed_s:.4g} s"
             expected = f"stamps of {self.stream.device} that only rise" + ", as time does" * (step_s > 0)
-            raise InputError(expected, f"one {came}, in frame {frame.index}", 'time = "log", or a part of it')
-        self._behind_ns, self._log_ns = message.log_ns - ns, message.log_ns
+            hint = 'time = "log", or a part of it' if message.log_ns else "rate_hz in place of time, or a part of it"
+            raise InputError(expected, f"one {came}, in frame {frame.index}", hint)
+        self._log_ns = message.log_ns
         self.add(ns)
         return frame
 
@@ -205,7 +216,7 @@ class _Stream(Counted):
         ns = self._stamp_ns(message, at)
         if not abs(ns) < MOST_NS:
             raise InputError(f"times of {self.stream.device} below {MOST_NS} ns", f"{ns:.4g}", "another time_unit")
-        return round(ns) + round(float(self.stream.offset_s) * 1e9)
+        return round(ns) + self.stream.offset_ns
 
     def _stamp_ns(self, message: Message, at: int) -> int | float:
         """As the source has it [ns]."""
@@ -266,7 +277,7 @@ class _Stream(Counted):
 
 def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:
     """The stamp of each file, as the text file of the map has it."""
-    if stream.time in ("header", "log", ASKED) or not isinstance(reader, FileReader):
+    if stream.time in ("header", "log", ASKED) or not isinstance(reader, FolderReader):
         raise stream.missing("time", "a text file with a stamp in each line, or rate_hz", stream.time)
     path, files = reader.path / stream.time, [message.value for message in reader.messages(stream.topics)]
     text = read_file(path, f"times of {stream.device}, a text file").decode("utf-8", "replace")

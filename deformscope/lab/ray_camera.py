@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import open3d as o3d
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.capsule import Capsule
@@ -115,6 +114,8 @@ class RayCamera:
     ) -> tuple[FloatArray, FloatArray, IntArray]:
         """First hits of the rays of a part (h, w) of the picture: (h, w) depth [m], nan without one; cosine; index of
         the mesh. meshes: (n, 3) vertices in the camera's frame [m] and (m, 3) triangles of each"""
+        import open3d as o3d
+
         world = o3d.t.geometry.RaycastingScene()
         for vertex, triangle in meshes:
             points = o3d.core.Tensor.from_numpy(vertex.astype(np.float32))

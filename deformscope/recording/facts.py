@@ -106,9 +106,6 @@ def _run(command: list[str], environment: dict[str, str] | None = None) -> subpr
 
 def gather_facts(path: Path, *, brief: bool = False) -> Facts:
     """Read them here. brief: as of `read_facts`"""
-    from deformscope.frames import SessionNote
-    from deformscope.recording.discards import discards_of
-    from deformscope.recording.items import read_items
     from deformscope.recording.reader import Replay
 
     facts: dict[str, Any] = {}
@@ -127,11 +124,8 @@ def gather_facts(path: Path, *, brief: bool = False) -> Facts:
                 counts["frames"] += batch.num_rows if counted.endswith("/frames") else 0
                 if brief:
                     return Facts(counts=dict(counts))
-        facts["outcome"] = replay.outcome
-        facts["losses"] = _losses(path, replay.outcome)
-        notes = read_items(path, trust=True, kinds=(SessionNote,))
-        discards = discards_of(path, (note for note in notes if isinstance(note, SessionNote)))
-        facts["discarded"] = [dataclasses.asdict(one) for one in discards]
+        facts["outcome"], facts["losses"] = replay.outcome, replay.losses
+        facts["discarded"] = [dataclasses.asdict(one) for one in replay.discarded]
     except InputError as error:
         facts["damage"] = str(error).split(" | ")[0]
     except Exception as error:  # damaged bytes make the readers raise what they like
@@ -145,21 +139,6 @@ def _counted(entity: str, columns: list[str]) -> str | None:
     if any(column.endswith("Frame:stamp.host_ns") for column in columns):
         return f"{parts[-1]}/frames"
     return "inputs" if "InputFile:name" in columns else None
-
-
-def _losses(path: Path, outcome: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """As the run left them at its end, else by the last look at its devices."""
-    if "losses" in outcome:
-        found: dict[str, dict[str, float]] = json.loads(outcome["losses"])
-        return found
-    from deformscope.frames import HealthReport
-    from deformscope.recording.items import read_items
-    from deformscope.recording.losses import losses_of
-
-    last: HealthReport | None = None
-    for item in read_items(path, trust=True, kinds=(HealthReport,)):
-        last = item if isinstance(item, HealthReport) else last
-    return {} if last is None else losses_of(last)
 
 
 if __name__ == "__main__":

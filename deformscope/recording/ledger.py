@@ -3,8 +3,9 @@
 A recording has no checksum of its own, and most single bit flips in one are read without complaint. The ledger is
 text: a line with its format, then a line a block: JSON (bytes, their SHA-256, the streams and the session time that
 they hold) and a SHA-256 of that JSON and of the line before, which chains the lines. It grows with the file: a line at
-each flush. The line `ended` has size and SHA-256 of the whole, what was recorded and what was lost; where there is
-none, the run was cut short. Lines that mark the recording as discarded may follow.
+each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that none before it can
+be cut off unnoticed: size and SHA-256 of the whole, what was recorded and what was lost; where there is none, the run
+was cut short.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Any
 
+from deformscope.file_io import replacing
 from deformscope.recording.lock import one_at_a_time
 from deformscope.recording.rrd_index import Portion, read_index
 
@@ -149,9 +151,9 @@ def write_ledger(
         at = end
     for end in [*range(at + BLOCK_BYTES, size, BLOCK_BYTES), size]:
         writer.commit(end)
-    writer.end(counts or {}, losses or {})
     for one in discarded:
         writer.add({"discarded": dict(one)})
+    writer.end(counts or {}, losses or {})
     writer.close()
     new.replace(path)
     return path
@@ -166,9 +168,14 @@ def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
         if not ledger.chain:  # of format 1
             discarded = [*ledger.discarded, entry]
             return write_ledger(recording, ended.get("counts"), ended.get("losses"), discarded=discarded)
-        with path.open("ab", buffering=0) as file:
-            _append(file, {"discarded": dict(entry)}, ledger.chain)
-            os.fsync(file.fileno())
+        before = [json.loads(line[:-65]) for line in path.read_bytes().splitlines()[1:]]
+        told = [*(one for one in before if "ended" not in one), {"discarded": dict(entry)}, {"ended": ledger.ended}]
+        text, chain = f"{FORMAT}\n", ""
+        for one in told:
+            line, chain = _chained(one, chain)
+            text += line
+        with replacing(path) as file:
+            file.write(text.encode())
     return path
 
 

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, DepthFrame, InputFile, SessionNote
+from deformscope.frames import ColorFrame, DepthFrame, HealthReport, InputFile, SessionNote
 from deformscope.images import decode_image
-from deformscope.recording.discards import discards_of
+from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.item_rows import portions, read_rows
-from deformscope.recording.ledger import check_recording
+from deformscope.recording.ledger import check_recording, ledger_path
+from deformscope.recording.losses import losses_of
 from deformscope.recording.utf8_path import utf8_path
 from deformscope.rows import FORMAT, READABLE
 
@@ -49,11 +50,12 @@ def check_magic(path: Path) -> None:
 class Replay:
     """What a recording holds, read when asked for.
 
-    trust: skip the comparison with the ledger
+    trust: skip the comparison with the ledger; has_ledger: there is one, which its bytes can be compared with
     """
 
     def __init__(self, path: Path, *, trust: bool = False) -> None:
         self.path = Path(path)
+        self.has_ledger = ledger_path(self.path).exists()
         self._check(trust)
 
     @cached_property
@@ -79,6 +81,20 @@ class Replay:
     def outcome(self) -> dict[str, Any]:
         """How the recording ended: frames, steps, live_dropped, complete; empty where the run was cut short."""
         return self._values(OUTCOME)
+
+    @cached_property
+    def losses(self) -> dict[str, dict[str, float]]:
+        """What its devices lost, by device and kind: as the run left it at its end, else by the last look at them."""
+        if "losses" in self.outcome:
+            found: dict[str, dict[str, float]] = json.loads(self.outcome["losses"])
+            return found
+        last = max(read_rows(self, (HealthReport,)), key=lambda row: row.item.host_ns, default=None)
+        return {} if last is None else losses_of(last.item)
+
+    @property
+    def discarded(self) -> list[Discard]:
+        """What of it is not to be used, and why."""
+        return discards_of(self.path, [row.item for row in read_rows(self, (SessionNote,))])
 
     @cached_property
     def image_counts(self) -> dict[tuple[str, str], int]:
@@ -176,13 +192,8 @@ class Replay:
             came = f"one of {known[0]!r}" if known else "one without content"
             raise InputError("a recording made by deformscope", came, where=path)
         self._check_format()
-        if not trust:
-            self._name_discards()
-
-    def _name_discards(self) -> None:
-        notes = [row.item for row in read_rows(self, (SessionNote,))]
-        for one in discards_of(self.path, notes):
-            _logger.warning("%s is discarded: %s", self.path, one)
+        for one in () if trust else self.discarded:
+            _logger.warning("%s is discarded: %s", path, one)
 
     def _check_format(self) -> None:
         """Refuse what this version would misread."""

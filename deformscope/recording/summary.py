@@ -33,7 +33,8 @@ SETTINGS = "settings."
 
 
 def summarise(path: Path) -> dict[str, Any]:
-    """All of it. What is damaged says so in `status` and `problem`, with what can be read; raises nothing for that."""
+    """All of it. What is damaged says so in `status` and `problem`, with what can be read. Raises OSError and
+    MemoryError where the system refuses."""
     row: dict[str, Any] = {"status": WHOLE, "damaged": False, "problem": None}
     if is_being_written(path):
         return row | {"status": WRITTEN}
@@ -46,6 +47,8 @@ def summarise(path: Path) -> dict[str, Any]:
     except InputError as error:
         row |= _damaged(row, str(error).split(" | ")[0])
     except Exception as error:  # damaged bytes make the readers raise what they like
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno):
+            raise
         row |= _damaged(row, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
     return row
 

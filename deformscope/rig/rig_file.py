@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from deformscope.errors import InputError
+from deformscope.file_io import resolve
 from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
@@ -298,7 +299,7 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
     if text.startswith(LAB_SCHEME):
         return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
     try:
-        content = _read_regular(Path(text).expanduser()).decode("utf-8")
+        content = _read_regular(resolve(text)).decode("utf-8")
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user that there is not
         came = getattr(error, "strerror", None) or (
             "a file without text" if isinstance(error, UnicodeDecodeError) else _line(error)

@@ -18,19 +18,19 @@ STIFFEST_N_M = 1e5
 every touch slower; a softer one lets the force of a stiffer arm exceed the limit of its speed."""
 ARM_CYCLES = 3.0
 """Cycles of the arm from a command to its rest: one until it is taken, two to follow. A double whose axes lag by
-another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/arms.md`); a larger value makes every touch
-slower."""
+another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
+every touch slower."""
 SLOWEST_M_S = 1e-3
 """The tip comes down no more slowly than this: 3 cm take half a minute. If it would have to, the preflight refuses
 (`tip: force at contact`); a slower touch would take too long."""
 CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
 """Share of the hard stop that a contact may reach where it is expected, and higher up. Larger leaves less for a delay
 that is longer than reckoned; smaller makes every touch slower. Measured with them: 14.1 N of 15 N where a surface was
-45 mm too high and axes lagged by another 60 ms (`docs/arms.md`)."""
+45 mm too high and axes lagged by another 60 ms (`docs/results/safety.md`)."""
 MISS_M = 0.005
 """Distance below the observed surface, beyond the camera's uncertainty, to which the tip is sent without a contact [m].
-An arm whose sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm, `docs/arms.md`); a
-smaller value misses a surface whose height was overestimated."""
+An arm whose sensor fails on the way presses with its stiffness times this (509 N at 100 N/mm,
+`docs/results/safety.md`); a smaller value misses a surface whose height was overestimated."""
 
 
 @dataclass(frozen=True, slots=True)

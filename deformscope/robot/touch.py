@@ -206,7 +206,7 @@ ACROSS_M_S = 0.01
 the tip stays within them (14 mm/s)."""
 STILL_S = 0.3
 """Time over which force and place must hold [s], and over whose last their means are taken. Shorter, a dent that still
-creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/exploring.md`)."""
+creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/results/maps.md`)."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
 """Allowed variation meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
 reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch until it may dwell no
@@ -620,7 +620,7 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLik
 
 TARE_PERIODS = 30
 """Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best. It
-is part of every touch (0.35 s of 13.4 s, `docs/exploring.md`); shorter zeroes noise."""
+is part of every touch (0.35 s of 13.4 s, `docs/results/maps.md`); shorter zeroes noise."""
 TARE_STILL_N = 0.05
 """Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. A larger one would zero a changing
 load, a smaller one refuses a sensor that has passed the preflight."""

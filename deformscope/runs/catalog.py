@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from deformscope.recording.reader import Replay
 
 INDEX, PAGE, PICTURES = "catalog.parquet", "catalog.html", ".catalog"
+UNREAD = "unread"
+"""Status where the system refused, or the process that read it ended: nothing is said of the recording."""
 STATED = ("size", "mtime_ns", "ledger_ns", "by")
 """What says that a row of the index still holds: of the file, of its ledger, and the version that read it."""
 TYPES = {
@@ -105,27 +107,26 @@ def _index(folder: Path, workers: int | None, progress: Progress | None) -> tupl
     rows, left = dict[str, dict[str, Any]](), list[tuple[str, str]]()
     for one in sorted(found, key=lambda one: (str(one.parent), natural_key(one))):
         name = str(one.relative_to(folder))
-        rows[name] = known = {"path": name} | _stated(one)
-        row = by_path.get(name, {})
-        if row.get("status") not in (None, "being written") and all(row.get(key) == known[key] for key in STATED):
+        rows[name] = {"path": name, "status": UNREAD} | _stated(one)
+        row = by_path.get(name, {"status": UNREAD})
+        if row["status"] not in (UNREAD, "being written") and all(row.get(key) == rows[name][key] for key in STATED):
             rows[name] = row
         else:
             left.append((str(folder), name))
-    if left:
-        with open_workers("local", None, workers, len(left), apart=True) as several:
-            for count, outcome in enumerate(compute(several, _summarised, left, attempts=1), start=1):
-                name = outcome.item[1]
-                lost = {"status": "damaged", "damaged": True, "problem": "; ".join(outcome.reasons)}
-                rows[name] |= outcome.value if outcome.value is not None else lost
-                if progress is not None:
-                    progress("reading recordings", count, len(left))
     if not left and len(before) == len(rows):
         return read_table(path), 0
-    table = make_table(rows.values(), TYPES)
     try:
-        write_table(table, path)
-    except OSError as error:
-        raise InputError("a folder that the index can be written to", str(error.strerror), where=path) from error
+        with open_workers("local", None, workers, len(left), apart=True) as several:
+            for count, outcome in enumerate(compute(several, _summarised, left, attempts=1), start=1):
+                rows[outcome.item[1]] |= outcome.value or {"problem": "; ".join(outcome.reasons)}
+                if progress is not None:
+                    progress("reading recordings", count, len(left))
+    finally:  # also what was read where it is broken off
+        table = make_table(rows.values(), TYPES)
+        try:
+            write_table(table, path)
+        except OSError as error:
+            raise InputError("a folder that the index can be written to", str(error.strerror), where=path) from error
     return table, len(left)
 
 
@@ -155,7 +156,7 @@ def catalog_page(
     served: its links are the places of recordings on a page that is served, not files
     """
     rows = found.table.slice(0, PAGE_ROWS).to_pylist()
-    pictures = {row["path"]: found.folder / PICTURES / f"{row.get('sha256')}.png" for row in rows}
+    pictures = {row["path"]: found.folder / PICTURES / f"{row['sha256']}.png" for row in rows if row["sha256"]}
     left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]
     if left:
         (found.folder / PICTURES).mkdir(exist_ok=True)
@@ -166,10 +167,9 @@ def catalog_page(
     names = [name for name in found.names if name != "path" and any(row[name] is not None for row in rows)]
     cells = []
     for number, row in enumerate(rows):
-        png = pictures[row["path"]]
-        link = Link(
-            row["path"], f"{number}/" if served else quote(row["path"]), png.read_bytes() if png.exists() else b""
-        )
+        png = pictures.get(row["path"])
+        picture = png.read_bytes() if png is not None and png.exists() else b""
+        link = Link(row["path"], f"{number}/" if served else quote(row["path"]), picture)
         cells.append((link, *(cell_text(row[name]) for name in names)))
     more = f", of which the first {PAGE_ROWS} are shown" if found.table.num_rows > PAGE_ROWS else ""
     words = f"{found.table.num_rows} recordings{more}. A picture opens its recording"

@@ -317,8 +317,8 @@ def format_betas(touches: Sequence[TouchEstimate]) -> str:
         return f"{every}, the end of its range: beta does not distinguish the touched places"
     bound = sum(one.beta_verdict == "at-bound" for one in touches)
     if bound:
-        why = "linear foam has the same beta at any stiffness"
-        return f"{every}; in {bound} its interval reaches the end of its range: {why}; stiffness determines the map"
+        why = "as expected of linear foam, whose beta is the same at any stiffness; regions are decided by stiffness"
+        return f"{every}, {why} (interval at the end of its range: {counted(bound, 'touch')})"
     return every
 
 

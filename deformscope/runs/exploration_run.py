@@ -167,7 +167,7 @@ def _run(
 
     recorded: touches that were made before: nothing moves
     """
-    from deformscope.experiments.explore import explore
+    from deformscope.experiments.explore import AT_END, explore
     from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
     from deformscope.pictures.render_process import render_process
@@ -209,9 +209,12 @@ def _run(
         recorder.start(layout, ending.start_ns)
         if recorded is not None:
             ending.began_s, ending.largest_force_n = time.perf_counter(), recorded.largest_force_n
+            recorded.asked = asked.is_set
             with stage_executor(setup, options) as (beside, stage):
                 experiment = _with_messages(explore(setup.clock, stage, found), run.line, 0)
                 run_session(run.source, experiment, run.recorded, recorded, beside)
+            if found.stop is not None and found.stop.kind == AT_END:  # after a touch that gave no estimate
+                found.stop, found.stop_reason = None, AT_END
             while items := recorded.rest():
                 recorder.write(items)
             ending.session_s = (setup.clock() - ending.start_ns) / 1e9

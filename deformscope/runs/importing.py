@@ -51,8 +51,8 @@ def inspect_source(config: ImportConfig) -> Inspected:
         asked = propose(reader, found)
     lines = ["# " + "\\n".join(printable(one.to_text()).split("\n")) for one in found]
     facts = [
-        {"topic": one.topic.name, "type": one.topic.type, "messages": one.messages, "rate_hz": one.rate_hz}
-        | {"longest_gap_s": one.gap_ns / 1e9, "clock_s": one.clock_s, "columns": dict(one.topic.units)}
+        {"topic": one.topic.name, "type": one.topic.type, "messages": one.seen.count, "rate_hz": one.seen.rate_hz}
+        | {"longest_gap_s": one.seen.gap_ns / 1e9, "clock_s": one.clock_s, "columns": dict(one.topic.units)}
         for one in found
     ]
     return Inspected(facts, "\n".join([*lines, "", asked.to_toml()]))

@@ -14,7 +14,7 @@ from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
-from deformscope.recording.discards import Discard, discards_of
+from deformscope.recording.discards import Discard
 from deformscope.recording.items import read_estimates, read_items, read_results
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import RecordingTables
@@ -77,7 +77,7 @@ class OpenRecording(LibraryResult):
 
     def discarded(self) -> list[Discard]:
         """Its discarded parts, with reasons; they are in the file nevertheless."""
-        return discards_of(self.path, self.notes())
+        return self._replay.discarded
 
     def estimates(self) -> list[dict[str, Any]]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""

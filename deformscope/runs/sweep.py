@@ -1,7 +1,7 @@
 """A sweep: one function on many files and settings, each result kept as it comes.
 
-A task is known by its content: the bytes of its file, what is computed of it with which settings, and the version. What
-was computed is not computed again, whatever the file is called then.
+A task is known by its content: the bytes of its file and of that one's ledger, what is computed of it with which
+settings, and the code of this package. What was computed is not computed again, whatever the file is called then.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+import deformscope_drivers
 from deformscope.config.executor import ExecutorOptions
 from deformscope.errors import InputError, printable
 from deformscope.executor.journal import Journal
@@ -36,6 +38,7 @@ from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.distributions import distributions_png
 from deformscope.pictures.report import Figure, Link, ReportVerdict, Section, Table, html_report
 from deformscope.plain import plain
+from deformscope.recording.ledger import ledger_path
 from deformscope.results.columns import HIGH, LOW, cell_text, to_cells
 from deformscope.runs.result import LibraryResult
 from deformscope.terminal import Progress
@@ -49,6 +52,8 @@ VARIED = "vary."
 """Before the names of settings that were varied, in a table of results."""
 PANELS, GROUPS, LISTED = 9, 6, 500
 """Quantities whose distribution is drawn, by so many settings; rows that the overview lists."""
+EXIT_STATUS = "exit_status"
+"""Of a command that gave its JSON with another one than 0, as where devices lost frames."""
 GREEN, AMBER = "#1b7f4b", "#b3541e"
 
 
@@ -66,13 +71,13 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """source: the file; content: of it, sent along, or None; files: where what it writes begins"""
+    """source: the file; sent: its content by its name, and its ledger's; files: where what it writes begins"""
 
     key: str
     source: str
     argument: Any
     files: str
-    content: bytes | None
+    sent: Mapping[str, bytes]
     about: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -103,10 +108,16 @@ class SweepResult(LibraryResult):
         found: list[dict[str, Any]] = rows.select(names).to_pylist()
         return found
 
+    @property
+    def marked(self) -> str:
+        """How many commands gave their result with another exit status than 0, in words; empty where none did."""
+        count = pc.count(self.table[EXIT_STATUS]).as_py() if EXIT_STATUS in self.table.schema.names else 0
+        return f", {count} of them with an exit status that is not 0" if count else ""
+
     def tables(self) -> tuple[Table, ...]:
         failed = self.failed
         rows = [
-            ("done", f"{self.table.num_rows - len(failed)} of {self.table.num_rows}"),
+            ("done", f"{self.table.num_rows - len(failed)} of {self.table.num_rows}{self.marked}"),
             ("computed now", f"{self.computed} in {self.seconds:.1f} s"),
             ("results", str(self.folder / RESULTS)),
             ("overview", str(self.folder / OVERVIEW)),
@@ -138,6 +149,7 @@ def sweep_on(
     """
     make_folder(out)
     began, computed, skipped = time.monotonic(), 0, 0
+    code = contents_of([Path(__file__).parents[1], Path(deformscope_drivers.__file__).parent])
     plan: list[tuple[str, int, str]] = []
     with Journal(out / JOURNAL, "the tasks of a sweep", "another folder after --out") as journal:
         known, contents = _known(journal)
@@ -147,23 +159,21 @@ def sweep_on(
             for given in sources:
                 source = str(Path(given).resolve()) if Path(given).exists() else str(given)  # wherever a worker runs
                 about = contents.of(source)
+                content = [*code, about["content"], content_of(ledger_path(Path(source)))]
                 for number, variation in enumerate(variations):
-                    key = key_of(about["content"], variation.identity)
+                    key = hashlib.sha256(json.dumps([*content, variation.identity]).encode()).hexdigest()[:32]
                     plan.append((source, number, key))
                     if key in known:
                         skipped += 1
                     else:
                         known.add(key)
-                        content = _bytes_of(source) if options.send else None
-                        files = str((out / FILES).resolve() / key)
-                        varied = about | {"settings": dict(variation.settings)}
                         yield SweepTask(
                             key=key,
                             source=source,
                             argument=variation.argument,
-                            files=files,
-                            content=content,
-                            about=varied,
+                            files=str((out / FILES).resolve() / key),
+                            sent=_sent(Path(source)) if options.send else {},
+                            about=about | {"settings": dict(variation.settings)},
                         )
 
         try:
@@ -182,11 +192,6 @@ def sweep_on(
     return found
 
 
-def key_of(content: str, identity: str) -> str:
-    """The name of a task: equal where its result is."""
-    return hashlib.sha256(json.dumps([__version__, content, identity]).encode()).hexdigest()[:32]
-
-
 def content_of(path: Path | str) -> str:
     """The SHA-256 of a file, or of all files in a folder with their names; empty where it cannot be read."""
     try:
@@ -194,7 +199,8 @@ def content_of(path: Path | str) -> str:
         if not path.is_dir():
             with path.open("rb") as file:
                 return hashlib.file_digest(file, "sha256").hexdigest()
-        inner = [(str(one.relative_to(path)), content_of(one)) for one in sorted(path.rglob("*")) if one.is_file()]
+        files = [one for one in sorted(path.rglob("*")) if one.is_file() and one.parent.name != "__pycache__"]
+        inner = [(str(one.relative_to(path)), content_of(one)) for one in files]
         return hashlib.sha256(json.dumps(inner).encode()).hexdigest()
     except (OSError, ValueError, InputError):
         return ""
@@ -206,12 +212,13 @@ def contents_of(named: Iterable[object]) -> list[str]:
     return [one for one in contents if one]
 
 
-def _bytes_of(source: str) -> bytes | None:
-    """Of a file; None where it cannot be read, which its worker says."""
+def _sent(source: Path) -> dict[str, bytes]:
+    """The content of a file and of its ledger; nothing where it cannot be read, which its worker says."""
     try:
-        return Path(source).read_bytes()
+        sent, ledger = {source.name: source.read_bytes()}, ledger_path(source)
+        return sent | ({f"{source.name}.ledger": ledger.read_bytes()} if ledger.exists() else {})
     except OSError:
-        return None
+        return {}
 
 
 class _Contents:
@@ -285,7 +292,7 @@ def _overview(found: SweepResult) -> str:
     varied = [name for name in table.schema.names if name.startswith(VARIED)]
     quantities = _quantities(table)
     done = table.num_rows - len(failed)
-    headline = f"{done} of {table.num_rows} tasks are done" + (f", {len(failed)} failed" if failed else "")
+    headline = f"{done} of {table.num_rows} tasks are done{found.marked}{f', {len(failed)} failed' if failed else ''}"
     words = (f"deformscope {__version__}; {found.computed} computed in {found.seconds:.1f} s by the last command.",)
     sections = [Section("", [ReportVerdict(headline, words, AMBER if failed else GREEN)])]
     drawn = _distributions(table, quantities, varied)
@@ -298,7 +305,8 @@ def _overview(found: SweepResult) -> str:
             for one in failed[:LISTED]
         ]
         sections.append(Section("Failed", [Table(rows, ("source", *_short(varied), "reason"))]))
-    names = [*varied, "verdict", *quantities, *(name + end for name in quantities for end in (LOW, HIGH)), "seconds"]
+    ends = (name + end for name in quantities for end in (LOW, HIGH))
+    names = [*varied, "verdict", *quantities, *ends, "seconds", EXIT_STATUS]
     names = [name for name in names if name in table.schema.names]
     listed = table.filter(pc.field("status") == "done").slice(0, LISTED).to_pylist()
     rows = [(_source_link(one["source"], found.folder), *(cell_text(one[name]) for name in names)) for one in listed]
@@ -314,7 +322,7 @@ def _quantities(table: pa.Table) -> list[str]:
         field.name
         for field in table.schema
         if (pa.types.is_floating(field.type) or pa.types.is_integer(field.type))
-        and field.name not in ("seconds", "attempts")
+        and field.name not in ("seconds", "attempts", EXIT_STATUS)
         and not field.name.startswith((VARIED, "settings."))
         and not (field.name.endswith(ends) and field.name.rpartition("_")[0] in table.schema.names)
         and pc.count_distinct(table[field.name]).as_py() > 1
@@ -343,20 +351,21 @@ def _source_link(source: str, folder: Path) -> Link:
 
 
 def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
-    """The recordings, pair files and videos in a folder and those in it, but for what lies in OUT, in natural order.
-    match: names like this alone. Raises InputError where there are none."""
+    """The recordings, pair files and videos in a folder and those in it (`in_order`)."""
     if not folder.is_dir():
         came = "a file" if folder.exists() else "nothing there"
         raise InputError("a folder of recordings, pair files or videos, or a catalog.parquet", came, where=folder)
-    own = out.resolve()
     inside = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
-    found = [path for path in inside if not path.name.startswith(".") and own not in path.resolve().parents]
-    return in_order(found, match, folder)
+    return in_order((path for path in inside if not path.name.startswith(".")), out, match, folder)
 
 
-def in_order(paths: Iterable[Path], match: str, where: Path) -> list[Path]:
-    """In natural order, folder by folder. Raises InputError where there are none."""
-    found = [one for one in paths if not match or one.match(match)]
+def in_order(paths: Iterable[Path], out: Path, match: str, where: Path) -> list[Path]:
+    """In natural order, folder by folder, but for what lies in OUT. match: names like this alone
+
+    Raises InputError where there are none.
+    """
+    own = out.resolve()
+    found = [one for one in paths if (not match or one.match(match)) and own not in one.resolve().parents]
     if not found:
         which = f" like {match}" if match else ""
         raise InputError(f"recordings, pair files or videos{which}", "none", where=where)
@@ -387,6 +396,11 @@ def function_variations(
     return found
 
 
+def one_thread() -> None:
+    """What a worker does before its first task."""
+    cv2.setNumThreads(1)
+
+
 def call_function(task: SweepTask) -> Any:
     """Call it with the source, in a worker; its result as JSON has it."""
     module, name, given = task.argument
@@ -400,10 +414,10 @@ def call_function(task: SweepTask) -> Any:
 @contextmanager
 def at_hand(task: SweepTask) -> Iterator[str]:
     """The source of a task: where it is, or where it was sent to as long as this is open."""
-    if task.content is None:
+    if not task.sent:
         yield task.source
         return
     with TemporaryDirectory(prefix="deformscope-") as folder:
-        path = Path(folder) / Path(task.source).name
-        path.write_bytes(task.content)
-        yield str(path)
+        for name, content in task.sent.items():
+            (Path(folder) / name).write_bytes(content)
+        yield str(Path(folder) / Path(task.source).name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -18,8 +19,11 @@ pytest.importorskip("warp")
 pytest.importorskip("tyro")
 
 from deformscope.cli import main
+from deformscope.cli.sweep import find_sources
+from deformscope.config import SweepConfig
 from deformscope.page.catalog_page import serve_catalog
 from deformscope.recording.ledger import add_discard
+from deformscope.runs.catalog import catalogue
 from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
 
@@ -112,6 +116,45 @@ def test_only_what_changed_is_read_again(folder: Path, tmp_path: Path) -> None:
     assert pq.read_table(here / "catalog.parquet").num_rows == 5
 
 
+def test_what_the_system_refuses_to_read_is_read_again(tmp_path: Path) -> None:
+    """As for a disk that reports an error once: nothing is said of the recording itself."""
+    whole, refused = tmp_path / "tension.rrd", tmp_path / "refused.rrd"
+    copy(SHIPPED / "tension.rrd", whole)
+    copy(SHIPPED / "tension.rrd", refused)
+    ledger = Path(f"{refused}.ledger")
+    content = ledger.read_bytes()
+    ledger.unlink()
+    ledger.mkdir()
+    found = catalog(tmp_path, "--page")
+    rows = {one["path"]: one for one in found["recordings"]}
+    assert (rows["tension.rrd"]["status"], rows["refused.rrd"]["status"]) == ("whole", "unread")
+    assert "Is a directory" in rows["refused.rrd"]["problem"]
+    assert "damaged" not in rows["refused.rrd"]
+    assert [one.stem for one in (tmp_path / ".catalog").iterdir()] == [rows["tension.rrd"]["sha256"]]
+    times = ledger.stat()
+    ledger.rmdir()
+    ledger.write_bytes(content)
+    os.utime(ledger, ns=(times.st_atime_ns, times.st_mtime_ns))
+    found = catalog(tmp_path)
+    assert found["read"] == 1
+    assert {one["status"] for one in found["recordings"]} == {"whole"}
+
+
+def test_a_ctrl_c_keeps_what_was_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b", "c"):
+        copy(SHIPPED / "tension.rrd", tmp_path / f"{name}.rrd")
+
+    def interrupt(what: str, done: int, of: int) -> None:
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        catalogue(tmp_path, workers=1, progress=interrupt)
+    rows = pq.read_table(tmp_path / "catalog.parquet").to_pylist()
+    assert [row["status"] for row in rows] == ["whole", "whole", "unread"]
+    assert catalogue(tmp_path, workers=1).read == 1
+
+
 def test_a_page_has_a_picture_of_each_that_opens_it(folder: Path, tmp_path: Path) -> None:
     here = tmp_path / "here"
     here.mkdir()
@@ -200,5 +243,12 @@ def test_a_sweep_takes_what_a_catalog_selects(folder: Path, tmp_path: Path) -> N
     flags = ["--where", 'kind == "exploration"', "--out", str(tmp_path / "out"), "--json", str(target)]
     assert main(["sweep", str(folder), *flags, "--workers", "1", "--", "verify"]) == 0
     assert json.loads(target.read_text())["tasks"] == 1
+    (tmp_path / "made").mkdir()
+    copy(SHIPPED / "explore.rrd", tmp_path / "made" / "explore.rrd")
+    inside = tmp_path / "made" / "out" / "files"
+    inside.mkdir(parents=True)
+    copy(SHIPPED / "tension.rrd", inside / "own.rrd")
+    options = SweepConfig.of(source=tmp_path / "made", out=inside.parent, where="size > 0", command=("verify",))
+    assert find_sources(options) == [tmp_path / "made" / "explore.rrd"]  # what the sweep wrote is none
     (row,) = pq.read_table(tmp_path / "out" / "results.parquet").to_pylist()
     assert (Path(row["source"]).name, row["ok"], row["checked"]) == ("explore.rrd", True, True)

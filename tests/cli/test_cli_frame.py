@@ -378,7 +378,7 @@ def test_a_missing_package_and_a_refusing_system(
 ) -> None:
     assert "expected the Python package rerun" in fail(ModuleNotFoundError("no", name="rerun"), command, capsys)[1]
     error = OSError(28, "No space left on device", "/data/run.npz")
-    assert fail(error, command, capsys) == (1, "the system refused: No space left on device | /data/run.npz")
+    assert fail(error, command, capsys) == (2, "the system refused: No space left on device | /data/run.npz")
     assert "enough memory" in fail(MemoryError(), command, capsys)[1]
 
 

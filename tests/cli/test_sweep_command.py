@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
@@ -14,9 +15,12 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+
+import deformscope_drivers
 
 pytest.importorskip("warp")
 pytest.importorskip("tyro")
@@ -26,10 +30,14 @@ from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.errors import InputError
 from deformscope.file_io import sample_path
+from deformscope.recording.ledger import add_discard, read_discards
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
+from tests.test_imports import ROOT
 
+SHIPPED = ROOT / "recordings"
 PAIR = sample_path("pair") / "pair.npz"
+NOBODY = "a Ray cluster that answers" if importlib.util.find_spec("ray") is not None else "pip install"
 FIT = ["calibrate", "beta", "--method", "gradient"]
 
 
@@ -145,6 +153,55 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
     assert list((out / "files").iterdir()) == [written]
 
 
+def test_what_decides_a_result_beside_the_file_makes_another_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ledger, with what is discarded, a folder among the options, and the code that computes."""
+    about, source = tmp_path / "about", tmp_path / "a.rrd"
+    about.mkdir()
+    for name in ("", ".ledger"):
+        shutil.copy(f"{SHIPPED / 'tension.rrd'}{name}", f"{source}{name}")
+
+    def computed(send: bool = False) -> int:
+        return ds.sweep(seen, [source], out=tmp_path / "out", workers=1, send=send, about=str(about)).computed
+
+    assert [computed(), computed()] == [1, 0]
+    (about / "words.txt").write_text("first")
+    assert [computed(), computed()] == [1, 0]
+    add_discard(source, {"reason": "the clamp slipped", "episode": 0, "label": ""})
+    assert [computed(send=True), computed()] == [1, 0]
+    lines = [json.loads(line)["result"] for line in (tmp_path / "out" / "tasks.jsonl").read_text().splitlines()]
+    assert lines == [{"files": 0, "discarded": 0}, {"files": 1, "discarded": 0}, {"files": 1, "discarded": 1}]
+    newer = tmp_path / "newer"
+    (newer / "__pycache__").mkdir(parents=True)
+    (newer / "__init__.py").write_text("")
+    monkeypatch.setattr(deformscope_drivers, "__file__", str(newer / "__init__.py"))
+    assert [computed(), computed()] == [1, 0]
+    (newer / "__pycache__" / "compiled.pyc").write_text("")
+    assert computed() == 0
+
+
+def seen(source: str, *, about: str) -> dict[str, Any]:
+    return {"files": len(list(Path(about).iterdir())), "discarded": len(read_discards(Path(source)))}
+
+
+def test_a_command_that_ends_with_a_warning_is_marked(tmp_path: Path) -> None:
+    shutil.copy(SHIPPED / "tension.rrd", tmp_path / "a.rrd")
+    status, found = sweep(tmp_path, tmp_path / "out", "--workers", "1", command=["verify"])
+    (row,) = pq.read_table(tmp_path / "out" / "results.parquet").to_pylist()
+    assert (status, found["done"], row["exit_status"]) == (0, 1, EXIT_LOSSES)
+    assert "1 of them with an exit status that is not 0" in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_a_function_in_a_worker_has_one_thread(tmp_path: Path) -> None:
+    found = ds.sweep(threads_of, [PAIR], out=tmp_path, workers=1)
+    assert found.table["threads"].to_pylist() == [1]
+
+
+def threads_of(source: str) -> dict[str, int]:
+    return {"threads": cv2.getNumThreads()}
+
+
 @pytest.mark.parametrize(
     ("flags", "command", "words"),
     [
@@ -153,6 +210,7 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
         ([], ["demo"], "a command with one SOURCE"),
         ([], ["flow"], "a command with one SOURCE"),
         ([], [*FIT, "--record", "all.rrd"], "a file for each task after --record"),
+        ([], [*FIT, "--record", "sub/{key}.rrd"], "a file for each task after --record"),
         ([], [*FIT, "--json", "-"], "without --json"),
         ([], [*FIT, "--cluster-siz", "3"], "--cluster-size"),
         (["--vary", "cluster-size=one"], FIT, "cluster-size"),
@@ -160,6 +218,7 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
         (["--match", "*.rrd"], FIT, "recordings, pair files or videos like"),
         (["--executor", "ray"], FIT, "--address"),
         (["--address", "127.0.0.1:1"], FIT, "--executor ray"),
+        (["--executor", "ray", "--address", "127.0.0.1:1"], FIT, NOBODY),
     ],
 )
 def test_what_cannot_be_swept_is_said_in_one_line(
@@ -330,6 +389,6 @@ def test_a_full_disk_ends_it_in_one_line(pairs: Path, tmp_path: Path) -> None:
     ran = subprocess.run(
         command, env=paths_of_tests(), capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False
     )
-    assert ran.returncode == 1
+    assert ran.returncode == 2
     assert [line for line in ran.stderr.splitlines() if "error" in line] == [ran.stderr.splitlines()[-1]]
     assert "the system refused" in ran.stderr

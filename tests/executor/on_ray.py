@@ -1,5 +1,5 @@
-"""Tasks on a Ray cluster of two nodes on this machine's loopback, one of which is killed midway; what came of it, as
-JSON. `python -m tests.executor.on_ray FOLDER`, so that nothing of Ray stays in the process of a test."""
+"""Tasks, and a sweep, on a Ray cluster of two nodes on this machine's loopback, one of which is killed midway in each;
+what came of it, as JSON. `python -m tests.executor.on_ray FOLDER`: nothing of Ray stays in the process of a test."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import OtherVersion, compute, run_attempt
 
 STORE_BYTES = 200_000_000
-TASKS, FILES = 200, 40
+TASKS, FILES = 200, 1000
 
 
 def traced(task: tuple[str, int]) -> tuple[int, int]:
@@ -43,16 +43,26 @@ def mean_of(source: str) -> dict[str, float]:
     return {"mean": float(np.load(source)["values"].mean())}
 
 
-def swept(address: str, folder: Path) -> bool:
-    """Whether files that are sent over give what they give here."""
+def swept(cluster: Cluster, node: dict[str, object], folder: Path) -> dict[str, object]:
+    """Files that are sent over, with a node killed midway: whether they give what they give here, each once."""
     from tests.executor.on_ray import mean_of  # of a module that workers can import, which `__main__` is not
 
     drawn = np.random.default_rng(4)
     for number in range(FILES):
         np.savez(folder / f"{number}.npz", values=drawn.normal(size=50))
-    found = ds.sweep(mean_of, folder, out=folder / "out", executor="ray", address=address, send=True, progress=False)
+    second = cluster.add_node(**node)
+    cluster.wait_for_nodes()
+
+    def kill(what: str, done: int, of: int) -> None:
+        if done == FILES // 3:
+            cluster.remove_node(second, allow_graceful=False)
+
+    out, at = folder / "out", cluster.address
+    found = ds.sweep(mean_of, folder, out=out, executor="ray", address=at, send=True, progress=kill)
     rows = {row["source"]: row["mean"] for row in found.table.to_pylist()}
-    return rows == {str(path.resolve()): mean_of(str(path))["mean"] for path in folder.glob("*.npz")}
+    equal = rows == {str(path.resolve()): mean_of(str(path))["mean"] for path in folder.glob("*.npz")}
+    lines = (out / "tasks.jsonl").read_text().splitlines()
+    return {"equal": equal, "lines": len(lines), "seconds": found.seconds}
 
 
 def main(folder: str) -> None:
@@ -73,7 +83,7 @@ def main(folder: str) -> None:
             workers.result(workers.submit(run_attempt, "0.0.7", None, traced, (folder, -1)))
         except OtherVersion as error:
             other = str(error)
-    equal = swept(cluster.address, Path(tempfile.mkdtemp(dir=folder)))
+    files = swept(cluster, node, Path(tempfile.mkdtemp(dir=folder)))
     attempts = Counter(line for path in Path(folder).glob("attempts-*") for line in path.read_text().splitlines())
     told = {
         "right": [n for n, one in found.items() if one.value is not None and one.value[0] == n**2],
@@ -82,7 +92,7 @@ def main(folder: str) -> None:
         "attempts": dict(attempts),
         "processes": len({one.value[1] for one in found.values() if one.value is not None}),
         "other": other,
-        "swept": equal,
+        "swept": files,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
     print(json.dumps(told))

@@ -22,7 +22,7 @@ HAS_RAY = importlib.util.find_spec("ray") is not None
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Of 200 tasks on two nodes, one of which was killed."""
+    """Of 200 tasks, and of a sweep, on two nodes, one of which was killed."""
     if not HAS_RAY:
         pytest.skip(WITHOUT_RAY)
     command = [sys.executable, "-m", "tests.executor.on_ray", str(tmp_path_factory.mktemp("traces"))]
@@ -51,7 +51,9 @@ def test_what_the_killed_node_computed_was_tried_elsewhere_with_the_reason(told:
 
 
 def test_a_sweep_of_files_that_are_sent_gives_what_one_process_gives(told: dict[str, Any]) -> None:
-    assert told["swept"] is True
+    """A thousand, and a node is killed after a third of them."""
+    assert told["swept"]["equal"] is True
+    assert told["swept"]["lines"] == 1000  # each once
 
 
 def test_a_worker_of_another_version_is_named(told: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -218,3 +219,26 @@ def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(kind: str, tmp_path: Path)
     ran = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False, env=paths_of_tests())
 
     assert b"KeyboardInterrupt" in ran.stderr
+
+
+def holds_the_interpreter(item: str) -> str:
+    """Native code that never returns to Python: no thread of the process runs while it does."""
+    return re.sub(r"(a+)+$", "", "a" * 64 + "b") if item == "hangs" else item
+
+
+def test_what_never_returns_to_python_is_ended_too(two: LocalWorkers) -> None:
+    list(compute(two, an_hour, ["short", "short"]))
+    found = {one.item: one for one in compute(two, holds_the_interpreter, ["hangs", "short"], limit_s=1.0)}
+
+    assert found["short"].value == "short"
+    assert found["hangs"].reasons == ("it took longer than 1 s",)
+
+
+def unfit_value(item: int) -> object:
+    return lambda: item
+
+
+def test_a_value_that_cannot_pass_between_processes_is_a_reason(two: LocalWorkers) -> None:
+    (found,) = compute(two, unfit_value, [1])
+
+    assert "pickle" in found.reasons[0]

@@ -15,6 +15,8 @@ import pytest
 import deformscope as ds
 from deformscope.cli import main
 from deformscope.file_io import ending_of, resolve, sample_names, sample_path
+from deformscope.files.table_file import read_table
+from deformscope.rig.rig_file import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
 PAIR = ["calibrate", "beta", "sample:pair", "--candidates", "5", "--json", "-"]
@@ -27,28 +29,51 @@ def test_a_sample_is_small_and_says_what_it_is(name: str) -> None:
     assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) < 1_000_000
     about = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
     assert about["title"]
-    assert (folder / "NOTICE").exists() or about["made_by"] == f"python tools/samples.py {name}"
+    assert (folder / "NOTICE").exists() or about["made_by"] in ("hand", f"python tools/samples.py {name}")
 
 
 def test_a_sample_is_its_file_or_the_folder_of_its_images() -> None:
-    assert {"pair", "poke", "squeezes", "tension", "video"} <= set(sample_names())
+    assert sample_names() == ["pair", "poke", "press", "rig", "squeezes", "table", "tension", "video"]
+    assert (ending_of("sample:table"), ending_of("sample:rig")) == (".csv", ".toml")
     assert ending_of("sample:pair") == ending_of("sample:poke") == ending_of("sample:squeezes") == ".npz"
     assert ending_of("sample:video") == ".mp4"
     assert resolve("sample:tension").is_dir()
+    assert resolve("sample:tension/frame_152.png") == sample_path("tension") / "frame_152.png"
     with pytest.raises(ds.InputError, match="one of pair, poke"):
         resolve("sample:nothing")
 
 
-@pytest.mark.parametrize("name", ["pair", "poke"])
+@pytest.mark.parametrize("name", ["pair", "poke", "press"])
 def test_a_sample_is_what_its_tool_makes(name: str) -> None:
     tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
-    with np.load(io.BytesIO(tool[name]())) as made, np.load(resolve(f"sample:{name}")) as ships:
+    with np.load(io.BytesIO(tool["MAKE"][name][1]())) as made, np.load(resolve(f"sample:{name}")) as ships:
         assert set(made) == set(ships)
         for one in made:
             if made[one].dtype.kind == "f":
                 np.testing.assert_allclose(ships[one], made[one], rtol=1e-6, atol=1e-9)
             else:
                 np.testing.assert_array_equal(ships[one], made[one])
+
+
+def test_the_table_has_the_trials_of_the_squeezes() -> None:
+    tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
+    table, squeezes = read_table(resolve("sample:table")), read_table(resolve("sample:squeezes"))
+
+    assert resolve("sample:table").read_bytes() == tool["table"]()
+    assert table.label.tolist() == squeezes.label.tolist()
+    assert table.group is not None
+    assert squeezes.group is not None
+    assert table.group.tolist() == squeezes.group.tolist()
+    for name, features in table.modalities.items():
+        np.testing.assert_allclose(features, squeezes.modalities[name], rtol=1e-4)
+
+
+def test_the_rig_is_what_doctor_prints_and_is_not_written_into(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--example", "--doubles"]) == 0
+    assert capsys.readouterr().out == resolve("sample:rig").read_text(encoding="utf-8")
+    assert {one.double for one in load_rig("sample:rig").devices} == {True}
+    assert main(["calibrate", "tip", "sample:rig"]) == 2
+    assert "--no-write" in capsys.readouterr().err
 
 
 def test_a_pair_by_its_name_is_a_pair(capsys: pytest.CaptureFixture[str]) -> None:

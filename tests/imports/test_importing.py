@@ -402,7 +402,7 @@ def test_a_pose_and_another_clock_are_asked_for_by_name(tmp_path: Path, capfd: p
     (tmp_path / "map.toml").write_text(forces_alone + depth)
     assert main(["import", str(bag), "--map", str(tmp_path / "map.toml"), "--record", str(tmp_path / "r.rrd")]) == 2
     assert (
-        "expected offset_s of cam in the map: how its clock differs; got 'stamps 3600 s from those of ft'"
+        "expected offset_s of ft in the map: how its clock differs; got 'stamps 3600 s from those of cam'"
         in capfd.readouterr().err
     )
     (tmp_path / "map.toml").write_text(f"{forces_alone}offset_s = -3600\n{depth}")

@@ -128,7 +128,7 @@ def test_what_is_no_push_is_refused(clamp: float, depths: list[float]) -> None:
     ("foam", "at_8_mm"), list(zip(FOAMS, (0.47, 0.33, 0.74, 0.38, 0.59), strict=True)), ids=lambda one: str(one)[:24]
 )
 def test_foam_with_a_plateau_meets_a_tip_with_less_and_less(foam: Foam, at_8_mm: float) -> None:
-    """Force over depth of a flat tip of 16 mm on 5 cm, over that of a slight push: what `docs/limits.md` says of it."""
+    """Force over depth of a flat tip of 16 mm on 5 cm, over that of a slight push."""
     slight, *deeper = press(foam.law(), Block(0.16, 0.05, 0.016), 0.016, [1e-6, 0.004, 0.008], 0.004)
     share = [one.force_n / one.depth_m / (slight.force_n / slight.depth_m) for one in deeper]
     assert 1.0 > share[0] > share[1] == pytest.approx(at_8_mm, abs=0.02)

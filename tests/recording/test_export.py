@@ -7,6 +7,7 @@ import csv
 import dataclasses
 import itertools
 import json
+import math
 import os
 import re
 import subprocess
@@ -14,7 +15,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -24,17 +25,19 @@ import pytest
 
 import deformscope as ds
 from deformscope.cli import main
-from deformscope.frames import ArmFrame, HandFrame, Item, SessionNote, TactileFrame, WrenchFrame
+from deformscope.frames import ArmFrame, HandFrame, HealthReport, Item, SessionNote, TactileFrame, WrenchFrame
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.export.export import ExportRequest, _draft, export
 from deformscope.recording.facts import run_rrd
 from deformscope.recording.items import read_items, read_results
+from deformscope.recording.ledger import ledger_path
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.streams import RecordingTables
 from deformscope.results.render import to_json
 from deformscope.stages.map.exploration import MapEstimate, TouchEstimate
 from deformscope_drivers.clock import Stamp
+from deformscope_drivers.health import Health, Link
 from tests.cases import slow_but
 from tests.log import synthetic_rig as rig
 
@@ -345,6 +348,48 @@ def test_nothing_of_a_person_or_a_machine_is_in_an_anonymous_export(tmp_path: Pa
     assert secret in (plain / "note.csv").read_text() + (plain / "export.json").read_text()
 
 
+@pytest.mark.parametrize("to", ["csv", "mcap"])
+@pytest.mark.parametrize("anonymous", [False, True])
+def test_what_a_recording_lost_and_whether_it_is_to_be_used_goes_along(
+    to: str,
+    anonymous: bool,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    path = tmp_path / "r.rrd"
+    health = Health(Link.CLOSED, "", 5, lost=7)
+    with Recorder(path, "none", {"rig": "", "first_s": math.nan}, application=RIG) as made:
+        made.start(RigLayout((rig.Stream("tip", "wrench", "imported"),)), rig.START_NS)
+        made.write([rig.wrench(at, "tip") for at in range(5)])
+        made.write([HealthReport(rig.ns(1), (("tip", health),))])
+        made.stopped_because("alice pressed Ctrl-C")
+    assert main(["discard", str(path), "--reason", "alice slipped"]) == 0
+
+    def about(out: Path, status: int) -> dict[str, Any]:
+        asked = ["export", str(path), "--to", to, "--out", str(out), *(["--anonymous"] if anonymous else [])]
+        assert main(asked) == status
+        if to == "csv":
+            return cast("dict[str, Any]", json.loads((out / "export.json").read_text(), parse_constant=pytest.fail))
+        reader = pytest.importorskip("mcap.reader")
+        with next(out.glob("*.mcap")).open("rb") as file:
+            (said,) = reader.make_reader(file).iter_metadata()
+        return {name: json.loads(value, parse_constant=pytest.fail) for name, value in said.metadata.items()}
+
+    found = about(tmp_path / "first", 3)
+    assert "losses: tip: 7 readings lost" in capfd.readouterr().err
+    assert found["losses"] == {"tip": {"readings": 7}}
+    reason = "" if anonymous else "alice slipped"
+    assert found["discarded"] == [{"reason": reason, "episode": 0, "label": ""}]
+    assert (found["complete"], found["recovered"], found["checked"]) == (True, False, True)
+    assert ("alice" in json.dumps(found)) != anonymous
+    ledger_path(path).unlink()
+    assert about(tmp_path / "second", 3)["checked"] is False
+    caplog.clear()
+    assert main(["replay", str(path)]) == 3
+    assert "has no ledger" in caplog.text
+
+
 def test_licence_and_authors_go_along(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     own = ["--license", "CC-BY-4.0", "--author", "A. Writer", "B. Writer", "--citation", "Poking", "--only", "tip"]
     assert main(["export", str(BENCH), "--to", "parquet", "--out", str(tmp_path / "out"), *own, "--json", "-"]) == 0
@@ -573,14 +618,14 @@ def test_without_its_packages_mcap_is_refused_in_one_line(
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb"])
 def test_the_plots_in_the_docs_are_drawn(library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip(library)
-    page = (RECORDINGS.parent / "docs" / "recording.md").read_text(encoding="utf-8")
-    (script,) = (one for one in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f'"{library}.png"' in one)
+    page = (RECORDINGS.parent / "docs" / "howto" / "tables-from-recordings.md").read_text(encoding="utf-8")
+    (script,) = (one for one in re.findall(r"```python[^\n]*\n(.*?)```", page, re.DOTALL) if f'"{library}.png"' in one)
     assert len([line for line in script.splitlines() if line]) <= 10
     exported(EXPLORED, "parquet", tmp_path / "tables", only=("exploration/touch",))
     monkeypatch.chdir(tmp_path)
     plt = pytest.importorskip("matplotlib.pyplot")
     plt.switch_backend("agg")
-    exec(compile(script, "docs/recording.md", "exec"), {})
+    exec(compile(script, "docs/howto/tables-from-recordings.md", "exec"), {})
     (drawn, *_) = plt.gcf().axes
     shown = [line.get_xydata() for line in drawn.lines] or [one.get_offsets() for one in drawn.collections]
     plt.close("all")

@@ -168,7 +168,7 @@ def test_what_cannot_be_read_is_not_called_kept(
     part = tmp_path / "run.part.rrd"
     recovered = main(["recover", str(part)]) == 0
     assert ("is kept" in caplog.text) == recovered
-    assert ("nothing can be recovered" in caplog.text) == (not recovered)
+    assert ("no data recorded before the error" in caplog.text) == (not recovered)
 
 
 def test_the_view_goes_on_where_its_file_cannot(

@@ -292,6 +292,18 @@ def test_discards_at_once_are_all_there(old: bool, tmp_path: Path, monkeypatch: 
     assert {one["reason"] for one in read_discards(path)} == set("0123")
 
 
+def test_a_discard_that_is_cut_off_is_noticed(sample: Path) -> None:
+    """At the end of a line, as of any other: the last says that the ledger is whole."""
+    for reason in ("it slipped", "wrong foam"):
+        add_discard(sample, {"reason": reason})
+    path = ledger_path(sample)
+    lines = path.read_bytes().splitlines(keepends=True)
+    assert check_ledger(sample) == []
+    for count in range(1, len(lines)):
+        path.write_bytes(b"".join(lines[:count]))
+        assert check_ledger(sample), count
+
+
 def test_a_line_of_another_place_does_not_fit_the_chain(sample: Path) -> None:
     path = ledger_path(sample)
     lines = path.read_text().splitlines(keepends=True)

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from deformscope.errors import InputError
 from deformscope.frames import Stream
+from deformscope.plain import plain
 from deformscope.recording.export.images import ExportedImages, Note, Videos, counted_images, export_images
 from deformscope.recording.export.table_files import IMAGES, TABLE_FILES, TableFile
 from deformscope.recording.lock import one_at_a_time
@@ -111,7 +112,7 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
             case _:
                 files = _write_tables(tables, chosen, draft, asked.to, about, note)
         about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
-        text = json.dumps(about, indent=2, default=dataclasses.asdict)
+        text = json.dumps(plain(about), indent=2, allow_nan=False)
         (draft / MANIFESTS[not asked.manifest]).write_text(f"{text}\n", encoding="utf-8")
     images = [
         ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
@@ -179,6 +180,11 @@ def _about(replay: Replay, asked: ExportRequest, tables: RecordingTables) -> dic
     found |= {"citation": asked.credits.citation, "anonymous": asked.anonymous}
     found |= {"clock": "host_ns: the host's monotonic clock", "session_starts_ns": tables.start_ns}
     found |= {"devices": {one.device: _device(one.about) for one in tables.streams.values() if one.about is not None}}
+    left_out = {"reason": "", "label": ""} if asked.anonymous else {}
+    found |= {"complete": bool(replay.outcome.get("complete")), "recovered": "recovered" in replay.outcome}
+    found |= {"stopped": "" if asked.anonymous else replay.outcome.get("stopped", ""), "losses": replay.losses}
+    found |= {"checked": replay.has_ledger}
+    found |= {"discarded": [dataclasses.asdict(one) | left_out for one in replay.discarded]}
     return found | {"provenance": exported(replay.properties, anonymous=asked.anonymous)}
 
 

@@ -7,7 +7,6 @@ radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_f
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import logging
 import math
@@ -25,6 +24,7 @@ import numpy as np
 from deformscope.errors import InputError
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, HandFrame, WrenchFrame
 from deformscope.images import PNG_SIGNATURE, decode_image
+from deformscope.plain import plain
 from deformscope.recording.export.images import Note
 from deformscope.recording.export.ros_messages import PACKAGE, definition, stream_definition
 from deformscope.recording.streams import TRANSFORMS, RecordedStream, RecordingTables
@@ -79,7 +79,7 @@ def write_mcap(
             done += batch.num_rows
             note("rows", done, total)
         topics.close()
-        said = {name: json.dumps(value, default=dataclasses.asdict) for name, value in about.items()}
+        said = {name: json.dumps(plain(value), allow_nan=False) for name, value in about.items()}
         writer.add_metadata("deformscope", said)
         writer.finish()
     return [(topic, path.name, count) for topic, count in sorted(bag.counts.items())]

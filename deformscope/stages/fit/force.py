@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.estimate import Posterior
@@ -63,7 +63,7 @@ def secant(
     weight = (relative * each) ** -2
     value = float(weight @ each / weight.sum())
     birge = float(weight @ (each - value) ** 2) / max(len(each) - 1, 1)
-    half = float(norm.ppf(0.5 + 0.5 * level) * np.sqrt(max(birge, 1.0) / weight.sum()))
+    half = float(ndtri(0.5 + 0.5 * level) * np.sqrt(max(birge, 1.0) / weight.sum()))
     return value, (max(value - half, 0.0), value + half)
 
 

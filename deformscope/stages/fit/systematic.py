@@ -8,7 +8,7 @@
 
 Each has a Gaussian prior, so that they add a covariance of low rank to that of the noise. They are there always: what
 a tool that is off leaves in the residuals is hardly told from what another parameter leaves, so that evidence decides
-for no tool error where there is one (`python -m studies beta`, docs/validation.md).
+for no tool error where there is one (`python -m studies beta`, docs/results/coverage.md).
 """
 
 from __future__ import annotations

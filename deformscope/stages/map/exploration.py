@@ -214,7 +214,7 @@ class MapRegion:
 
 PLATEAU_FACTOR = 2.8
 """Largest ratio of the modulus of foam on its plateau to that of linear foam with the same stiffness at 3 N
-(docs/exploring.md)."""
+(docs/results/maps.md)."""
 
 REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no regions"
 

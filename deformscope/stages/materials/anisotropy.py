@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
@@ -82,7 +82,7 @@ def fit_axes(
     ends = -np.expm1(-np.clip(np.column_stack([best.at - half, best.at + half]), 0.0, top))
     away = best.simulated - even.simulated
     excess = max(even.squares - best.squares, 0.0) / noise.variance_along(away)
-    p_isotropic = float(chi2.sf(excess, d - 1))
+    p_isotropic = float(scipy.stats.chi2.sf(excess, d - 1))
     converged = bool(best.converged and even.converged and np.isfinite(best.jacobian).all())
     deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     share = explained(seen, fit.positions(best))

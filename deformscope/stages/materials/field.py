@@ -22,8 +22,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
-from scipy.special import expit, logsumexp
-from scipy.stats import norm
+from scipy.special import expit, logsumexp, ndtri
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.doubts import little_explained, not_converged, ordered
@@ -180,7 +179,7 @@ def fit_field(
     """A stiffness for each place of the observation, and the betas of the engine."""
     seen = in_whole_cells(seen)
     fit = FieldFit(seen, "elastic")
-    sds = float(norm.ppf(0.5 + 0.5 * level))
+    sds = float(ndtri(0.5 + 0.5 * level))
     steps = len(MATERIALS) + 3
 
     def done(number: int) -> None:

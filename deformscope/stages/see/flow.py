@@ -259,7 +259,7 @@ PASSES = (8.0, 8.0, 6.0, 6.0, 6.0)
 """Standard deviation of the Gaussian window of each refinement pass [px]."""
 
 PASSES_ONWARD = PASSES[-2:]
-"""From the flow of the step before: a third pass changes no particle's error (docs/calibrating.md)."""
+"""From the flow of the step before: a third pass changes no particle's error (docs/results/fits.md)."""
 
 FIT_DROP = 0.25
 """Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady

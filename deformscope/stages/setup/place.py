@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -93,7 +93,7 @@ def place(
     found = fitted(lambda values: off_m(values).ravel(), np.zeros(8), prior)
     left_over = off_m(found.value)
     count = left_over.size - 8
-    chance = float(stats.f.sf(found.scatter**2 / prior.sd**2, count, prior.weight)) if prior.weight else 1.0
+    chance = float(scipy.stats.f.sf(found.scatter**2 / prior.sd**2, count, prior.weight)) if prior.weight else 1.0
     if chance < UNLIKELY:
         angle_deg = np.degrees(np.arccos(cosine))
         came = f"corners up to {1e3 * np.linalg.norm(left_over, axis=1).max():.0f} mm off one; {angle_deg:.1f} degrees"

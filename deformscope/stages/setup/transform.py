@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize, stats
+import scipy
+from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import FloatArray
@@ -77,12 +78,12 @@ class TransformEstimate:
         """Whether the region of this level, an ellipsoid over all six together, holds another transform (4, 4)."""
         off = self.deviation(T)
         squared = float(off @ np.linalg.solve(self.covariance, off)) / len(off)
-        return squared <= float(stats.f.ppf(level, len(off), self.dof))
+        return squared <= float(scipy.stats.f.ppf(level, len(off), self.dof))
 
 
 def half_widths(covariance: FloatArray, dof: float, level: float = LEVEL) -> FloatArray:
     """(p,) of the intervals of Student's t."""
-    return np.asarray(stats.t.ppf(0.5 + 0.5 * level, dof) * np.sqrt(np.diag(covariance)))
+    return np.asarray(scipy.stats.t.ppf(0.5 + 0.5 * level, dof) * np.sqrt(np.diag(covariance)))
 
 
 def moved(T: FloatArray, deviation: npt.ArrayLike) -> FloatArray:

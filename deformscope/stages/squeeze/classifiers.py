@@ -3,7 +3,7 @@ one.
 
 Each is fitted to (n, d) points and (n,) indices of classes, is a frozen set of arrays, and gives (m, C) logarithms of
 posteriors. A class without any training point is never the answer. They are not scikit-learn's, whose covariances are
-shrunk less well: linear is right 8 to 12 % more often here, qda-raw 11 to 28 % (docs/containers.md).
+shrunk less well: linear is right 8 to 12 % more often here, qda-raw 11 to 28 % (docs/results/containers.md).
 """
 
 from __future__ import annotations

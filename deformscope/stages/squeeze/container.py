@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import open3d as o3d
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
@@ -31,14 +30,14 @@ class ContainerModel:
         """size_m: along x, y, z [m]."""
         if min(size_m) <= 0.0 or not np.isfinite(size_m).all():
             raise InputError("a box's three sides above 0 m", str(size_m))
-        return cls._of(o3d.geometry.TriangleMesh.create_box(*size_m))
+        return cls._shape("box", *size_m)
 
     @classmethod
     def cylinder(cls, radius_m: float, height_m: float) -> Self:
         """A cylinder about z."""
         if min(radius_m, height_m) <= 0.0 or not np.isfinite([radius_m, height_m]).all():
             raise InputError("a radius and a height above 0 m", f"{radius_m:g} m, {height_m:g} m")
-        return cls._of(o3d.geometry.TriangleMesh.create_cylinder(radius_m, height_m, SIDES, 1))
+        return cls._shape("cylinder", radius_m, height_m, SIDES, 1)
 
     @classmethod
     def mesh(cls, vertices_m: FloatArray, triangles: IntArray) -> Self:
@@ -52,7 +51,10 @@ class ContainerModel:
         return cls(vertices - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)), faces.astype(np.int64))
 
     @classmethod
-    def _of(cls, mesh: o3d.geometry.TriangleMesh) -> Self:
+    def _shape(cls, name: str, *size: float) -> Self:
+        import open3d as o3d
+
+        mesh = getattr(o3d.geometry.TriangleMesh, f"create_{name}")(*size)
         return cls.mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
 
     @property
@@ -92,10 +94,13 @@ class ModelRenderer:
         """Raises InputError for a camera with distortion: undistort its images first."""
         if any(camera.distortion):
             raise InputError("a camera without distortion", f"coefficients {camera.distortion}", "undistort its images")
+        import open3d as o3d
+
         self.model, self.camera = model, camera
+        self._tensor = o3d.core.Tensor.from_numpy
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         vertices, triangles = model.vertices_m.astype(np.float32), model.triangles.astype(np.uint32)
-        self._scene.add_triangles(o3d.core.Tensor.from_numpy(vertices), o3d.core.Tensor.from_numpy(triangles))
+        self._scene.add_triangles(self._tensor(vertices), self._tensor(triangles))
         first, second, third = np.moveaxis(model.vertices_m[model.triangles], 1, 0)
         normal = np.cross(second - first, third - first)
         self._outward = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
@@ -116,7 +121,7 @@ class ModelRenderer:
         eye = -pose[:3, 3] @ pose[:3, :3]  # in the container's frame, which does not move
         cast = np.empty((*ray.shape[:-1], 6), dtype=np.float32)
         cast[..., :3], cast[..., 3:] = eye, ray
-        hit = self._scene.cast_rays(o3d.core.Tensor.from_numpy(cast), nthreads=1)
+        hit = self._scene.cast_rays(self._tensor(cast), nthreads=1)
         known = np.isfinite(hit["t_hit"].numpy())
         # Which triangle is hit is Embree's; where, in float64: its last bit is another one on other processors.
         triangle = np.where(known, hit["primitive_ids"].numpy(), 0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 
@@ -26,7 +26,7 @@ def wilson(share: float, count: float, level: float) -> Interval:
     """Interval of a share that was observed in a number of independent trials (Wilson 1927)."""
     if count <= 0:
         return 0.0, 1.0
-    z2 = float(stats.norm.ppf(0.5 + level / 2)) ** 2
+    z2 = float(scipy.stats.norm.ppf(0.5 + level / 2)) ** 2
     middle = (share + z2 / (2 * count)) / (1 + z2 / count)
     half = np.sqrt(z2 * share * (1 - share) / count + (z2 / (2 * count)) ** 2) / (1 + z2 / count)
     return max(0.0, float(middle - half)), min(1.0, float(middle + half))
@@ -38,10 +38,10 @@ def share_among_new(expected: Estimated, count: float, level: float, expected_le
     share is beta-binomial."""
     mean = min(max(expected.value, 1e-6), 1.0 - 1e-6)
     half = 0.5 * (expected.interval[1] - expected.interval[0])
-    deviation = max(half / float(stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
+    deviation = max(half / float(scipy.stats.norm.ppf(0.5 + expected_level / 2)), 1e-6)
     worth = max(mean * (1.0 - mean) / deviation**2 - 1.0, 1e-3)  # trials that the expectation itself is worth
     whole = max(round(count), 1)
-    seen = stats.betabinom(whole, worth * mean, worth * (1.0 - mean))
+    seen = scipy.stats.betabinom(whole, worth * mean, worth * (1.0 - mean))
     low, high = (float(seen.ppf(share)) / whole for share in (0.5 - level / 2, 0.5 + level / 2))
     return min(low, expected.interval[0]), max(high, expected.interval[1])
 
@@ -64,7 +64,7 @@ def over_splits(values: FloatArray, ratio: float, level: float, worth: float = n
     if not found.size:
         return Estimated(float("nan"), (float("nan"), float("nan")))
     mean, deviation = float(found.mean()), float(np.hypot(corrected_deviation(found, ratio), 1.0 / max(worth, 1.0)))
-    half = float(stats.t.ppf(0.5 + level / 2, len(found) - 1)) * deviation if len(found) > 1 else np.nan
+    half = float(scipy.stats.t.ppf(0.5 + level / 2, len(found) - 1)) * deviation if len(found) > 1 else np.nan
     return Estimated(mean, (mean - half, mean + half) if np.isfinite(half) else (mean, mean))
 
 
@@ -105,7 +105,7 @@ def difference(
     deviation = float(np.hypot(corrected_deviation(apart, ratio), 1.0 / max(worth, 1.0)))
     if not np.isfinite(deviation) or deviation == 0.0:
         return found, 1.0 if found.value == 0.0 or not np.isfinite(deviation) else 0.0
-    return found, float(2 * stats.t.sf(abs(found.value) / deviation, len(apart) - 1))
+    return found, float(2 * scipy.stats.t.sf(abs(found.value) / deviation, len(apart) - 1))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -149,6 +149,6 @@ def _distance(samples: FloatArray) -> FloatArray:
     count = samples.shape[1]
     ordered = np.sort(samples, axis=1)
     mean, deviation = ordered.mean(axis=1, keepdims=True), ordered.std(axis=1, ddof=1, keepdims=True)
-    share = stats.norm.cdf((ordered - mean) / deviation)
+    share = scipy.stats.norm.cdf((ordered - mean) / deviation)
     step = np.arange(1, count + 1) / count
     return np.asarray(np.maximum((step - share).max(axis=1), (share - step + 1.0 / count).max(axis=1)))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
@@ -161,7 +161,7 @@ def _time_check(
     drawn = np.array([errors(random.integers(size, size=size)) for _ in range(DRAWS)])
     low, high = np.quantile(drawn[:, 0], [0.5 - score.level / 2, 0.5 + score.level / 2])
     perfect = [np.bincount(place, sure - (random.random(size) < sure), BINS) for _ in range(DRAWS)]
-    found, half = errors(np.arange(size))[1], stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
+    found, half = errors(np.arange(size))[1], scipy.stats.norm.ppf(0.5 + score.level / 2) * drawn[:, 1].std()
     root, least, most = np.sqrt(np.maximum([found, found - half, found + half], 0.0)).tolist()
     return TimeCheck(
         time_s,
@@ -206,7 +206,7 @@ def _score(
     over = float(sure.mean() - right.mean())
     accuracy, balanced = float(right.mean()), float(recall.mean())
     spread = np.hypot((sure - right).std() / np.sqrt(len(rows)), 1.0 / worth)
-    half = float(stats.norm.ppf(0.5 + level / 2) * spread)
+    half = float(scipy.stats.norm.ppf(0.5 + level / 2) * spread)
     return ClassificationScore(
         modality=joined_name(names),
         method="late-fusion" if len(names) > 1 else "pooled",

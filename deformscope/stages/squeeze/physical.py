@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
@@ -125,13 +125,13 @@ def _slope(depth: FloatArray, force: FloatArray) -> tuple[float, float, float]:
     interval counts as many samples as are independent at their first autocorrelation."""
     if len(depth) < 4 or np.ptp(depth) < LEAST_INDENTATION_M:
         return float("nan"), float("nan"), float("nan")
-    fit = stats.linregress(depth, force)
+    fit = scipy.stats.linregress(depth, force)
     left = force - fit.intercept - fit.slope * depth
     spread = float(left @ left)
     together = float(np.clip(left[1:] @ left[:-1] / spread, 0.0, 0.95)) if spread > 0.0 else 0.0
     count = max(len(depth) * (1.0 - together) / (1.0 + together), 3.0)
     wider = np.sqrt((len(depth) - 2.0) / (count - 2.0))
-    half = float(stats.t.ppf(0.5 + LEVEL / 2.0, count - 2.0) * fit.stderr * wider)
+    half = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, count - 2.0) * fit.stderr * wider)
     return float(fit.slope), float(fit.slope - half), float(fit.slope + half)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.results.declared import derived, reported
@@ -190,6 +190,6 @@ def reliability_of(sure: FloatArray, right: IntArray, repeats: float, level: flo
     share = np.where(count > 0, np.bincount(bins, right.astype(float), BINS) / many, np.nan)
     trials = np.maximum(np.round(count / max(repeats, 1.0)), 1.0)
     low, high = (
-        stats.binom.ppf(tail, trials, np.nan_to_num(mean)) / trials for tail in (0.5 - level / 2, 0.5 + level / 2)
+        scipy.stats.binom.ppf(tail, trials, np.nan_to_num(mean)) / trials for tail in (0.5 - level / 2, 0.5 + level / 2)
     )
     return Reliability(mean, share, count, np.stack([low, high], axis=1))

@@ -73,7 +73,7 @@ def test_touch_of_uneven_foam_compares_as_on_a_level_layer(
 
 @pytest.mark.slow  # 30 meshes
 def test_edge_is_corrected_from_1_cm_on(capsys: pytest.CaptureFixture[str]) -> None:
-    """Prints what is felt less than inside, before and after: the table of docs/exploring.md."""
+    """Prints what is felt less than inside, before and after: the table of docs/results/maps.md."""
     away_m = (0.01, 0.015, 0.02, 0.03)
     felt, left = [], []
     for thickness_m in (0.02, 0.035, 0.05):

@@ -1,0 +1,63 @@
+"""What an export says of itself, as `import` reads it: `export.json`, or the metadata of an MCAP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from deformscope.errors import InputError
+from deformscope.frames import Stream
+from deformscope.recording.streams import SCHEMA_VERSION
+
+DRIVER = "imported"
+"""Of a stream that no driver gave."""
+
+
+class ExportedColumn(msgspec.Struct, frozen=True):
+    name: str
+    type: str = ""
+    unit: str = ""
+
+
+class ExportedStream(msgspec.Struct, frozen=True):
+    """A stream. kind: class of its rows; files: that hold it"""
+
+    entity: str = ""
+    kind: str = ""
+    files: tuple[str, ...] = ()
+    columns: tuple[ExportedColumn, ...] = ()
+
+
+class Manifest(msgspec.Struct, frozen=True):
+    """All of it; as it is made, it is that of what is no export. devices: by name, without it
+    topics, device_topics: of an MCAP, of entities and of devices"""
+
+    session_starts_ns: int | None = None
+    streams: tuple[ExportedStream, ...] = ()
+    devices: dict[str, dict[str, Any]] = {}
+    topics: dict[str, str] = {}
+    device_topics: dict[str, str] = {}
+
+    def stream(self, device: str, otherwise: Stream) -> Stream:
+        """What is known of a device, or what it is otherwise. Raises InputError for what none is."""
+        if device not in self.devices:
+            return otherwise
+        try:
+            return msgspec.convert({**self.devices[device], "device": device, "driver": DRIVER}, Stream)
+        except msgspec.ValidationError as error:
+            raise InputError(f"{device} as deformscope describes devices", str(error)) from error
+
+
+def read_manifest(found: Any, where: object) -> Manifest:
+    """Raises InputError for one of a newer schema, or that cannot be of ours."""
+    if not isinstance(found, dict) or "schema_version" not in found:
+        return Manifest()
+    version = found["schema_version"]
+    if not isinstance(version, int) or version > SCHEMA_VERSION:
+        expected = f"an export of schema version {SCHEMA_VERSION}"
+        raise InputError(expected, f"one of version {version}", "a newer deformscope", where)
+    try:
+        return msgspec.convert(found, Manifest)
+    except msgspec.ValidationError as error:
+        raise InputError("an export as deformscope writes it", str(error), where=where) from error
