@@ -46,7 +46,7 @@ def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionN
         raise InputError("an episode of the recording", str(episode), f"episodes: {listed}", recording)
     try:
         check = check_recording(recording)
-        problems = check.problems or ([] if check.ended else ["one that was not finished"])
+        problems = check.problems or ([] if check.ended else ["an unfinished one"])
     except FileNotFoundError:
         problems = ["one without: it was not finished, or its ledger was not copied with it"]
     if problems:  # a new ledger would say that its bytes are as they were recorded

@@ -64,7 +64,7 @@ class Viewer:
     pid: int
     messages: int
 
-    where: ClassVar[str] = "viewer: a window of its own; it stays when this command has ended"
+    where: ClassVar[str] = "viewer: a separate window, which stays open after this command"
 
     @property
     def output(self) -> str:
@@ -274,10 +274,10 @@ class LiveFeed(Generic[StreamT]):
             self._ready.notify()
             patience_s = 0.0 if self._silent else timeout_s
         if not self._over.wait(patience_s):
-            _logger.warning("the viewer does not answer; it is left alone, and the recording is not affected")
+            _logger.warning("the viewer does not answer; it gets no more data, and the recording is not affected")
         self._leave()
         if self._lost:
-            _logger.warning("the viewer is not known to have got %d of %d portions", self._lost, self._given)
+            _logger.warning("the viewer did not confirm %d of %d portions", self._lost, self._given)
         return self._over.is_set() and not self._stays
 
     def _work(self) -> None:

@@ -179,7 +179,7 @@ class RecordingFile:
             return self._merged_path
         self._merged_path.unlink(missing_ok=True)
         if merged is not None and not self.broken:
-            _warn_that_it_stays_small("a file was not written to its end")
+            _warn_that_it_stays_small("a file is incomplete")
         return self.path
 
     def _note(self, part: Chunk) -> int:
@@ -240,7 +240,7 @@ def _refusal(error: Exception) -> str:
 
 
 def _warn_that_it_stays_small(reason: str) -> None:
-    _logger.warning("%s: the recording is whole, but in many small portions, which a viewer opens slowly", reason)
+    _logger.warning("%s: the recording is complete, but in many small portions, which a viewer opens slowly", reason)
 
 
 class _Each:
