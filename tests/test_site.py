@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import re
 import runpy
@@ -19,7 +21,7 @@ DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
 HOWTO = sorted((DOCS / "howto").glob("*.md"))
 EXPLANATION = sorted((DOCS / "explanation").glob("*.md"))
-DEVELOPERS = sorted((DOCS / "developers").glob("add-*.md"))
+DEVELOPERS = [*sorted((DOCS / "developers").glob("add-*.md")), DOCS / "developers" / "engine.md"]
 BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
 LONGEST, SHARE = 25, 0.95
 """Words of a sentence, and the share of sentences with as many at most."""
@@ -52,6 +54,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert (built.returncode, built.stdout + built.stderr) == (0, "")
     page = (tmp_path / "reference" / "rig-file.html").read_text(encoding="utf-8")
     assert "hard_stop_n" in page
+    assert [made.name for made in tmp_path.rglob("*.html") if "```" in made.read_text(encoding="utf-8")] == []
     start = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert re.findall(r'(?:<script[^>]* src|<link[^>]* rel="stylesheet"[^>]* href)="(?:https?:)?//[^"]*', start) == []
 
@@ -63,6 +66,24 @@ def test_every_page_stands_in_the_navigation() -> None:
 
     made = {f"reference/{name}.md" for name in runpy.run_path(str(ROOT / "tools" / "reference_pages.py"))["PAGES"]}
     assert {page_name(page) for page in DOCS.rglob("*.md")} | made == named
+
+
+def test_a_notebook_is_shown_with_its_outputs(tmp_path: Path) -> None:
+    png = b"\x89PNG"
+    drawn = {"output_type": "display_data", "data": {"image/png": base64.b64encode(png).decode(), "text/plain": "<F>"}}
+    said = {"output_type": "stream", "name": "stdout", "text": ["beta\n", "0.5\n"]}
+    cells = [
+        {"cell_type": "markdown", "source": ["# A fit\n", "\n", "Words."]},
+        {"cell_type": "code", "source": ["print(1)"], "outputs": [said, drawn]},
+    ]
+    path = tmp_path / "fit.ipynb"
+    path.write_text(json.dumps({"cells": cells}), encoding="utf-8")
+
+    page, pictures = runpy.run_path(str(ROOT / "tools" / "reference_pages.py"))["notebook_page"](path)
+
+    assert page.startswith("# A fit\n\nWords.\n\n[fit.ipynb](fit.ipynb)")
+    assert "```python\nprint(1)\n```\n\n```text\nbeta\n0.5\n```\n\n![What the cell draws](fit-0.png)" in page
+    assert pictures == {"fit-0.png": png}
 
 
 @pytest.mark.slow

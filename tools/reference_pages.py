@@ -3,17 +3,20 @@
     python tools/reference_pages.py commands     # print one page
 
 Commands come from their own help, recordings from the classes that are recorded, quantities from their declaration,
-keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Files outside
-`docs/` that pages link (`../drivers/README.md`, pictures) are copied into the site.
+keys of a rig file from its sections, and the functions of Python from their docstrings (mkdocstrings). Notebooks are
+shown with the outputs that they hold. Files outside `docs/` that pages link (`../drivers/README.md`, pictures) are
+copied into the site.
 """
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import importlib
 import inspect
 import io
+import json
 import os
 import pkgutil
 import re
@@ -31,7 +34,17 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parents[1]
 HELP_COLUMNS = "100"
 OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:drivers|recordings|studies)/[\w./-]+)")
+ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
 FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Have the notebooks below the tutorials."""
+    shown = [{_title_of(path): f"notebooks/{path.stem}.md"} for path in notebooks()]
+    for section in config.nav or () if shown else ():
+        if "Tutorials" in section:
+            section["Tutorials"].append({"Notebooks": shown})
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -40,6 +53,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     for name, make in PAGES.items():
         files.append(File.generated(config, f"reference/{name}.md", content=make()))
+    for path in notebooks():
+        page, pictures = notebook_page(path)
+        files.append(File.generated(config, f"notebooks/{path.stem}.md", content=page))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
     linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
     for path in sorted(linked):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
@@ -47,9 +65,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files outside `docs/` lead to their copies."""
+    """Let links to files outside `docs/` lead to their copies, and blocks of code have their file's name as title."""
     above = "../" * page.file.src_uri.count("/")
-    return OUTSIDE.sub(rf"]({above}files/\1", markdown)
+    titled = ABOUT.sub(lambda one: one[1] if one[2] == "skip" else f'{one[1]} title="{one[2]}"', markdown)
+    return OUTSIDE.sub(rf"]({above}files/\1", titled)
 
 
 # Commands ------------------------------------------------------------------------------------------------------------
@@ -271,6 +290,39 @@ def python() -> str:
             home = getattr(deformscope, name).__module__
             parts.append(f"::: {home}.{name}")
     return "\n\n".join(parts) + "\n"
+
+
+# Notebooks ------------------------------------------------------------------------------------------------------------
+
+
+def notebooks() -> list[Path]:
+    """In the order of their names."""
+    return sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+
+def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
+    """A notebook as Markdown, and its pictures by their names."""
+    parts, pictures = [f"[{path.name}]({path.name}) is this page as a notebook."], dict[str, bytes]()
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(f"```python\n{source}\n```" if cell["cell_type"] == "code" else source)
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures)}.png"
+                pictures[name] = base64.b64decode("".join(data["image/png"]))
+                parts.append(f"![What the cell draws]({name})")
+            elif "text/html" in data:  # without an empty line, which would end it
+                parts.append("\n".join(line for line in "".join(data["text/html"]).splitlines() if line.strip()))
+            elif shown := "".join(output.get("text", data.get("text/plain", ""))).rstrip():
+                parts.append(f"```text\n{shown}\n```")
+    return "\n\n".join([*parts[1:2], parts[0], *parts[2:]]) + "\n", pictures
+
+
+def _title_of(path: Path) -> str:
+    """The heading of a notebook, else its name."""
+    heading = re.search(r"^# (.+)$", notebook_page(path)[0], re.MULTILINE)
+    return heading[1] if heading else path.stem
 
 
 # Markdown -------------------------------------------------------------------------------------------------------------

@@ -77,8 +77,9 @@ class CaptureStream(Counted):
     def describe(self) -> Stream:
         return self._known
 
-    def behind_s(self, reader: Reader) -> None:
-        """Bytes have no stamps but when they came."""
+    def behind_s(self, reader: Reader) -> float | None:
+        """None: bytes have no stamps but when they came."""
+        return None
 
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""

@@ -16,7 +16,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +121,15 @@ class LedgerWriter:
 
     def add(self, content: Mapping[str, Any]) -> None:
         """Write a line, whole or not at all. Raises OSError."""
-        self._chain = _append(self._file, content, self._chain)
+        text, link = _chained(content, self._chain)
+        end, data = self._file.seek(0, os.SEEK_END), text.encode()
+        try:
+            while data:  # of a disk that is nearly full a write takes a part, and does not say so
+                data = data[self._file.write(data) :]
+        except OSError:
+            self._file.truncate(end)
+            raise
+        self._chain = link
 
     def close(self) -> None:
         """Have it on the disk, where that takes it."""
@@ -290,19 +297,6 @@ def _read_old(content: bytes) -> Ledger:
     ends = [min(start + found["block_bytes"], found["size"]) for start in starts]
     blocks = [LedgerBlock(*one) for one in zip(starts, ends, found["blocks"], strict=True)]
     return Ledger(blocks, found, discarded)
-
-
-def _append(file: FileIO, content: Mapping[str, Any], before: str) -> str:
-    """Write a line, whole or not at all; its link of the chain. Raises OSError."""
-    text, link = _chained(content, before)
-    end, data = file.seek(0, os.SEEK_END), text.encode()
-    try:
-        while data:  # of a disk that is nearly full a write takes a part, and does not say so
-            data = data[file.write(data) :]
-    except OSError:
-        file.truncate(end)
-        raise
-    return link
 
 
 def _chained(content: Mapping[str, Any], before: str) -> tuple[str, str]:

@@ -639,13 +639,8 @@ def _arrays_of(key: str, values: Sequence[Any], shapes: set[str]) -> dict[str, p
 
 def _common(one: pa.DataType, other: pa.DataType) -> pa.DataType:
     """The type that holds both."""
-    if pa.types.is_list(one):
-        return pa.list_(_common(one.value_type, other.value_type))
-    return (
-        pa.unify_schemas([pa.schema([("x", one)]), pa.schema([("x", other)])], promote_options="permissive")
-        .field(0)
-        .type
-    )
+    schemas = [pa.schema([("x", kind)]) for kind in (one, other)]
+    return pa.unify_schemas(schemas, promote_options="permissive").field(0).type
 
 
 def _cast(array: Any, kind: pa.DataType) -> Any:

@@ -90,11 +90,15 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
     for device, what in counts:
         names[device, what] = _unused([f"{device}-{what}" if what == "color" else device], names.values())
     with _draft(asked.folder, overwrite=asked.overwrite) as draft:
-        images: list[ExportedImages] = []
+        images, files = list[ExportedImages](), list[ExportedFile]()
         match asked.to:
             case "images":
-                images = export_images(tables, counts, names, draft, note)
-                files = [ExportedFile(one.device, _inside(one.folder, draft), one.count) for one in images]
+                places = dict.fromkeys(counts, ".") if len(counts) == 1 else names
+                export_images(tables, {one: draft / place for one, place in places.items()}, note)
+                for (device, what), number in counts.items():
+                    place = places[device, what]
+                    files.append(ExportedFile(device, place, number))
+                    images.append(ExportedImages(device=device, what=what, folder=asked.folder / place, count=number))
             case "video":
                 cameras = {device for device, _ in counts}
                 chosen = {entity: one for entity, one in chosen.items() if one.device in cameras}
@@ -114,9 +118,6 @@ def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
         about |= {"streams": [_described(one, files) for one in chosen.values()], "files": files}
         text = json.dumps(plain(about), indent=2, allow_nan=False)
         (draft / MANIFESTS[not asked.manifest]).write_text(f"{text}\n", encoding="utf-8")
-    images = [
-        ExportedImages(one.device, one.what, asked.folder / _inside(one.folder, draft), one.count) for one in images
-    ]
     return Exported(asked.folder, files, images)
 
 

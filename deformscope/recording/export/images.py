@@ -48,17 +48,15 @@ def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tupl
     return counts
 
 
-def export_images(
-    tables: RecordingTables, counts: dict[tuple[str, str], int], names: ImageNames, folder: Path, note: Note
-) -> list[ExportedImages]:
-    """Write them as `INDEX.jpg` and `INDEX.png`. folder: for those of one kind; several kinds get folders in it, by
-    their names; note: called with what is done, and of how much."""
-    folders = {one: folder if len(counts) == 1 else folder / names[one] for one in counts}
+def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Path], note: Note) -> None:
+    """Write them as `INDEX.jpg` and `INDEX.png`. folders: by device and what they are; note: called with what is done,
+    and of how much."""
     for path in folders.values():
         path.mkdir(parents=True, exist_ok=True)
-    total, done = sum(count for (_, what), count in counts.items() if what != "color"), 0
-    cameras = [entity for entity, stream in tables.streams.items() if stream.device in {device for device, _ in counts}]
-    cameras = [entity for entity in cameras if set(tables.streams[entity].schema.names) & set(IMAGES)]
+    devices = {device for device, _ in folders}
+    cameras = {entity: one for entity, one in tables.streams.items() if one.device in devices}
+    cameras = {entity: one for entity, one in cameras.items() if set(one.schema.names) & set(IMAGES)}
+    total, done = sum(one.rows for one in cameras.values()), 0
     for stream, batch in tables.batches(cameras):
         for row in batch.select([n for n in batch.schema.names if n in ("index", *IMAGES)]).to_pylist():
             for what in IMAGES:
@@ -67,7 +65,6 @@ def export_images(
                     (folders[stream.device, what] / f"{row['index']:06d}.{suffix}").write_bytes(encoded)
             done += 1
             note("images", done, total)
-    return [ExportedImages(*one, folders[one], count) for one, count in counts.items()]
 
 
 class Videos:

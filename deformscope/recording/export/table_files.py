@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -64,67 +64,44 @@ class NpzFile:
     begins in them; of numbers that some rows lack: `NAME_valid` (rows,)."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
-        self._path, self._rows = path, 0
-        self._arrays: dict[str, _GrowingArray] = {}
-        for name in schema.names:
-            if _is_flat(schema.field(name).type):
-                self._array(f"{name}_offsets", np.dtype(np.int64)).add(np.zeros(1, np.int64))
-                self._array(name, np.dtype(_item_type(schema.field(name).type)))
+        self._path, self._draft = path, path.with_name(f"{path.name}.arrow")  # how long it is shows at its end
+        self._writer = pa.ipc.new_file(str(self._draft), schema)
 
     def write(self, batch: pa.RecordBatch) -> None:
-        for name, column in zip(batch.schema.names, batch.columns, strict=True):
-            if _is_flat(column.type):
-                values, lengths = _flat(column)
-                ends = self._arrays[f"{name}_offsets"]
-                ends.add(ends.last + np.cumsum(lengths))
-                self._arrays[name].add(values)
-                continue
-            kind = np.dtype(column.type.to_pandas_dtype())
-            there = column.is_valid().to_numpy(zero_copy_only=False)
-            fill: Any = np.nan if kind.kind == "f" else False if kind.kind == "b" else 0
-            self._array(name, kind).add(pc.fill_null(column, fill).to_numpy(zero_copy_only=False))
-            if kind.kind != "f" and (f"{name}_valid" in self._arrays or not there.all()):
-                known = self._array(f"{name}_valid", np.dtype(bool))
-                known.add(np.concatenate([np.ones(self._rows - known.count, bool), there]))
-        self._rows += batch.num_rows
+        self._writer.write_batch(batch)
 
     def close(self) -> None:
-        with zipfile.ZipFile(self._path, "w", zipfile.ZIP_DEFLATED) as made:
-            for name, array in self._arrays.items():
-                made.write(array.close(), f"{name}.npy")
-                array.path.unlink()
+        self._writer.close()
+        with zipfile.ZipFile(self._path, "w", zipfile.ZIP_DEFLATED) as made, pa.memory_map(str(self._draft)) as source:
+            table = pa.ipc.open_file(source).read_all()
+            for name, column in zip(table.column_names, table.columns, strict=True):
+                for key, kind, count, parts in _arrays(name, column):
+                    about = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": (count,)}
+                    with made.open(f"{key}.npy", "w", force_zip64=True) as file:
+                        np.lib.format.write_array_header_1_0(file, about)
+                        for part in parts:
+                            file.write(np.ascontiguousarray(part, kind).data)
+        self._draft.unlink()
 
-    def _array(self, name: str, kind: np.dtype[Any]) -> _GrowingArray:
-        if name not in self._arrays:
-            self._arrays[name] = _GrowingArray(self._path.with_name(f"{self._path.name}.{name}.npy"), kind)
-        return self._arrays[name]
+
+Parts = Iterable[npt.NDArray[Any]]
 
 
-class _GrowingArray:
-    """A .npy file whose length is known at its end. count: of its values; last: the last one"""
-
-    def __init__(self, path: Path, kind: np.dtype[Any]) -> None:
-        self.path, self.count, self.last = path, 0, 0
-        self._kind = kind
-        path.touch()
-        with path.open("r+b") as file:
-            self._write_header(file)
-
-    def add(self, values: npt.NDArray[Any]) -> None:
-        with self.path.open("ab") as file:  # opened each time: there are more columns than open files
-            file.write(np.ascontiguousarray(values, self._kind).data)
-        self.count += len(values)
-        self.last = int(values[-1]) if len(values) and self._kind.kind == "i" else self.last
-
-    def close(self) -> Path:
-        with self.path.open("r+b") as file:
-            self._write_header(file)
-        return self.path
-
-    def _write_header(self, file: BinaryIO) -> None:
-        # NumPy pads the header so that it is as long whatever the length of the array.
-        about = {"descr": np.lib.format.dtype_to_descr(self._kind), "fortran_order": False, "shape": (self.count,)}
-        np.lib.format.write_array_header_1_0(file, about)
+def _arrays(name: str, column: pa.ChunkedArray) -> Iterator[tuple[str, np.dtype[Any], int, Parts]]:
+    """Name, type, length and parts of each array of a column."""
+    if _is_flat(column.type):
+        kind = np.dtype(column.type.value_type.to_pandas_dtype() if _is_numbers(column.type) else np.uint8)
+        ends = np.cumsum(np.concatenate([[0], *(_flat(one)[1] for one in column.chunks)]).astype(np.int64))
+        yield f"{name}_offsets", ends.dtype, len(ends), [ends]
+        yield name, kind, int(ends[-1]), (_flat(one)[0] for one in column.chunks)
+        return
+    kind = np.dtype(column.type.to_pandas_dtype())
+    fill: Any = np.nan if kind.kind == "f" else False if kind.kind == "b" else 0
+    filled = (pc.fill_null(one, fill).to_numpy(zero_copy_only=False) for one in column.chunks)
+    yield name, kind, len(column), filled
+    if kind.kind != "f" and column.null_count:
+        there = (one.is_valid().to_numpy(zero_copy_only=False) for one in column.chunks)
+        yield f"{name}_valid", np.dtype(bool), len(column), there
 
 
 TABLE_FILES: dict[str, Callable[[Path, pa.Schema], TableFile]] = {
@@ -136,10 +113,6 @@ TABLE_FILES: dict[str, Callable[[Path, pa.Schema], TableFile]] = {
 
 def _is_flat(kind: pa.DataType) -> bool:
     return bool(pa.types.is_list(kind) or pa.types.is_string(kind) or pa.types.is_large_binary(kind))
-
-
-def _item_type(kind: pa.DataType) -> Any:
-    return kind.value_type.to_pandas_dtype() if _is_numbers(kind) else np.uint8
 
 
 def _is_numbers(kind: pa.DataType) -> bool:

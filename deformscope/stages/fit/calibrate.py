@@ -142,7 +142,15 @@ def calibrate(
     noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
     rank = inferred.posterior.rank(value) if model.version > 1 else None
     numbers = found_in_numbers(
-        model.parameter, value, ends, bounds, identified, converged=converged, noise=noise, rank=rank
+        model.parameter,
+        value,
+        ends,
+        bounds,
+        identified,
+        converged=converged,
+        noise=noise,
+        rank=rank,
+        version=model.version,
     )
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []

@@ -5,8 +5,8 @@ Which of them lower a verdict, and why:
 - `not-converged`, less than 30 % of the motion explained, rest and deformed of two sizes, columns swapped or mirrored,
   two materials: the value is of nothing that was there, so the parameter is unidentified.
 - Less than 75 % explained (half of the motion, root mean square, is left) where more than noise is left, a value on the
-  end of its interval, residuals ten times as large as the noise that was stated, theta where a misfit outweighs the
-  noise: a compromise that depends on how errors are summed, or on what was done to the body, so at most weak.
+  end of a narrow interval, residuals ten times as large as the noise that was stated, theta where a misfit outweighs
+  the noise: a compromise that depends on how errors are summed, or on what was done to the body, so at most weak.
 - Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals: named alone.
 - A body of an unlikely size has the same beta and theta in any unit: named, and its stiffness is at most weak.
 """
@@ -23,6 +23,7 @@ from deformscope.stages.fit.distance import rigid_positions
 from deformscope.stages.fit.estimate import (
     EXPLAINED_LEAST,
     EXPLAINED_LOW,
+    IDENTIFIED_WIDTH,
     Doubt,
     DoubtCode,
     Identifiability,
@@ -79,19 +80,22 @@ def found_in_numbers(
     converged: bool,
     noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
     rank: float | None = None,
+    version: int = 1,
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
     noise: size of the residuals in units of the noise that is known, if it is; the noise that they show [unit], where
     it is known apart from a misfit; and where the known noise is from; rank: mass of the posterior below the value,
-    where there is a posterior
+    where there is a posterior; version: see `model.NEWEST_FIT`
     """
     ratio, shown, source = noise
+    # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
+    sharp = version < 3 or ends[1] - ends[0] < IDENTIFIED_WIDTH
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
     return [
         *not_converged(converged),
         *little_explained(identifiability.explained, left_is_noise=left_is_noise),
-        *value_at_end(name, value, ends, bounds, rank),
+        *(value_at_end(name, value, ends, bounds, rank) if sharp else ()),
         *noise_contradicted(ratio, source),
     ]
 

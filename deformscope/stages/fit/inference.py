@@ -5,10 +5,13 @@ hypotheses weighed and summed at each value; what is simulated between candidate
 -log(1 - beta), which spreads out what happens near 1. The range is narrowed until the spline's knots resolve the
 posterior, however narrow it is.
 
-It goes in two steps. All residuals together identify their causes: noise, its reach, its level, misfit. Then the
-few projections of the residuals that the parameter can change identify it, with the noise of that step. So an
-estimate is as sharp as least squares, no sharper: to weigh every detail by a covariance that is but a guess (as
-generalised least squares does) would take the finest part of a misfit for knowledge.
+All residuals together identify their causes (noise, its reach, its level, misfit, a tool or a camera that is off) and
+the parameter: what the parameter leaves alone tells how large the errors are that it is mistaken for.
+
+Where misfit outweighs the noise, the few projections of the residuals that the parameter can change identify it, with
+the noise of the first step. So an estimate is as sharp as least squares there, no sharper: to weigh every detail by a
+covariance that is but a guess (as generalised least squares does) would take the finest part of a misfit for
+knowledge. Fits of versions 1 and 2 took these projections always.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.doubts import NOISE_NAMED
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.fit.noise import Evidence, few
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
@@ -86,11 +90,12 @@ class Inference:
         rows = np.unique([best, *spread[search.tried.usable[spread]]])
         for row, part in enumerate(self.parts):
             part.choose(search.tried.positions[row][rows], self.response(row, best))
-        fine, total, _ = self._narrowed(low, high, self._explain, progress)
+        fine, total, rise = self._narrowed(low, high, self._explain, progress)
         for part, found in zip(self.parts, self._found, strict=True):
             density = np.exp(total - total.max()) * np.gradient(search.shrink(fine))
             part.weigh(found.log_likelihood, found.log_scale, density / density.sum())
-        fine, total, rise = self._narrowed(low, high, self._summarise, progress)
+        if search.model.version < 3 or misfit_outweighs(self.parts):
+            fine, total, rise = self._narrowed(low, high, self._summarise, progress)
         grid = search.shrink(fine)
         density = np.exp(total - total.max())
         area = float(np.trapezoid(density, grid))
@@ -172,6 +177,21 @@ class Inference:
             lambda held, base, tolerance: search.relax(part.body, held, parameter, base, tolerance=tolerance),
             exact=exact,
         )
+
+
+def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
+    """Whether the residuals are misfit of the model rather than noise, by how likely each explanation is.
+
+    What neighbours share is no noise where it contradicts the one that was stated, or where none was.
+    """
+    misfit, white = 0.0, 0.0
+    for part in parts:
+        one, noise = part.explanation, float(np.mean(part.errors.noise**2))
+        stated = 0.0 if part.measured.noise is None else noise
+        shared = float(one.likely @ one.field**2) < NOISE_NAMED**2 * stated
+        misfit += float(one.likely @ np.where(one.shared & shared, 0.0, one.field**2))
+        white += float(one.likely @ one.white**2) * noise
+    return misfit > white
 
 
 def _nodes(width: float) -> IntArray:

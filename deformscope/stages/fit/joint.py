@@ -40,7 +40,7 @@ from deformscope.stages.fit.estimate import (
     verdict,
 )
 from deformscope.stages.fit.force import contact_stiffness, stiffness_interval
-from deformscope.stages.fit.inference import Inferred, white_noise
+from deformscope.stages.fit.inference import Inferred, misfit_outweighs, white_noise
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.noise import few
 from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
@@ -216,11 +216,12 @@ class _Joint:
         return b, t, total, rise
 
     def run(self, progress: Progress | None) -> tuple[JointEstimate, tuple[Comparison, ...]]:
-        b, t, total, _ = self.narrowed(progress, explain=True)
+        b, t, total, rise = self.narrowed(progress, explain=True)
         over = (np.exp(total - total.max()) * np.gradient(self.shrink(b))[:, None] * np.gradient(t)).ravel()
         for part, (likelihood, scale) in zip(self.parts, self.evidence, strict=True):
             part.weigh(likelihood, scale, over / over.sum())
-        b, t, total, rise = self.narrowed(progress, explain=False)
+        if self.options.model.version < 3 or misfit_outweighs(self.parts):
+            b, t, total, rise = self.narrowed(progress, explain=False)
         beta, theta, aee = self.best()
         grid = self.shrink(b)
         density = np.exp(total - total.max())
@@ -345,7 +346,16 @@ class _Joint:
         simulated = [c.simulated for c in comparisons]
         ratio = residual_ratio(self.seen, simulated, max(part.measured.floor for part in self.parts))
         noise = ratio, inferred.noise, noise_source(self.seen)
-        numbers = found_in_numbers(name, value, ends, bounds, identified, converged=self.converged, noise=noise)
+        numbers = found_in_numbers(
+            name,
+            value,
+            ends,
+            bounds,
+            identified,
+            converged=self.converged,
+            noise=noise,
+            version=options.model.version,
+        )
         here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
         reasons = ordered([*numbers, *doubts, *here])
         free = np.concatenate(

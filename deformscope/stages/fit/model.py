@@ -17,9 +17,11 @@ from deformscope.stages.msm.solver import Msm, Precision
 
 Method = Literal["sweep", "gradient"]
 
-NEWEST_FIT = 2
-"""How a fit explains errors. 1, as recordings of before have it: neither the tool as a whole nor the camera is off, a
-smooth error beside exact held positions is misfit, and `axes-swapped` knows no body that bulges."""
+NEWEST_FIT = 3
+"""How a fit explains errors. 2: the parameter is always found from the few projections of the residuals that it can
+change, errors of tool and camera have one size, and a value on the end of a wide interval is named. 1, as recordings of
+before have it: as 2, but neither the tool as a whole nor the camera is off, a smooth error beside exact held positions
+is misfit, and `axes-swapped` knows no body that bulges."""
 
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them are taken as touched."""

@@ -142,7 +142,8 @@ def _few_hypotheses(errors: ErrorModel) -> IntArray:
         (every.field == CORRELATIONS.index(rough)) & np.isin(every.length, lengths)
         for rough, lengths in FIELDS_TRIED[: errors.measured.version]
     ]
-    return np.flatnonzero((np.any(some, axis=0) & np.isin(every.size, sizes)) | (every.size == 0.0))
+    few = (np.any(some, axis=0) & np.isin(every.size, sizes)) | (every.size == 0.0)
+    return np.flatnonzero(few & (every.camera == 1.0) & (every.tool == 1.0))
 
 
 def held_off(seen: Sequence[Observation], stated: Sequence[Observation]) -> Iterator[Doubt]:

@@ -14,6 +14,7 @@ from deformscope.arrays import FloatArray
 from deformscope.reproduce.cubes import thesis_cubes
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.doubts import (
+    found_in_numbers,
     implausible_lengths,
     little_explained,
     mirrored,
@@ -26,7 +27,7 @@ from deformscope.stages.fit.doubts import (
     turns,
     value_at_end,
 )
-from deformscope.stages.fit.estimate import Doubt, Estimate, Verdict, limited
+from deformscope.stages.fit.estimate import Doubt, Estimate, Identifiability, Verdict, limited
 from deformscope.stages.fit.joint import JointOptions, calibrate_both
 from deformscope.stages.fit.two_materials import INCLUSIONS, LEFT, LEFT_SURE, splits
 from deformscope.stages.materials.anisotropy import fit_axes
@@ -130,6 +131,13 @@ def test_a_value_on_the_end_of_its_interval_says_where_the_likelihood_is() -> No
     assert "towards 0.546" in reason.text
     assert not list(value_at_end("theta", 0.6, (0.546, 0.737), (0.0, 1.0)))
     assert not list(value_at_end("beta", 0.0, (0.0, 0.3), (0.0, 0.99)))  # a bound of the range is no end
+
+
+@pytest.mark.parametrize(("low", "version", "named"), [(0.5, 3, False), (0.5, 2, True), (0.7, 3, True)])
+def test_a_value_on_the_end_of_a_wide_interval_is_one_of_many_that_fit(low: float, version: int, named: bool) -> None:
+    known = Identifiability(rise=9.0, explained=1.0, deviation=0.1, misfit=0.0)
+    found = found_in_numbers("beta", 0.8, (low, 0.8), BOUNDS, known, converged=True, rank=1.0, version=version)
+    assert codes(found) == ["value-at-interval-end"] * named
 
 
 @pytest.mark.parametrize(

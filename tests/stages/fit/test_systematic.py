@@ -9,8 +9,9 @@ import pytest
 
 pytest.importorskip("warp")
 
+from deformscope.arrays import FloatArray
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.fit.noise import ErrorModel, Measured
+from deformscope.stages.fit.noise import OFFS, ErrorModel, Measured
 from deformscope.stages.fit.systematic import camera_modes, tool_modes
 
 
@@ -35,23 +36,50 @@ def test_a_camera_that_is_off_moves_everything_in_proportion_to_the_place() -> N
     assert left[0] < 1e-20
 
 
-def test_products_are_those_of_the_whole_covariance() -> None:
+def _measured(version: int, count: int = 7) -> tuple[Measured, FloatArray]:
+    """Places and noise of some particles, and how the held ones move the others, (count, 2, 6)."""
     rng = np.random.default_rng(1)
-    rest, held = rng.random((7, 2)), rng.random((3, 2)) + np.array([2.0, 0.0])
+    rest, held = rng.random((count, 2)), rng.random((3, 2)) + np.array([2.0, 0.0])
+    given = rest, held, np.full(count, 0.1), np.full(3, 0.2), True, 0.3, 1e-9
     touched = np.array([True, True, False])
-    measured = Measured(rest, held, np.full(7, 0.1), np.full(3, 0.2), True, 0.3, 1e-9, touched=touched, shift=0.05)
+    return Measured(*given, touched=touched, shift=0.05, version=version), 0.3 * rng.standard_normal((count, 2, 6))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_products_are_those_of_the_whole_covariance(version: int) -> None:
+    measured, response = _measured(version)
     errors = ErrorModel(measured)
-    response = 0.3 * rng.standard_normal((7, 2, 6))
-    residual = rng.standard_normal((2, 7, 2))
-    row = np.flatnonzero(errors.hypotheses.held & (errors.hypotheses.size == 0.0))
-    found = errors.products(residual, response, row)
-    flat = response.reshape(14, 6)
+    every = errors.hypotheses
+    residual = np.random.default_rng(2).standard_normal((2, 7, 2))
+    rows = np.flatnonzero(every.held & (every.size == 0.0))
+    assert len(rows) == (1 if version == 2 else len(OFFS))
+    assert np.exp(every.log_prior).sum() == pytest.approx(1.0)
+    found = errors.products(residual, response, rows)
+    flat, each = response.reshape(14, 6), residual.reshape(2, 14)
     modes = errors.modes(response, held=True).reshape(14, -1)
-    covariance = 0.01 * np.eye(14) + 0.04 * flat @ flat.T + modes @ modes.T
-    each = residual.reshape(2, 14)
-    np.testing.assert_allclose(found.product[0], each @ np.linalg.solve(covariance, each.T), rtol=1e-8)
-    # the whole log determinant, less what the stated noise has of it
-    assert found.log_det[0] == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
+    for at, row in enumerate(rows):
+        by_camera, by_tool = every.camera[row] * modes[:, :4], every.tool[row] * modes[:, 4:]
+        covariance = 0.01 * np.eye(14) + 0.04 * flat @ flat.T + by_camera @ by_camera.T + by_tool @ by_tool.T
+        np.testing.assert_allclose(found.product[at], each @ np.linalg.solve(covariance, each.T), rtol=1e-8)
+        # the whole log determinant, less what the stated noise has of it
+        assert found.log_det[at] == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
+
+
+def test_a_camera_that_is_off_does_not_enlarge_the_noise_by_which_its_errors_are_measured() -> None:
+    """The scale of white noise is found of what errors of tool and camera leave."""
+    scales = []
+    for version in (2, 3):
+        measured, response = _measured(version, 60)
+        measured = dataclasses.replace(measured, noise=np.full(60, 2e-4), held_noise=np.full(3, 2e-4))
+        errors = ErrorModel(measured)
+        every = errors.hypotheses
+        seen = errors.modes(response, held=True)
+        residual = 3.0 * seen[..., 0] + 2e-4 * np.random.default_rng(3).standard_normal((60, 2))
+        row = np.flatnonzero(every.held & (every.size == 0.0))[:1]
+        errors.products(residual[None], response, row, settle=True)
+        scales.append(float(np.exp(errors.log_scale[row[0]])))
+    assert scales[0] > 5.0
+    assert scales[1] == pytest.approx(1.0, abs=0.2)
 
 
 def _pulled(shift_m: float, noise_m: float = 1e-4) -> Observation:
@@ -65,6 +93,15 @@ def _pulled(shift_m: float, noise_m: float = 1e-4) -> Observation:
     true = true + noise_m * np.random.default_rng(2).standard_normal(true.shape)
     true[tool] += [shift_m, 0.0]
     return dataclasses.replace(seen, deformed=true)
+
+
+def test_what_a_tool_is_off_by_is_found_with_the_parameter() -> None:
+    """1 mm against the push: taken for another beta where the residuals are projected on what beta can change."""
+    seen = _pulled(-1e-3)
+    fits = [calibrate([seen], FitOptions(Model(cluster_size=3, version=at), candidates=40)) for at in (2, 3)]
+    before, now = (one.estimate.interval for one in fits)
+    assert before[0] > 0.6
+    assert now[0] <= 0.6 <= now[1]
 
 
 def test_a_tool_that_is_off_is_no_reason_to_blame_single_particles_where_registration_may_be() -> None:
