@@ -1,7 +1,7 @@
 """A recording as MCAP with ROS 2 messages; nothing of ROS needs to be there.
 
-Each stream is a topic of its entity's name, whose message has every column. Beside these, what ROS tools know by
-themselves: wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions, in metres,
+Each stream is a topic of its entity's name, whose message has every column. Further topics have ROS's own types:
+wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions. They are in metres,
 radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_frame`: z forward, x right, y down).
 """
 

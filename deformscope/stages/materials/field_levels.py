@@ -104,7 +104,7 @@ def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArr
 def gain(prior: StiffnessPrior, gram: FloatArray, wanted: FloatArray) -> float:
     """Reduction of chi2 by the parameters of a prior, less the prior's penalty.
 
-    gram: (C + 1, C + 1) and wanted: (C + 1,) of the derivatives, and of these with the targets
+    gram, wanted: (C + 1, C + 1) and (C + 1,) products of the derivatives with themselves and with the targets
     """
     inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
     along = prior.root.T @ (wanted - gram @ prior.mean)
