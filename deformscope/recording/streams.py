@@ -328,7 +328,7 @@ class RecordingTables:
         found: dict[str, str] = {}
         for entity, stream in self.streams.items():
             if entity.split("/")[0] in PRIVATE:
-                found[entity] = f"bytes as they were, {stream.rows} rows"
+                found[entity] = f"raw bytes, {stream.rows} rows"
             else:
                 found |= {f"{entity} {name}": f"words, {stream.rows} rows" for name in stream.words}
             known = stream.about
