@@ -59,6 +59,7 @@ class ExploreOptions(ExploreFlags):
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: else thickness_m is only the height at which the surface is sought
     detail: where nothing is said, as in older recordings, lean
+    plan_version: of what the planner expects of touches (`PlanOptions`), in older recordings 1
     """
 
     budget: flags.ManyFlag = REGION_TOUCHES
@@ -80,6 +81,7 @@ class ExploreOptions(ExploreFlags):
     tangential: Literal["held", "free"] = "held"
     thickness_stated: bool = True
     detail: Detail = "lean"
+    plan_version: int = 1
 
     def check(self) -> None:
         ExploreFlags.check(self)
@@ -115,6 +117,7 @@ class ExploreOptions(ExploreFlags):
             inclusion_m=self.inclusion_m,
             touch_s=touch_s,
             speed_m_s=speed_m_s,
+            version=self.plan_version,
         )
 
     @property

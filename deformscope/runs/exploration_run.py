@@ -75,7 +75,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import DRY_RUN_M, ExploreOptions
     from deformscope.lab.faults import FaultAt, FaultsToCome
-    from deformscope.stages.map.plan import INCLUSION_M
+    from deformscope.stages.map.plan import INCLUSION_M, NEWEST_PLAN
 
     quiet_warp()
     inclusions = config.goal == "inclusions"
@@ -87,6 +87,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         seed=config.output.seed,
         inclusion_m=config.smallest_inclusion_m or (0.02 if inclusions else INCLUSION_M),
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
+        plan_version=NEWEST_PLAN,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(

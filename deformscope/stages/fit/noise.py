@@ -322,6 +322,7 @@ class ErrorModel:
             off = np.where(cameras, every.camera[rows[places], None], every.tool[rows[places], None])
             product[places], across = found[:, :r, :r], found[:, :r, r:] * off[:, None]
             settles = settle and not self._trusted(float(np.sum(white**2, axis=1).min()) / count)
+            inner = np.eye(len(both) - r)[None]
             for _ in range(SCALE_ROUNDS if settles and self.measured.version > 2 else 1):
                 if settles:
                     least = np.maximum(np.einsum("hii->hi", product[places]).min(axis=1), 0.0)

@@ -22,7 +22,7 @@ from deformscope.errors import InputError
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, Repeats, labels_of
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, RelatedTouches, Repeats, labels_of
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
@@ -51,6 +51,9 @@ INCLUSION_WORTH = 0.5
 LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
 """Weight of a nat about the levels relative to the share of cells with the right label."""
+
+NEWEST_PLAN = 2
+"""Version of `PlanOptions` that new explorations have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,8 @@ class PlanOptions:
     the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     missed: where inclusions alone are sought: probability of a missed one, below which enough is known
     (`inclusion_plan`)
+    version: of what touches are expected to read: 1, as in older recordings, knows the scatter that is shared with
+    earlier touches at their very places alone, 2 also near them
     """
 
     planner: Planner = "regions"
@@ -97,6 +102,7 @@ class PlanOptions:
     inclusion_m: float = INCLUSION_M
     unmet: float = 0.08
     missed: float = 0.05
+    version: int = NEWEST_PLAN
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:
@@ -191,7 +197,7 @@ def plan_touch(
     )
 
 
-def information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: float) -> FloatArray:
+def information(hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float) -> FloatArray:
     """(p,) mutual information of touches and the surface [nat].
 
     It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
@@ -203,7 +209,9 @@ def information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: float) -
     return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
 
 
-def label_gain(hypotheses: RegionHypotheses, touches: Repeats, cells_m: FloatArray, blur_m: float) -> FloatArray:
+def label_gain(
+    hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, cells_m: FloatArray, blur_m: float
+) -> FloatArray:
     """(p,) by how much each of some touches is expected to raise the share of cells (c, 2) with the right label.
 
     A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
@@ -231,28 +239,20 @@ def label_gain(hypotheses: RegionHypotheses, touches: Repeats, cells_m: FloatArr
     return cast(FloatArray, np.maximum(after - best_now.mean(), 0.0))
 
 
-def level_information(hypotheses: RegionHypotheses, touches: Repeats, blur_m: float, known_sd: float) -> FloatArray:
+def level_information(
+    hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float, known_sd: float
+) -> FloatArray:
     """(p,) information of touches about the levels, were the map known [nat]; a level that is known to `known_sd` is
     worth little more."""
-    _, variance, weight = _expected(hypotheses, touches, blur_m)
+    _, variance, _, weight = touches.expected(hypotheses, blur_m)
     return cast(FloatArray, 0.5 * weight @ np.log1p(variance / known_sd**2))
 
 
-def _expected(
-    hypotheses: RegionHypotheses, touches: Repeats, blur_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and variance (h, p) of touches' readings under each hypothesis, and its weight (h,): a repeat is expected to
-    share a part of the earlier reading there."""
-    mean, variance, weight = hypotheses.predict(touches.at_m, blur_m)
-    return mean + touches.share * (touches.value - mean), variance * (1.0 - touches.share) ** 2, weight
-
-
 def _outcomes(
-    hypotheses: RegionHypotheses, touches: Repeats, blur_m: float, count: int
+    hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
-    mean, variance, weight = _expected(hypotheses, touches, blur_m)
-    sd = np.sqrt(variance + touches.sd**2)
+    mean, _, sd, weight = touches.expected(hypotheses, blur_m)
     below = ndtr((_bin_edges(mean, sd, weight, count)[:, None] - mean) / sd)
     return np.diff(below, axis=0, prepend=0.0, append=1.0), weight
 
@@ -332,7 +332,9 @@ def _gain(
         gain[allowed] = _inclusion_gain(posterior, options.inclusion_m, places[allowed])
         # a search for the boundaries of what nothing speaks for would only stall
         if posterior.probability["1"] <= 0.5:
-            touches = posterior.repeats(places[allowed], 0.5 * options.cell_m)
+            touches: Repeats | RelatedTouches = posterior.repeats(places[allowed], 0.5 * options.cell_m)
+            if options.version > 1:
+                touches = posterior.related(touches.at_m)
             gain[allowed] += _region_gain(posterior, touches, cost[allowed])
     return gain, "label", gain / cost
 
@@ -343,7 +345,7 @@ def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: Float
     return cast(FloatArray, INCLUSION_WORTH * np.mean(chance, axis=0))
 
 
-def _region_gain(posterior: RegionPosterior, touches: Repeats, cost: FloatArray) -> FloatArray:
+def _region_gain(posterior: RegionPosterior, touches: Repeats | RelatedTouches, cost: FloatArray) -> FloatArray:
     """(p,) expected gain of a touch in labels, and in uncertain levels; the labels' part only at the places that
     are most informative of levels."""
     hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
@@ -351,8 +353,7 @@ def _region_gain(posterior: RegionPosterior, touches: Repeats, cost: FloatArray)
     learned = LEVEL_WORTH * information(hypotheses, touches, blur)
     best = np.argsort(-(gain + learned) / cost, kind="stable")[:CONTENDERS]
     cells = MapGrid(posterior.grid.size_m, LABEL_CELL_M).centres_m
-    some = Repeats(at_m=touches.at_m[best], value=touches.value[best], share=touches.share[best], sd=touches.sd[best])
-    gain[best] += label_gain(hypotheses, some, cells, blur)
+    gain[best] += label_gain(hypotheses, touches.take(best), cells, blur)
     return gain
 
 

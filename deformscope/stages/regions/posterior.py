@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.partitions import FAMILY_SHARES, Partitions, draw, propose
-from deformscope.stages.regions.touch_error import SCATTER_SHARED, TouchErrorModel
+from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_SHARED, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 RegionMapKind = Literal["regions", "gradual"]
@@ -164,11 +164,13 @@ class RegionHypotheses:
 
     maps: for each number of regions its maps (none for one region), level: (n, k) and level_cov: (n, k, k), weight:
     (n,); smooth: kernels with their weights; all weights add up to 1; forces_add: as in `RegionPrior`
+    scatter: for each number of regions that of its maps (n,)
     """
 
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]
     forces_add: bool
+    scatter: tuple[FloatArray, ...] = ()
 
     def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
@@ -207,6 +209,66 @@ class Repeats:
     value: FloatArray
     share: FloatArray
     sd: FloatArray
+
+    def take(self, index: IntArray) -> Repeats:
+        """Of the places at these indices."""
+        return Repeats(at_m=self.at_m[index], value=self.value[index], share=self.share[index], sd=self.sd[index])
+
+    def expected(
+        self, hypotheses: RegionHypotheses, blur_m: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Under each hypothesis mean, variance for the levels' sake and deviation in all (h, p) of what touches read,
+        and its weight (h,): a repeat is expected to read a part of what was read there before."""
+        mean, variance, weight = hypotheses.predict(self.at_m, blur_m)
+        variance = variance * (1.0 - self.share) ** 2
+        return mean + self.share * (self.value - mean), variance, np.sqrt(variance + self.sd**2), weight
+
+
+@dataclass(frozen=True, slots=True)
+class RelatedTouches:
+    """Touches at places `at_m` (p, 2), which share scatter with those made so far, at `readings`, by how near they are:
+    what a neighbour was off by is expected again, and a touch next to it says little more. own_sd: of a touch alone"""
+
+    at_m: FloatArray
+    readings: _Readings
+    prior: RegionPrior
+    own_sd: float
+
+    def take(self, index: IntArray) -> RelatedTouches:
+        """Of the places at these indices."""
+        return replace(self, at_m=self.at_m[index])
+
+    def expected(
+        self, hypotheses: RegionHypotheses, blur_m: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """As of `Repeats`: the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
+        3.4.2)."""
+        made, places = self.readings, np.concatenate([self.at_m, self.readings.xy_m])
+        new, measured, shared = len(self.at_m), made.value + made.centre, self.prior.error.shared(self.at_m, made.xy_m)
+        parts: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = []
+        for (maps, level, cov, weight), scatter in zip(hypotheses.maps, hypotheses.scatter, strict=True):
+            shares = np.ones((1, len(places), 1)) if maps is None else maps.shares(places, blur_m)
+            off2 = (self.prior.mixed_share * made.spread * 2.0 * (1.0 - (shares**2).sum(axis=-1))) ** 2
+            slope = shares
+            if hypotheses.forces_add:
+                mean, slope = _felt(shares, level)
+            else:
+                mean = (shares @ level[..., None])[..., 0]
+            square = scatter[:, None, None] ** 2
+            errors = square * made.related + np.eye(len(measured)) * (made.variance + off2[:, None, new:])
+            again = (square * shared) @ np.linalg.inv(errors)
+            lever = slope[:, :new] - again @ slope[:, new:]
+            variance = ((lever @ cov) * lever).sum(axis=-1)
+            left = scatter[:, None] ** 2 * (1.0 - (again * shared).sum(axis=-1)) + off2[:, :new] + self.own_sd**2
+            mean = mean[:, :new] + (again @ (measured - mean[:, new:])[..., None])[..., 0]
+            parts.append((mean, variance, np.sqrt(variance + left), weight))
+        for smooth, share in hypotheses.smooth:
+            _, variance = smooth.predict(self.at_m)
+            mean, both = smooth.predict(self.at_m, smooth.scatter**2 * shared)
+            sd = np.sqrt(both + smooth.scatter**2 + self.own_sd**2)
+            parts.append((mean[None], variance[None], sd[None], np.array([share])))
+        mean, variance, sd, weight = (np.concatenate(one) for one in zip(*parts, strict=True))
+        return mean, variance, sd, weight / weight.sum()
 
 
 @dataclass(frozen=True, slots=True)
@@ -397,18 +459,20 @@ class RegionPosterior:
         found: list[tuple[Partitions | None, FloatArray, FloatArray, FloatArray]] = [
             (None, level + readings.centre, cov, self.probability["1"] * share)
         ]
+        scatters = [self.prior.error.scatters()[0]]
         for one, share in zip(self._counted, self._shares[1:], strict=False):
             number = int(np.ceil(count * share / max(1.0 - self.probability["gradual"], 1e-12)))
             if number > 0.01 * count or one.maps.regions == self.region_count:
                 number = max(number, 20)
-                maps, level, cov = self._draw(one, number, readings)
+                maps, level, cov, scatter = self._draw(one, number, readings)
                 found.append((maps, level, cov, np.full(number, share / number)))
+                scatters.append(scatter)
         logs = np.array([one.log_evidence for one in self._smooth])
         weights = np.exp(logs - logs.max())
         kept = np.flatnonzero(weights > LEAST_WEIGHT * weights.sum())
         weights *= self.probability["gradual"] / weights[kept].sum()
         smooth = tuple((self._smooth[i], float(weights[i])) for i in kept)
-        return RegionHypotheses(tuple(found), smooth, self.prior.forces_add)
+        return RegionHypotheses(tuple(found), smooth, self.prior.forces_add, tuple(scatters))
 
     def region_map(self, count: int = 240) -> RegionMap:
         """The map that this says; `count` maps are drawn for it."""
@@ -510,9 +574,11 @@ class RegionPosterior:
                 rigid[labels[row, column]] = True
         return rigid & (level > self._rigid_bound - RIGID_SDS * self.prior.rigid_sd)
 
-    def _draw(self, one: _Particles, count: int, readings: _Readings) -> tuple[Partitions, FloatArray, FloatArray]:
+    def _draw(
+        self, one: _Particles, count: int, readings: _Readings
+    ) -> tuple[Partitions, FloatArray, FloatArray, FloatArray]:
         """`count` maps in proportion to their weights, their levels (count, r) and covariances (count, r, r) under one
-        scatter each, which is drawn in proportion to its probability given the map."""
+        scatter (count,) each, which is drawn in proportion to its probability given the map."""
         maps = one.maps.take(_systematic(np.exp(one.log_weight), count, 0.5))
         shares = maps.shares(readings.xy_m, self.prior.blur_m)
         logs = _by_scatter(shares, readings, self.prior)
@@ -521,7 +587,7 @@ class RegionPosterior:
         chance = (np.random.default_rng((self.seed, count)).permutation(count) + 0.5) / count
         scatter = self.prior.error.scatters()[0][np.minimum((up_to < chance).sum(axis=0), len(logs) - 1)]
         _, level, cov = _levels(shares, readings, self.prior, scatter)
-        return maps, level + readings.centre, cov
+        return maps, level + readings.centre, cov, scatter
 
     @cached_property
     def _one_region(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -577,6 +643,16 @@ class RegionPosterior:
             left[here] = np.sqrt(sd**2 - again * together)
         return Repeats(at, value, share, left)
 
+    def related(self, places_m: FloatArray) -> RelatedTouches:
+        """Touches at places (p, 2) [m], given those made so far."""
+        known = [touch.log_sd for touch in self.touches if not touch.rigid]
+        return RelatedTouches(
+            at_m=places_m,
+            readings=_readings(self.touches, self.prior),
+            prior=self.prior,
+            own_sd=float(np.median(known)) if known else LAW_SD,
+        )
+
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
         """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
@@ -628,13 +704,14 @@ class SmoothField:
             square, logs = readings.value @ self._weight, 2.0 * np.log(np.diag(self._factor)).sum()
             self.log_evidence += float(-0.5 * (square + logs + count * np.log(2.0 * np.pi)))
 
-    def predict(self, xy_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]."""
+    def predict(self, xy_m: FloatArray, shared: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]. shared: (p, t) covariance of their scatter
+        with that of the touches, where it is a part of what is predicted; its own variance is left out"""
         k, readings = self.kernel, self._readings
         prior = k.level_sd**2 + k.sd**2 + k.slope_per_m**2 * ((xy_m - k.middle_m) ** 2).sum(axis=1)
         if not len(readings.xy_m):
             return np.full(len(xy_m), readings.centre), prior
-        cross = k.covariance(xy_m, readings.xy_m)
+        cross = k.covariance(xy_m, readings.xy_m) + shared
         explained = (cross.T * cho_solve((self._factor, True), cross.T)).sum(axis=0)
         return cross @ self._weight + readings.centre, np.maximum(prior - explained, 0.0)
 

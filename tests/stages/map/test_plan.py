@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,8 +28,8 @@ from deformscope.stages.map.plan import (
     plan_touch,
 )
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, Repeats
-from deformscope.stages.regions.touch_error import SCATTER_SHARED
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, RegionPrior, Repeats
+from deformscope.stages.regions.touch_error import SCATTER_SHARED, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid(cell_m=0.01)
@@ -280,3 +281,44 @@ def test_what_a_repeat_is_expected_to_read_is_the_conditional_of_correlated_erro
     np.testing.assert_allclose(np.linalg.solve(known, cov[:2, 2]).sum(), again.share[0])
     np.testing.assert_allclose(cov[2, 2] - cov[2, :2] @ np.linalg.solve(known, cov[:2, 2]), again.sd[0] ** 2)
     assert again.value[0] == pytest.approx(0.15)
+
+
+def test_what_touches_near_others_are_expected_to_read_is_the_conditional_of_one_gaussian() -> None:
+    """One material of a known scatter: levels, scatter that neighbours share and own errors are jointly Gaussian."""
+    rng = np.random.default_rng(5)
+    made, new = rng.uniform((0.0, 0.0), GRID.size_m, (2, 9, 2))
+    new[0] = made[0] + (0.02, 0.0)
+    samples = [StiffnessSample(xy, value, 0.04) for xy, value in zip(made, rng.normal(0.7, 0.1, 9), strict=True)]
+    error = TouchErrorModel(scatter_median=0.08, scatter_spread=0.0)
+    posterior = RegionPosterior.before_touches(GRID, RegionPrior(error=error), particle_count=50)
+    posterior = replace(posterior, touches=tuple(samples))
+    every = posterior.hypotheses()
+    one = replace(every, maps=every.maps[:1], scatter=every.scatter[:1], smooth=())
+    mean, variance, sd, weight = posterior.related(new).expected(one, posterior.prior.blur_m)
+
+    both = np.concatenate([made, new])
+    errors = 0.08**2 * error.related(both) + 0.04**2 * np.eye(18)
+    cov = posterior.prior.any_level_sd**2 + errors
+    value = np.array([sample.log_stiffness for sample in samples])
+    centre = value.mean()
+    gain = np.linalg.solve(cov[:9, :9], cov[:9, 9:]).T
+    np.testing.assert_allclose(mean[0], centre + gain @ (value - centre), atol=1e-9)
+    np.testing.assert_allclose(sd[0] ** 2, np.diag(cov[9:, 9:] - gain @ cov[:9, 9:]), rtol=1e-7)
+    assert variance.shape == (1, 9)
+    assert weight.tolist() == [1.0]
+    # 2 cm from a touch a reading is better known than far from all
+    far = np.hypot(*(new[:, None] - made).transpose(2, 0, 1)).min(axis=1).argmax()
+    assert sd[0, 0] < 0.85 * sd[0, far]
+
+
+def test_a_touch_next_to_others_of_its_material_says_less_than_one_between_them_and_the_next() -> None:
+    """Three touches within 4 cm of each other read alike; the scatter that they share is known there."""
+    xy = np.array([(0.1, 0.2), (0.29, 0.33), (0.27, 0.31), (0.31, 0.31), (0.5, 0.2), (0.5, 0.33), (0.2, 0.1)])
+    value = [-0.4, 0.0, 0.02, -0.02, 2.5, 2.5, -0.3]
+    posterior = mapped([StiffnessSample(one, read, 0.03) for one, read in zip(xy, value, strict=True)])
+    new = np.array([(0.29, 0.29), (0.31, 0.33), (0.2, 0.2)])
+    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
+    alone = information(hypotheses, posterior.repeats(new, 0.01), blur)
+    known = information(hypotheses, posterior.related(new), blur)
+    assert (known[:2] < 0.8 * alone[:2]).all()
+    assert known[2] == pytest.approx(alone[2], rel=0.25)
