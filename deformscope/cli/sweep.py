@@ -45,7 +45,7 @@ KEY = "{key}"
 
 @dataclass(frozen=True, slots=True)
 class SweptCommand:
-    """A command as a worker runs it. options: its flags, read once; None where {key} stands in them
+    """A command as a worker runs it. options: its flags, read once; None if they contain {key}
 
     name: of the command; words: its flags, as they are typed; source: the field that takes the file
     folder: that other files are named from
@@ -59,7 +59,7 @@ class SweptCommand:
 
 
 def run(options: SweepConfig) -> int:
-    """Compute what is not there yet, and say what became of it. Returns the exit status."""
+    """Compute missing results, and report the outcome. Returns the exit status."""
     sources = find_sources(options)
     variations = [_variation(options.command, varied, sources[0]) for varied in vary(_values(options.vary))]
     if any(one.argument.options is None for one in variations):
@@ -83,7 +83,7 @@ def find_sources(options: SweepConfig) -> list[Path]:
 
 
 def _values(varied: Sequence[str]) -> dict[str, Sequence[str]]:
-    """What is typed after --vary, by flag."""
+    """The values after --vary, by flag."""
     found: dict[str, Sequence[str]] = {}
     for one in varied:
         name, _, values = one.partition("=")
@@ -92,7 +92,7 @@ def _values(varied: Sequence[str]) -> dict[str, Sequence[str]]:
 
 
 def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> Variation:
-    """The command with some values. Raises InputError for what no file could be computed with."""
+    """The command with some values. Raises InputError for settings that no file supports."""
     name, words = cli.find_command(list(typed))
     kind = getattr(config, cli.COMMANDS[name].config)
     prog = f"deformscope {name}"
@@ -103,7 +103,7 @@ def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> V
     words = [*words, *(word for flag, value in varied.items() for word in (f"--{flag}", value))]
     given = {word.partition("=")[0] for word in words}
     if "--json" in given:
-        raise InputError("a command without --json", "one with it", "leave it out: it is given")
+        raise InputError("a command without --json", "one with it", "leave it out: sweep adds it")
     words += ["--json", "-"]
     if "viewer" in kind.__dataclass_fields__ or "output" in kind.__dataclass_fields__:
         words += [] if "--viewer" in given else ["--viewer", "none"]

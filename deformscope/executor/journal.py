@@ -1,4 +1,4 @@
-"""What became of tasks, a line of JSON each as it comes: nothing of it is lost where the rest is cut off."""
+"""Outcomes of tasks, a line of JSON each when it is done: nothing is lost if the file is truncated."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ PIECE = 1 << 16
 
 
 class Journal(contextlib.AbstractContextManager["Journal"]):
-    """A file that one process at a time adds lines to. A last line that was cut off is not read, and makes room for the
-    next; a file that has no whole line is somebody's, and left as it is.
+    """A file that one process at a time adds lines to. A truncated last line is not read, and makes room for the next;
+    a file without a whole line belongs to another program, and is not changed.
 
-    what: its lines are; hint: what to try where they are something else
+    what: kind of its lines; hint: what to try if they are something else
     """
 
     def __init__(self, path: Path, what: str, hint: str = "") -> None:
@@ -50,7 +50,7 @@ class Journal(contextlib.AbstractContextManager["Journal"]):
         return 0
 
     def lines(self) -> Iterator[Any]:
-        """What the lines hold, in their order. Raises InputError for what is no JSON."""
+        """Content of the lines, in their order. Raises InputError if it is no JSON."""
         with self.path.open("rb") as file:
             for number, line in enumerate(file, start=1):
                 if not line.endswith(b"\n"):
@@ -61,7 +61,8 @@ class Journal(contextlib.AbstractContextManager["Journal"]):
                     raise InputError(self._what, str(error), self._hint, f"{self.path}:{number}") from error
 
     def add(self, *lines: object) -> None:
-        """Add values of what JSON has, also not finite ones; they stay when this process is killed. Raises OSError."""
+        """Add values of JSON's types, also nan and infinities; they stay when this process is killed. Raises
+        OSError."""
         text = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in lines).encode()
         self._file.truncate(self._end)
         if os.write(self._file.fileno(), text) < len(text):

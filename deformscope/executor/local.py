@@ -16,7 +16,7 @@ from deformscope.processes import RENEW_S, SPAWN, follow_parent, starting
 
 
 class HereWorker:
-    """This process: an attempt is done when it is begun, and what ends the process ends all."""
+    """This process: an attempt is done when it is begun, and its end ends all."""
 
     capacity = 1
 
@@ -42,8 +42,8 @@ class HereWorker:
 
 
 class ThreadWorkers(HereWorker):
-    """Threads of this process, for what is computed below Python of arrays that are here; they keep no program alive
-    that is interrupted."""
+    """Threads of this process, for computations on arrays below Python; they do not keep an interrupted program
+    alive."""
 
     def __init__(self, count: int) -> None:
         self.capacity, self._pool = count, ThreadPool(count)
@@ -114,7 +114,7 @@ class LocalWorkers:
 
 
 def _work(pipe: Connection) -> None:
-    """Compute what comes through the pipe, one after the other, until it is closed or the parent ends."""
+    """Compute the items from the pipe, one after another, until it is closed or the parent ends."""
     follow_parent()
     while True:
         answer: tuple[bool, Any]

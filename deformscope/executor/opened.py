@@ -16,8 +16,8 @@ def open_workers(
     """Workers, which are ended at the end whatever they compute then.
 
     executor: `local`, or `ray` at this address; workers: at most, default: this machine's cores, or the cluster's
-    tasks: how many there are, None = not known; apart: also a single one is a process of its own
-    Raises InputError where nobody answers at the address.
+    tasks: how many there are, None = not known; apart: a single one is a child process too Raises InputError if nothing
+    answers at the address.
     """
     made: Workers
     if executor == "ray":

@@ -16,7 +16,7 @@ from deformscope.processes import RENEW_S
 ANSWER_S = 5.0
 """Within this a cluster's address answers."""
 COUNT_S = 5.0
-"""Nodes come and go: the cores are counted so often."""
+"""Period of counting the cores, because nodes come and go."""
 
 
 class RayWorkers:
@@ -24,7 +24,7 @@ class RayWorkers:
 
     def __init__(self, address: str, limit: int | None = None) -> None:
         """address: HOST:PORT of a cluster that this machine is part of, or ray://HOST:PORT of any; limit: tasks under
-        way at most. Raises InputError where nobody answers."""
+        way at most. Raises InputError if nothing answers."""
         os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
         try:
             import ray
@@ -90,4 +90,4 @@ def _check_answer(address: str) -> None:
 
 
 def _nobody(address: str, came: str) -> InputError:
-    return InputError("a Ray cluster that answers", came, "ray start --head, and --address with what it names", address)
+    return InputError("a Ray cluster that answers", came, "ray start --head, and --address with its address", address)

@@ -1,7 +1,7 @@
 """Tasks that workers compute: each is tried until it is done or refused, and none ends the others.
 
-A worker takes a function of a module and an item; what it computes with them hangs on nothing else. At most `capacity`
-tasks are under way, so that memory does not grow with their number.
+A worker takes a function of a module and an item; its computation depends on nothing else. At most `capacity` tasks are
+under way, so that memory does not grow with their number.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ class OtherVersion(InputError):
 
 
 AGAIN = (WorkerLost, OSError, MemoryError)
-"""After these a task is tried again; what it refuses, or fails at by itself, stays as it is."""
+"""Errors after which a task is repeated; other errors, and refusals, are final."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskOutcome(Generic[T, R]):
-    """What became of a task. error: of the last attempt, None = done; reasons: why each attempt failed, in a line
+    """Outcome of a task. error: of the last attempt, None = done; reasons: why each attempt failed, in a line
 
     seconds: that the last attempt took in its worker
     """
@@ -51,7 +51,7 @@ class TaskOutcome(Generic[T, R]):
 
 
 class Workers(Protocol):
-    """Where tasks are computed. What `submit` returns stands for one attempt."""
+    """Where tasks are computed. The value of `submit` represents one attempt."""
 
     @property
     def capacity(self) -> int:
@@ -64,7 +64,7 @@ class Workers(Protocol):
         """Wait a little for any of them; which ended."""
 
     def result(self, attempt: Any) -> Any:
-        """What it returned. Raises what it raised, or WorkerLost."""
+        """Its return value. Raises its error, or WorkerLost."""
 
     def give_up(self, attempt: Any) -> None:
         """End it; it is then lost."""
@@ -86,8 +86,8 @@ def compute(
 
     items: taken as there is room for them; attempts: of each at most
     limit_s: an attempt that takes longer is ended; that its worker begins counts too
-    begin: a function of a module too, called in each worker before its first task
-    Raises OtherVersion; what an attempt raises becomes its outcome.
+    begin: a function of a module too, called in each worker before its first task Raises OtherVersion; an error of an
+    attempt becomes its outcome.
     """
     coming, again = iter(items), deque[tuple[T, tuple[str, ...]]]()
     under_way: dict[Any, tuple[T, tuple[str, ...], float]] = {}

@@ -130,7 +130,7 @@ class ExplorationStages:
                 break
             except NotThere as error:  # left out, until the arm has moved
                 self._no_way.append(plan.target_m)
-                where = ""
+                where = f"({100 * plan.target_m[0]:.0f}, {100 * plan.target_m[1]:.0f}) cm is left out: "
                 explorer.failures.append(
                     StageFailure(stage=WAY, touch=len(explorer.touches), reason=f"{where}{error}", trace="")
                 )

@@ -92,7 +92,7 @@ class StageCounts:
         failed = f", {self.failures} of them FAILED" if self.failures else ""
         late = "behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {max:.0f} ms at most"
         lag = "" if self.lag_ms is None else f", {late.format(**self.lag_ms)}"
-        why = f"({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
+        why = f" ({self.left} for newer ones, {self.skipped - self.left} at the end)" if self.skipped else ""
         rate = f", {self.rate_hz:.3g}/s" if self.results else ""
         found = f"{self.results} results of {self.frames} frames{rate}{failed}, {self.skipped} skipped{why}{lag}"
         found += "".join(f"; {count} without a value: {reason}" for reason, count in self.reasons.items())

@@ -226,7 +226,7 @@ class RecordedTouches(AtOnce):
     """Looks and touches as they were recorded; earlier device items are passed over. given: as `RecordedRobot`
 
     count: of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
-    asked: whether somebody asked to end: no further touch is given
+    asked: whether a person requested the end: no further touch is given
     """
 
     def __init__(self, given: list[Looked | Touched], source: ItemSource, left_out: Sequence[str]) -> None:

@@ -326,7 +326,7 @@ def view_board(
         image = _colour(frames[camera][-1])
         found = find_board(image, board)
         if found is None:
-            note("the camera did not find the board in this view")
+            note("  the camera did not find the board in this view")
             continue
         poses.append(pose.T_base_ee)
         seen.append(found)
@@ -335,7 +335,7 @@ def view_board(
         if len(seen) >= count and turned_about(np.array(poses)) >= LEAST_SPREAD_RAD:
             return BoardViews(np.array(poses), tuple(seen), size_px)
         if len(seen) >= count:
-            note("turned about one axis only so far: more views, as the next request says")
+            note("  turned about one axis only so far: more views, as the next request says")
     if len(seen) >= count:
         check_turns(np.array(poses))
     raise InputError(f"{count} views of the board", f"{len(seen)}", "more light, the board flat and whole in view")

@@ -69,13 +69,13 @@ SI = {
     }.items()
     for name, factor in names.items()
 }
-"""What each unit is of, and how much of it."""
+"""Quantity of each unit, and its factor."""
 Pose = npt.NDArray[np.float64]
 """(4, 4) the end's to the base's frame [m]."""
 Row = dict[str, Any]
 CLOUDS = (".pcd", ".ply")
 REAL_STEP_M = 1e-4
-"""In which distances that come as real numbers are kept."""
+"""Stored step of distances that come as real numbers."""
 TIME_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
@@ -84,7 +84,7 @@ POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8:
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """Where a frame stands, the messages that it is made of, and the pose of the arm's end."""
+    """Time of a frame, the messages that it is made of, and the pose of the arm's end."""
 
     stamp: Stamp
     index: int
@@ -93,7 +93,7 @@ class At:
 
 
 class FrameBuilder:
-    """Makes a stream's frames. topics: of the source. Raises InputError for what the map must say."""
+    """Makes a stream's frames. topics: of the source. Raises InputError for missing keys of the map."""
 
     def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
         self.stream = stream
@@ -122,7 +122,7 @@ class FrameBuilder:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Those that a message has, as far as that is known beforehand."""
+        """Columns of a message, as far as they are known in advance."""
         return tuple(self._fields or ())
 
     def _check_columns(self, standard: Iterable[str]) -> None:
@@ -148,7 +148,7 @@ class FrameBuilder:
             raise InputError(f"{name} in {wanted}", f"{unit}", f"columns and units of {self.stream.device} in the map")
 
     def _factor(self, column: str, field: str, said: str) -> float:
-        """By what a field is multiplied. said: its unit as the source has it, or empty"""
+        """Factor of a field. said: its unit as the source has it, or empty"""
         wanted = UNITS.get(split_unit(column)[1], "")
         if not wanted or wanted in ("ns", "ticks"):
             return 1.0
@@ -337,7 +337,7 @@ def _of_file(stream: MappedStream, path: Path) -> Any:
     """An image file, or the distances of one of points."""
     if path.suffix.lower() not in CLOUDS:
         if stream.kind == "depth" and not stream.unit_m:
-            raise stream.missing("unit_m", "what one step of its images is [m]: 0.001 where they are in mm", "")
+            raise stream.missing("unit_m", "the step of its images [m]: 0.001 for mm", "")
         return read_image(path)
     if (unit := stream.units.get("points", "")) not in SI or SI[unit][0] != "m":
         raise stream.missing("units.points", "m, cm, mm or um", unit)
@@ -348,7 +348,7 @@ def _of_file(stream: MappedStream, path: Path) -> Any:
     size = [re.search(rf"^{name} (\d+)$", head, re.MULTILINE) for name in ("HEIGHT", "WIDTH")]
     height, width = (int(one[1]) if one is not None else 1 for one in size)
     if not len(points):
-        raise InputError("points", "a file that is none, damaged or empty", where=path)
+        raise InputError("points", "a damaged or empty file, or one of another kind", where=path)
     return depth_of_points(stream, points.reshape((height, width, 3) if height * width == len(points) else (1, -1, 3)))
 
 
@@ -370,7 +370,7 @@ def _raw_image(stream: MappedStream, value: Any) -> Any:
 
 
 def _cloud_depth(stream: MappedStream, value: Any) -> Any:
-    """Distances of a message of points along z [m]: (H, W) as they stand, or projected into the camera of the map."""
+    """Distances of a message of points along z [m]: (H, W) in their order, or projected into the camera of the map."""
     of = {one.name: one for one in value.fields}
     order = ">" if value.is_bigendian else "<"
     kind = np.dtype(
@@ -387,7 +387,7 @@ def _cloud_depth(stream: MappedStream, value: Any) -> Any:
 
 
 def depth_of_points(stream: MappedStream, points_m: FloatArray) -> FloatArray:
-    """Distances along z [m] of points (H, W, 3): as they stand where H > 1, else projected into the map's camera, the
+    """Distances along z [m] of points (H, W, 3): in their order if H > 1, else projected into the map's camera, the
     nearest of those that fall on one pixel."""
     if len(points_m) > 1:
         return points_m[..., 2]
@@ -415,7 +415,7 @@ def _pose(quaternion: Any, position: Any) -> Pose:
 
 
 def pose_of(value: Any) -> Pose:
-    """(4, 4) of a transform message, or a pose. Raises AttributeError for what is none."""
+    """(4, 4) of a transform message, or a pose. Raises AttributeError if it has no pose."""
     turn = getattr(value, "rotation", None)
     place = getattr(value, "translation", None)
     turn, place = (value.orientation, value.position) if turn is None or place is None else (turn, place)

@@ -1,7 +1,7 @@
 """The map of an import: which topic or table becomes which device's frames, in TOML.
 
-Read strictly, as a rig file is. What a source does not say itself (a unit, a pose, how clocks differ) is a key of the
-map; while it reads `"?"` the import is refused with its name.
+Read strictly, as a rig file is. Values that a source does not contain (a unit, a pose, clock offsets) are keys of the
+map; while one reads `"?"` the import is refused with its name.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """One device's frames.
 
     topics: topics, tables or files that they are made of; of several, those of one time make a frame
-    columns: where each column (named as in an export) stands in the source, if not as its type has it
+    columns: place of each column (named as in an export) in the source, if its type has no default
     units: of the source's fields that do not say them themselves
-    time: the column of its stamps; of messages `header`, or `log` for when they were recorded; of files, a text file
+    time: the column of its stamps. Of messages it is `header`, or `log` for their recorded times; of files, a text file
     with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
-    offset_s: added to its stamps, where its clock is another one [s]; None = it is the others', which is looked at
+    offset_s: added to its stamps, if it has another clock [s]; None = it has the others', which is checked
     nan: `keep` takes forces that are no numbers, which are refused otherwise
-    unit_m: what a step of distances is [m]: of files always; of real numbers it is chosen, 1e-4 without it
+    unit_m: the step of distances [m]: of files always; of real numbers it is chosen, 1e-4 without it
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
     pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
     joints: names, in their order; focal_px, center_px, size_px: of the camera that points are projected into
@@ -68,7 +68,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     @property
     def offset_ns(self) -> int:
-        """What is added to its stamps [ns]."""
+        """Offset of its stamps [ns]."""
         return round(float(self.offset_s or 0.0) * 1e9)
 
     def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
@@ -86,7 +86,7 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rig: dict[str, dict[str, Any]] = {}
 
     def to_toml(self) -> str:
-        """As a file has it, without what is as usual."""
+        """As in a file, without default values."""
         usual = MappedStream(device="", kind="wrench", topics=())
         lines = [f"start_ns = {self.start_ns}"] if self.start_ns is not None else []
         lines += [f"skip_rows = {self.skip_rows}"] if self.skip_rows else []
@@ -108,11 +108,11 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_map(path: Path) -> ImportMap:
-    """Raises InputError for what is no map, with the key that is wrong."""
+    """Raises InputError if it is no map, with the wrong key."""
     try:
         said = tomllib.loads(path.read_text(encoding="utf-8"))
         if "rig" in said:
-            raise ValueError("unknown field `rig`: its sections stand by themselves")
+            raise ValueError("unknown field `rig`: its sections are at the top level")
         rig = {name: said.pop(name) for name in SECTIONS if isinstance(said.get(name), dict)}
         found = msgspec.convert(said | {"rig": rig}, ImportMap)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What a source holds, and a map to begin with."""
+"""Content of a source, and a map as a start."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Found:
         return None if self.stamp_ns is None or not self.seen.first_ns else (self.seen.first_ns - self.stamp_ns) / 1e9
 
     def look(self, value: Any) -> None:
-        """Take what the first message says."""
+        """Use the first message's description."""
         self.encoding = _encoding(value)
         self.joints = tuple(value.name) if self.topic.type.endswith("JointState") else ()
         stamp = getattr(getattr(value, "header", None), "stamp", None)
@@ -81,7 +81,7 @@ def inspect(reader: Reader) -> list[Found]:
 
 
 def _encoding(value: Any) -> str:
-    """Of an image: what its message says, or `16UC1` of a file of counts; empty where it is none."""
+    """Of an image: its message's encoding, or `16UC1` of a file of counts; empty if it has none."""
     if isinstance(value, Path) and value.suffix.lower() not in CLOUDS:
         image = read_image(value)
         return "16UC1" if image.ndim == 2 and image.dtype == np.uint16 else "rgb8"
@@ -89,7 +89,7 @@ def _encoding(value: Any) -> str:
 
 
 def propose(reader: Reader, found: list[Found]) -> ImportMap:
-    """A map of what is known; `?` where the source does not say."""
+    """A map of the known values; `?` for those that the source does not contain."""
     names = {kind.__name__: kind_name for kind_name, kind in KINDS.items()}
     if own := [one for one in found if one.topic.kind in names]:
         # CSV leaves images out.
@@ -132,7 +132,7 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
 
 
 def _table(units: Mapping[str, str]) -> dict[str, Any]:
-    """Of a foreign table: nobody but its owner knows what its columns are. units: of each column"""
+    """Of a foreign table: only its owner can identify its columns. units: of each column"""
     time = next((name for known in TIMES for name in units if name.lower() == known), ASKED)
     unit = "" if time == ASKED else units[time] or ("ns" if time.endswith("_ns") else ASKED)
     columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
@@ -140,7 +140,7 @@ def _table(units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _own(one: Found, kind: Any, found: list[Found], about: Manifest) -> MappedStream:
-    """Of an export of ours: all is known. Images of an MCAP stand in messages of their own."""
+    """Of an export of ours: all is known. Images of an MCAP are separate messages."""
     files = [(each.entity, name) for each in about.streams for name in each.files]
     entities = [entity for entity, name in [*about.topics.items(), *files] if name == one.topic.name]
     named = one.topic.name.strip("/").removesuffix(".csv").removesuffix(".parquet")

@@ -1,4 +1,5 @@
-"""A take of somebody's poked object, as pairs and a motion: meshes frame by frame with forces, as PokeFlex has them.
+"""A take of another laboratory's poked object, as pairs and a motion: meshes frame by frame with forces, in the form of
+PokeFlex.
 
 robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one a frame, with
 the same vertices [mm], z up; CAMERA/camera_parameters.json: intrinsics and extrinsics, of a Kinect color_intrinsics...
@@ -23,9 +24,9 @@ from deformscope.file_io import read_file
 MESH = re.compile(r"mesh-f(\d+)\.obj$")
 MM = 1e-3
 STANDS = 0.05
-"""Share of the height, from below, whose particles stand on the table."""
+"""Share of the height, from below, whose particles rest on the table."""
 TOUCHED, PRESSED_M = 0.8, 1e-3
-"""A tool holds what moved by this share of the largest displacement, or more, where that is so large [m]."""
+"""A tool holds particles that moved by this share of the largest displacement, or more, if that is this large [m]."""
 
 
 Three: TypeAlias = tuple[float, float, float]
@@ -83,14 +84,14 @@ class MeshTake:
         return _npz(rest=self.rest, deformed=self.position[at], held=held, contact=contact, force_n=force)
 
     def motion(self, unseen: IntArray) -> bytes:
-        """All frames as a motion file. unseen: indices of frames of which what is held is known alone"""
+        """All frames as a motion file. unseen: indices of frames with known held positions alone"""
         held, motion = self.stands | self.touched, self.position.copy()
         motion[unseen] = np.where(held[unseen, :, None], motion[unseen], np.nan)
         return _npz(rest=self.rest, motion=motion, held=held, frame=self.frames)
 
 
 def read_take(folder: Path, particles: int) -> MeshTake:
-    """Raises InputError for what is missing or odd. particles: at most, spread evenly over the mesh"""
+    """Raises InputError for missing or unusual files. particles: at most, spread evenly over the mesh"""
     data = _read(folder / "robot_data.json", {"a list of frame and forces (three or six numbers)": list[_Reading]})
     forces = {one.frame: one.forces[:3] for one in data}
     found = {int(name[1]): one for one in folder.glob("meshes/*.obj") if (name := MESH.match(one.name))}

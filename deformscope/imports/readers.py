@@ -1,4 +1,4 @@
-"""What is read: bags (ROS 1, ROS 2, MCAP) and tables (CSV, Parquet), message by message, never whole."""
+"""Supported sources: bags (ROS 1, ROS 2, MCAP) and tables (CSV, Parquet), message by message, never whole."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PACKAGE = "deformscope_msgs/msg/"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """What a source has under a name. type: of its messages, `csv` or `parquet`; count: of messages, None = not known
+    """Content of a source under a name. type: of its messages, `csv` or `parquet`; count: of messages, None = not known
 
     units: of each field that it names, empty where it does not say; kind: of our own exports, the class of the rows
     """
@@ -71,7 +71,7 @@ class Message:
 
 
 class Reader(Protocol):
-    """An open source. about: what an export of ours says of itself"""
+    """An open source. about: the description in an export of ours"""
 
     @property
     def about(self) -> Manifest: ...
@@ -85,13 +85,13 @@ class Reader(Protocol):
 
 @contextlib.contextmanager
 def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> Iterator[Reader]:
-    """Open a source. times: columns that hold them. Raises InputError for what cannot be read."""
+    """Open a source. times: columns that hold them. Raises InputError for unreadable sources."""
     try:
         next(path.iterdir(), None) if path.is_dir() else path.open("rb").close()
     except FileNotFoundError:
         raise InputError("a bag, a table, or a folder of one of them", "nothing there", where=path) from None
     except OSError as error:
-        raise InputError("a source that can be read", (error.strerror or "").lower(), where=path) from error
+        raise InputError("a readable source", (error.strerror or "").lower(), where=path) from error
     suffix = path.suffix.lower()
     if suffix in BAGS or (path / "metadata.yaml").is_file():
         with _opened_bag(path) as reader:
@@ -122,8 +122,8 @@ def _opened_bag(path: Path) -> Iterator[Reader]:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    came = "one that is cut off or damaged: " + (" ".join(str(error).split())[:160] or type(error).__name__)
-    return InputError("a bag that is whole", came, "mcap recover, or rosbag reindex", path)
+    came = "one that is truncated or damaged: " + (" ".join(str(error).split())[:160] or type(error).__name__)
+    return InputError("a complete bag", came, "mcap recover, or rosbag reindex", path)
 
 
 class BagReader:
@@ -162,7 +162,7 @@ class BagReader:
 
 
 def _metadata(path: Path) -> Manifest:
-    """What our own exports say of themselves; empty where the package is missing, or it says nothing."""
+    """Description in an export of ours; empty without the package or the description."""
     try:
         from mcap.reader import make_reader
     except ImportError:
@@ -256,11 +256,11 @@ class FolderReader:
                             yield Message(name, 0, row)
 
     def _own(self, name: str) -> ExportedStream:
-        """What the manifest of an export says of a table; empty of others."""
+        """Description of a table in an export's manifest; empty for others."""
         return next((one for one in self.about.streams if name in one.files), ExportedStream())
 
     def _types(self, name: str, schema: pa.Schema) -> dict[str, pa.DataType]:
-        """Of columns of a CSV whose first rows do not show it: a fraction may stand further below."""
+        """Of columns of a CSV whose first rows do not show it: a fraction may follow below."""
         if own := self._own(name).columns:
             said = {one.name: one.type for one in own if one.type in ("double", "int64")}
             return {one: pa.type_for_alias(said[one]) for one in schema.names if one in said}
@@ -285,7 +285,7 @@ class FolderReader:
         except (pa.ArrowException, OSError, ValueError) as error:
             came, refused = " ".join(str(error).split())[:160], isinstance(error, PermissionError)
             hint = "" if refused else "skip_rows in the map"
-            raise InputError("a table that can be read", came, hint, self._tables[name]) from error
+            raise InputError("a readable table", came, hint, self._tables[name]) from error
 
 
 def _name(place: PurePath) -> str:
@@ -294,7 +294,7 @@ def _name(place: PurePath) -> str:
 
 
 def _manifest(path: Path) -> Manifest:
-    """What our own exports say of themselves; empty where the file is another's."""
+    """Description in an export of ours; empty if the file is another's."""
     try:
         found = json.loads(path.read_bytes())
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""A source of others as a rig: what it holds, frame by frame, in order of time, as `session.run` takes it."""
+"""A foreign source as a rig: its content, frame by frame, in order of time, in the form of `session.run`."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from deformscope.rig.rig_file import parse_rig
 from deformscope_drivers.clock import Stamp
 
 APART_S = 10.0
-"""A stream so far from all others in time has another clock, or the map would say so."""
+"""Distance in time from all other streams at which a stream must have another clock."""
 CLOCKS_APART_S = 1.0
-"""Stamps that differ so much from when they were recorded are of another clock."""
+"""Difference of stamps from their recorded times that means another clock."""
 START_APART_NS = 86_400 * 10**9
 WAITING = 64
 """Messages of a stream of several topics that wait for those of the same time."""
 
 
 class ImportSource(ItemSource):
-    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`. rig: places and tool, as the
-    map has them; raises InputError for what the map must say"""
+    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`. rig: places and tool, from the
+    map; raises InputError for missing keys of the map"""
 
     def __init__(self, reader: Reader, asked: ImportMap) -> None:
         self._topics = reader.topics
@@ -109,7 +109,7 @@ class ImportSource(ItemSource):
                 raise self._of_another_clock(first_ns, apart_s)
 
     def _check_first(self, reader: Reader) -> None:
-        """Compare first stamps with when they were recorded, of streams whose clock the map says nothing of."""
+        """Compare first stamps with their recorded times, of streams without a clock in the map."""
         every = ((name, one.behind_s(reader)) for name, one in self._made.items() if one.stream.offset_s is None)
         found = sorted((behind, name) for name, behind in every if behind is not None)
         if found and (apart_s := found[-1][0] - found[0][0]) > CLOCKS_APART_S:
@@ -156,7 +156,7 @@ class _Stream(Counted):
             raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
 
     def describe(self) -> Stream:
-        """What it is where an export does not say it."""
+        """Its kind if an export does not describe it."""
         forces, torques = (columns_of(one, self._builder.columns) for one in ("force_n", "torque_nm"))
         channels, about = max(len(forces) // 3, 1), self.stream
         return Stream(about.device, about.kind, DRIVER, pads=about.pads, channels=channels, torques=bool(torques))
@@ -248,7 +248,7 @@ class _Stream(Counted):
         return ns
 
     def _follow(self, message: Message) -> None:
-        """Keep the newest pose of the end. Raises InputError for what is none."""
+        """Keep the newest pose of the end. Raises InputError if it is none."""
         value, is_fixed = message.value, message.topic == "/tf_static"
         try:
             if not hasattr(value, "transforms"):

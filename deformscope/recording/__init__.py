@@ -1,1 +1,1 @@
-"""What is recorded, in a file and before a viewer, and how it is read back."""
+"""A recording, in a file and in a viewer, and how it is read."""

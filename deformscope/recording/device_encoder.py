@@ -1,4 +1,4 @@
-"""What devices give, results of stages that run meanwhile and those of an experiment, made ready for rerun."""
+"""Encodes device items, results of stages during the recording and those of an experiment, for rerun."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 class DeviceEncoder:
-    """An `Encoder` that gathers what devices give into portions.
+    """An `Encoder` that gathers device items into portions.
 
-    layout: of what is recorded; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour images
-    are kept without loss; at_frames: of inputs, and of results that stand at no moment
-    failed: takes results that could not be shown; gather_s: items are gathered for so long [s]
+    layout: of the recording; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour images
+    are stored without loss; at_frames: of inputs, and of results without a moment
+    failed: takes results that could not be shown; gather_s: time over which items are gathered [s]
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class DeviceEncoder:
             self._write(self._portions.add(items, self._touch, size))
 
     def write_step(self, step: Step, size: int) -> None:
-        """Results of stages with what devices give; those of a moment at it; what else there is at its frame."""
+        """Results of stages with device items; those of a moment at it; others at their frame."""
         if step.moment is not None:
             self._write_at(step.moment, step.results, size)
             for cost in step.costs:

@@ -1,6 +1,6 @@
-"""What of a recording is discarded, and why: nothing of it is deleted, and whoever reads it is to know.
+"""Discarded parts of a recording, with reasons: nothing is deleted, and every reader reports them.
 
-What is discarded while it is recorded stands in the recording as notes; what is discarded later, in its ledger.
+Discards during the recording are notes in the recording; later ones are in its ledger.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Discard:
 
 
 def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
-    """What of it is discarded, by its notes and its ledger."""
+    """Its discarded parts, by its notes and its ledger."""
     found = _noted(notes)
     for one in read_discards(recording):  # of whatever wrote that ledger
         found.append(Discard(str(one.get("reason", "")), int(one.get("episode", 0)), str(one.get("label", ""))))
@@ -36,7 +36,7 @@ def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
 
 
 def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionNote]) -> Discard:
-    """Mark a finished recording, or one of its episodes (0 = all), in its ledger; the recording stays as it is.
+    """Mark a finished recording, or one of its episodes (0 = all), in its ledger; the recording is unchanged.
 
     Raises InputError where it has no such episode, or no ledger that fits it.
     """
@@ -46,7 +46,7 @@ def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionN
         raise InputError("an episode of the recording", str(episode), f"episodes: {listed}", recording)
     try:
         check = check_recording(recording)
-        problems = check.problems or ([] if check.ended else ["one that was not finished"])
+        problems = check.problems or ([] if check.ended else ["an unfinished one"])
     except FileNotFoundError:
         problems = ["one without: it was not finished, or its ledger was not copied with it"]
     if problems:  # a new ledger would say that its bytes are as they were recorded

@@ -1,5 +1,4 @@
-"""What a recording holds and how it ended, and `rerun rrd`, each in a process of its own: damaged bytes can end
-rerun's reader.
+"""Content and end of a recording, and `rerun rrd`, each in a child process: damaged bytes can end rerun's reader.
 
 python -m deformscope.recording.facts run.rrd [brief]    one line of JSON: the fields of `Facts`
 """
@@ -28,12 +27,12 @@ MEMORY, BEGIN_BYTES = Path("/dev/shm"), 32 << 20
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What can be read of a recording, up to where it is damaged.
+    """The readable part of a recording, up to its damage.
 
     application, recording: rerun's ids; outcome: as the run left it at its end, empty without one
     losses: by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
-    until_s: session time of the last row [s], None without one; damage: what ended the reading, empty = nothing
-    discarded: what of it is not to be used (`deformscope.recording.discards`)
+    until_s: session time of the last row [s], None without one; damage: reason for the end of reading, empty = none
+    discarded: its discarded parts (`deformscope.recording.discards`)
     """
 
     application: str = ""
@@ -47,8 +46,8 @@ class Facts:
 
 
 def salvage(path: Path, readable: Path) -> tuple[Facts, str]:
-    """Write what can be read of a recording as another; what that holds, and where reading ended before the end of the
-    file, empty = nowhere."""
+    """Write the readable part of a recording as another one; its content, and the place where reading ended before the
+    end of the file, empty = nowhere."""
     damage = run_rrd("merge", path, "-o", readable)
     refused = damage and run_rrd("merge", "--continue-on-error", path, "-o", readable)
     return Facts(damage=refused) if refused else read_facts(readable), damage
@@ -79,7 +78,7 @@ def read_facts(path: Path, *, brief: bool = False) -> Facts:
 
 
 def run_rrd(*arguments: str | Path) -> str:
-    """Run `rerun rrd ...` of the installed wheel; what it refuses, in a line; empty where it is done."""
+    """Run `rerun rrd ...` of the installed wheel; its refusal, in a line; empty if it is done."""
     from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 
     words = (str(utf8_path(one)) if isinstance(one, Path) else one for one in arguments)
@@ -90,11 +89,11 @@ def run_rrd(*arguments: str | Path) -> str:
         return ""
     output = [line for line in re.sub(r"\x1b\[\d*m", "", done.stderr + done.stdout).splitlines() if line.strip()]
     reason = [line for line in output if "footer" in line] or output[-1:]
-    return " ".join(reason[0].split())[:300] if reason else "rerun refuses it without a word"
+    return " ".join(reason[0].split())[:300] if reason else "rerun refuses it without a message"
 
 
 def _run(command: list[str], environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str] | str:
-    """To its end, or what kept it from that."""
+    """To its end, or the reason against it."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False, env=environment)
     except subprocess.TimeoutExpired:
@@ -134,7 +133,7 @@ def gather_facts(path: Path, *, brief: bool = False) -> Facts:
 
 
 def _counted(entity: str, columns: list[str]) -> str | None:
-    """What a row of these columns counts as; None where it is part of something that counts elsewhere."""
+    """Name under which a row of these columns counts; None if it is part of something that counts elsewhere."""
     parts = entity.strip("/").split("/")
     if any(column.endswith("Frame:stamp.host_ns") for column in columns):
         return f"{parts[-1]}/frames"

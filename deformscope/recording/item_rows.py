@@ -25,7 +25,7 @@ _CONTROL = {"n": "\n", "r": "\r", "t": "\t"}
 _logger = logging.getLogger(__name__)
 
 Cells = dict[str, Any]
-"""What one object is made of: arrays, or lists of words, by field."""
+"""Parts of one object: arrays, or lists of words, by field."""
 
 
 class Chunked(Protocol):
@@ -46,7 +46,7 @@ class Row:
 
 @dataclass(slots=True)
 class _Part:
-    """What is known of a row so far."""
+    """Known parts of a row so far."""
 
     kind: type
     given: dict[str, Any]
@@ -64,10 +64,10 @@ def read_rows(
     """The objects of these kinds in order of time; of one moment in the order in which they were recorded.
 
     Portions of a recording may lie in any order, and hold parts of the same rows. Their times are read first; then a
-    row waits only until nothing before it can come any more, so that a long recording is never held whole. JPEG images
-    come as a viewer shows them; all else is equal to what was recorded. A row that lacks a part is left out, with a
-    warning. read_image: what becomes of an encoded image, of which the second argument says which it is
-    device: what comes from this one alone
+    row waits only until nothing before it can come any more, so that memory never holds a whole long recording. JPEG
+    images are decoded as in a viewer; all others are equal to the recorded ones. A row that lacks a part is left out,
+    with a warning. read_image: replacement of an encoded image, which the second argument identifies
+    device: only items of this one
     """
     starts = Starts((_earliest(chunk), str(chunk.id)) for chunk, _, _ in portions(replay, kinds, device))
     parts: dict[bytes, _Part] = {}
@@ -144,7 +144,7 @@ def _rows(chunk: Chunk, kind: type) -> Iterator[tuple[int, bytes, int, int, Cell
 
 
 def objects_of(batch: RecordBatch, kind: type) -> Iterator[Cells]:
-    """What there is of an object of this kind in each row."""
+    """Parts of an object of this kind in each row."""
     columns = {field: _cells(batch.column(name)) for name in batch.schema.names if (field := _field_of(name, kind))}
     for row in range(batch.num_rows):
         yield {field: column[row] for field, column in columns.items() if column[row] is not None}

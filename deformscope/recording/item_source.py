@@ -1,4 +1,4 @@
-"""Items that are there already as a rig gives its own: in order of time, so many at once that memory stays bounded."""
+"""Existing items in the form of a rig: in order of time, in limited numbers so that memory is bounded."""
 
 from __future__ import annotations
 
@@ -59,4 +59,4 @@ class ItemSource:
         return []
 
     def close(self) -> None:
-        """What is read is closed by who opened it."""
+        """The caller closes the source."""

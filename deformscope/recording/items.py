@@ -20,14 +20,14 @@ from deformscope.stages.see.arrows import FlowArrows
 from deformscope.stages.see.tactile import TactileContact
 
 ITEMS: tuple[type, ...] = (*OF_DEVICES, HealthReport)
-"""What a rig's recording is made of."""
+"""Content of a rig's recording."""
 
 VALUES = "Scalars:scalars"
 T = TypeVar("T")
 
 
 def read_items(path: Path, *, trust: bool = False, kinds: Sequence[type] = ITEMS) -> Iterator[Item]:
-    """What the devices of a recording gave, of these kinds; `read_rows` says more."""
+    """Items of a recording's devices, of these kinds; `read_rows` has the details."""
     return (row.item for row in read_rows(Replay(path, trust=trust), kinds))
 
 
@@ -38,7 +38,7 @@ def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False)
 
 
 def read_series(path: Path, kind: type[T], *, trust: bool = False) -> list[T]:
-    """The series of this kind (`deformscope.rows.SERIES`) of each touch, equal to what was recorded."""
+    """The series of this kind (`deformscope.rows.SERIES`) of each touch, equal to the recorded ones."""
     found: dict[int, list[tuple[list[int], list[float]]]] = {}
     chunks = Replay(path, trust=trust).chunks(f"/{SERIES[kind]}")
     batches = [chunk.to_record_batch() for chunk in chunks if not chunk.is_static]
@@ -50,7 +50,7 @@ def read_series(path: Path, kind: type[T], *, trust: bool = False) -> list[T]:
 
 
 def read_estimates(replay: Replay) -> list[Estimate]:
-    """The estimates of a calibration in the order of their frames, equal to what was recorded."""
+    """The estimates of a calibration in the order of their frames, equal to the recorded ones."""
     return read_found(replay, Estimate)
 
 
@@ -76,7 +76,7 @@ def read_found(replay: Replay, kind: type[T]) -> list[T]:
 
 
 def read_streams(path: Path, *, trust: bool = False) -> tuple[Stream, ...]:
-    """What was known of the recorded devices before their first frames, by kind and name."""
+    """Descriptions of the recorded devices before their first frames, by kind and name."""
     found: dict[str, Stream] = {}
     for chunk in Replay(path, trust=trust).chunks(*(f"/{entity}/**" for entity in OF_DEVICES.values())):
         batch = chunk.to_record_batch()
@@ -92,7 +92,7 @@ KINDS: tuple[type, ...] = (
 
 
 def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
-    """The results in the order of the frames that they belong to, equal to what was recorded.
+    """The results in the order of the frames that they belong to, equal to the recorded ones.
 
     trust: skip the comparison with the ledger
     """

@@ -1,4 +1,4 @@
-"""What a recording waits for that falls behind: room on the disk, the disk, or the processor."""
+"""Limits of a slow recording: room on the disk, the disk, or the processor."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ FILE_WRITER = "file_writer"
 """rerun's name of a thread that writes a file."""
 FREE_BYTES = 64 << 20
 RESERVE_S, MOST_RESERVE_BYTES = 5.0, 1 << 30
-"""A recording is ended while the disk still has room for so long, at the rate at which it fills, or for so much."""
+"""A recording is ended while the disk still has room for this time, at its filling rate, or for this amount."""
 ANNOUNCED_S = (60.0, 300.0, 1200.0)
 """It is said once when the disk will be full within each of these."""
 WINDOW_S = 10.0
-"""The rate at which a disk fills is taken over so long."""
+"""Time over which the rate of a filling disk is measured."""
 WAITED, BUSY = 0.5, 0.8
-"""Shares of the looks at which the disk is the reason, and of a core at which more of it would not help. Chosen."""
+"""Shares of the checks at which the disk is the reason, and of a core at which more of it would not help. Chosen."""
 OTHER_DISK = "another disk"
 
 
 class RecordingError(InputError):
-    """The recording cannot go on: the disk is full, gone or too slow, or the processor is."""
+    """The recording cannot continue: the disk is full, gone or too slow, or the processor is."""
 
 
 def check_room(path: Path, reserve: int = 0) -> None:
@@ -46,11 +46,11 @@ class DiskForecast:
 
     @property
     def reserve(self) -> int:
-        """What has to be free for the recording to be ended in time [bytes]."""
+        """Free space for ending the recording in time [bytes]."""
         return min(round(self.bytes_per_s * RESERVE_S), MOST_RESERVE_BYTES)
 
     def look(self, free: int, now_s: float) -> str:
-        """Take note of what is free [bytes], at a time [s]; what is to be said of it, empty = nothing new."""
+        """Store the free space [bytes], at a time [s]; the remark on it, empty = nothing new."""
         began_s, before = self._since or (now_s, free)
         self._since = began_s, before
         if now_s - began_s < WINDOW_S:
@@ -105,7 +105,7 @@ class Lateness:
         self._held_up += writes_are_held_up()
 
     def error(self, waiting_bytes: int, path: Path) -> RecordingError:
-        """Why so much waits to be written to the file there."""
+        """Why the data for the file there are delayed."""
         try:
             check_room(path)
         except RecordingError as full:

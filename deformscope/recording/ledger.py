@@ -1,11 +1,11 @@
-"""The ledger beside a recording: what its bytes were, so that no flipped bit goes unnoticed, and where it is.
+"""The ledger of a recording: checksums of its bytes, so that a flipped bit is detected and located.
 
 A recording has no checksum of its own, and most single bit flips in one are read without complaint. The ledger is
-text: a line with its format, then a line a block: JSON (bytes, their SHA-256, the streams and the session time that
-they hold) and a SHA-256 of that JSON and of the line before, which chains the lines. It grows with the file: a line at
-each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that none before it can
-be cut off unnoticed: size and SHA-256 of the whole, what was recorded and what was lost; where there is none, the run
-was cut short.
+text: a line with its format, then a line per block. It is JSON (bytes, their SHA-256, the streams and the session time
+that they hold) and a SHA-256 of that JSON and of the line before, which chains the lines. It grows with the file: a
+line at each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that a
+truncation before it is detected: size and SHA-256 of the whole, recorded and lost items. Without it, the run was
+interrupted.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class Ledger:
 
 @dataclass(frozen=True, slots=True)
 class LedgerCheck:
-    """A recording beside its ledger. problems: one line each, none where every byte that the ledger answers for is as
-    it was; truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run came to its end"""
+    """A recording compared with its ledger. problems: one line each, none if every byte in the ledger is unchanged;
+    truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run came to its end"""
 
     problems: list[str]
     truncated: bool
@@ -207,7 +207,7 @@ def read_counts(recording: Path) -> dict[str, int]:
 
 
 def check_ledger(recording: Path) -> list[str]:
-    """What differs between a recording and its ledger, one line each; empty when every byte is as it was.
+    """Differences between a recording and its ledger, one line each; empty when every byte is unchanged.
 
     Raises FileNotFoundError where there is no ledger: nothing can then be said.
     """

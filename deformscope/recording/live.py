@@ -29,7 +29,7 @@ ViewerKind = Literal["none", "native", "page"]
 
 
 class ViewerStream(Protocol):
-    """What the feed itself wants of a stream to a viewer."""
+    """The feed's interface of a stream to a viewer."""
 
     def flush(self, *, timeout_sec: float) -> None:
         """Return once the viewer has all that was given. Raises TimeoutError where that takes longer, another error
@@ -43,11 +43,11 @@ StreamT = TypeVar("StreamT", bound=ViewerStream)
 CAPACITY_JOBS = 256
 CAPACITY_BYTES = 128 << 20
 PERIOD_S = 0.1
-"""Jobs are passed on to a window together, at most so often."""
+"""Shortest period of passing jobs on to a window together."""
 ASK_S = 0.02
-"""A period that hangs on others is asked for so often."""
+"""Period of polling a function that depends on others."""
 VIEWER_MEMORY, BACKLOG_MEMORY = "2GB", "512MB"
-"""Of a window, and of what its server keeps for it."""
+"""Memory limit of a window, and of its server's store."""
 START_TIMEOUT_S = 20.0
 FLUSH_TIMEOUT_S = 1.0
 
@@ -58,13 +58,13 @@ _logger = logging.getLogger(__name__)
 class Viewer:
     """A window that was started.
 
-    pid: its process; messages: descriptor of a file that holds what it wrote to its standard error
+    pid: its process; messages: descriptor of a file with its standard error
     """
 
     pid: int
     messages: int
 
-    where: ClassVar[str] = "viewer: a window of its own; it stays when this command has ended"
+    where: ClassVar[str] = "viewer: a separate window, which stays open after this command"
 
     @property
     def output(self) -> str:
@@ -143,7 +143,7 @@ def live_stream(
 def page_stream(
     application: str, recording_id: str, pieces: Pieces, properties: Mapping[str, object], give_up: threading.Event
 ) -> LiveStream:
-    """To pages, which take their pieces when they like: what lasts apart from what passes."""
+    """To pages, which take their pieces when they like: lasting data apart from passing ones."""
     import rerun as rr
 
     from deformscope.log.live_stream import LiveStream
@@ -173,7 +173,7 @@ def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
 
 
 def check_running(viewer: Viewer) -> None:
-    """Raise ConnectionError, with the last of what the viewer wrote, where its process has ended."""
+    """Raise ConnectionError, with the last of the viewer's output, if its process has ended."""
     if not _ended(viewer.pid):
         return
     words = " ".join(viewer.output.split())[-300:]
@@ -183,7 +183,7 @@ def check_running(viewer: Viewer) -> None:
 def check_answers(viewer: Viewer, timeout_s: float) -> None:
     """Return once the viewer's server answers. Raises TimeoutError where it does not, ConnectionError where it is gone.
 
-    A connection alone says nothing: the system accepts it, and a hundred kilobytes, for a process that is stopped.
+    A connection alone is no proof: the system accepts it, and a hundred kilobytes, for a process that is stopped.
     """
     with socket.create_connection((LOOPBACK, _port(viewer)), timeout=timeout_s) as connection:
         connection.sendall(f"GET / HTTP/1.1\r\nHost: {LOOPBACK}\r\nConnection: close\r\n\r\n".encode())
@@ -210,7 +210,7 @@ class LiveFeed(Generic[StreamT]):
     """Passes jobs on to a live stream from a thread of its own; drops the oldest when the viewer cannot follow.
 
     connect: opens the stream, in the feed's thread; gives up once the event that it is given is set
-    period_s: jobs are passed on together, at most so often; a function is asked until it has passed
+    period_s: shortest period of passing jobs on together; a function is polled until it has passed
     """
 
     def __init__(
@@ -238,8 +238,8 @@ class LiveFeed(Generic[StreamT]):
 
     @property
     def dropped(self) -> int:
-        """Jobs that the viewer is not known to have got: dropped, or handed over and never confirmed, once the feed has
-        ended; while it runs, those dropped."""
+        """Jobs without the viewer's confirmation: dropped, or handed over and never confirmed, once the feed has ended;
+        while it runs, those dropped."""
         with self._ready:
             return self._lost
 
@@ -249,7 +249,7 @@ class LiveFeed(Generic[StreamT]):
     def put(self, job: Callable[[StreamT], None], size: int, *, lasting: bool = False) -> None:
         """Hand a job over; returns at once.
 
-        size: bytes that it keeps alive; lasting: what comes later rests on it, so that it is dropped last
+        size: bytes that it keeps alive; lasting: later jobs depend on it, so that it is dropped last
         """
         with self._ready:
             self._given += 1
@@ -263,21 +263,21 @@ class LiveFeed(Generic[StreamT]):
             self._ready.notify()
 
     def close(self, timeout_s: float) -> bool:
-        """Show what still waits, within the time; return whether the stream came to its end.
+        """Show waiting jobs, within the time; return whether the stream ended normally.
 
-        A viewer that has not answered for a while is not waited for. What it is not known to have got is counted as
-        dropped. A stream that did not come to its end stays with its thread for good: to let go of it waits for the
-        viewer, and so does the end of the process, unless rerun's part in that is called off.
+        A viewer that has not answered for a while is not waited for. Jobs without its confirmation are counted as
+        dropped. A stream without a normal end stays with its thread for good: dropping it waits for the viewer, and so
+        does the end of the process, unless rerun's part in that is called off.
         """
         with self._ready:
             self._closing.set()
             self._ready.notify()
             patience_s = 0.0 if self._silent else timeout_s
         if not self._over.wait(patience_s):
-            _logger.warning("the viewer does not answer; it is left alone, and the recording is not affected")
+            _logger.warning("the viewer does not answer; it gets no more data, and the recording is not affected")
         self._leave()
         if self._lost:
-            _logger.warning("the viewer is not known to have got %d of %d portions", self._lost, self._given)
+            _logger.warning("the viewer did not confirm %d of %d portions", self._lost, self._given)
         return self._over.is_set() and not self._stays
 
     def _work(self) -> None:
@@ -288,7 +288,7 @@ class LiveFeed(Generic[StreamT]):
         except Exception as error:
             # A lost viewer costs the picture, never the measurement.
             if not self._left.is_set():
-                _logger.warning("the live view ended (%s); the recording goes on", error)
+                _logger.warning("the live view ended (%s); the recording continues", error)
             self._stays = stream is not None
             self._leave()
         self._over.set()
@@ -317,7 +317,7 @@ class LiveFeed(Generic[StreamT]):
             return jobs
 
     def _confirm(self, stream: StreamT) -> None:
-        """Wait until the viewer has what it was given, however long it takes."""
+        """Wait until the viewer has confirmed its jobs, for any time."""
         while True:
             try:
                 stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
@@ -332,7 +332,7 @@ class LiveFeed(Generic[StreamT]):
                 return
 
     def _leave(self) -> None:
-        """Count what the viewer is not known to have got; from now on nothing is passed on."""
+        """Count jobs without the viewer's confirmation; from now on nothing is passed on."""
         with self._ready:
             self._left.set()
             self._lost += len(self._jobs) + self._unconfirmed

@@ -1,4 +1,4 @@
-"""What a recording of devices lost, by device: as numbers for files, and in words for people."""
+"""Losses of devices in a recording, by device: as numbers for files, and as text for people."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ WORDS = {
 """Each count that is a loss, and how it is called; the order is that in which it matters."""
 
 COUNTS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects", "lost_by_time", "silent_s")
-"""What `Health` counts from a device's opening on."""
+"""Counts of `Health` from a device's opening on."""
 
 
 def lost_by(health: Health) -> dict[str, float]:
-    """What a device lost, without what it did not lose; empty = nothing.
+    """A device's losses above 0; empty = none.
 
     readings: that should have come, of these readings_by_time where only the time shows it; silent_s: the time without
     readings [s]; dropped, raw_dropped: readings and pieces of bytes that came and were not taken in time
@@ -43,7 +43,7 @@ def lost_by(health: Health) -> dict[str, float]:
 
 
 def since(report: HealthReport, before: HealthReport) -> HealthReport:
-    """A look at the devices whose counts begin with an earlier look: what a recording lost that began then."""
+    """Health of the devices whose counts begin with an earlier one: losses of a recording that began then."""
     earlier = dict(before.devices)
     return HealthReport(report.host_ns, tuple((name, _since(now, earlier[name])) for name, now in report.devices))
 
@@ -62,7 +62,7 @@ def _since(now: Health, before: Health) -> Health:
 
 
 def losses_of(report: HealthReport) -> dict[str, dict[str, float]]:
-    """What the devices lost that lost something, by name. report: the last look at them"""
+    """Losses of the devices with any, by name. report: their last health"""
     found = {name: lost_by(health) for name, health in report.devices}
     return {name: lost for name, lost in found.items() if lost}
 

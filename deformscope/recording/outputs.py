@@ -39,7 +39,7 @@ class Outputs:
         self.show(lambda live: job(live.rec), size, lasting=True)
 
     def send(self, batch: Batch, size: int) -> None:
-        """The same of what is ready; in the live view what is in one of its views."""
+        """The same of encoded data; in the live view those in one of its views."""
         self.keep(batch)
         self.show(lambda live: live.send(batch, lasting=True), size, lasting=True)
 
@@ -51,9 +51,9 @@ class Outputs:
     def add_cost(
         self, session_ns: int, cost: StageCost, *, frame: int | None = None, behind_ns: int | None = None
     ) -> None:
-        """Keep what a stage cost for the file: many in one portion, which alone takes a kilobyte.
+        """Gather a stage's cost for the file: many in one portion, which alone takes a kilobyte.
 
-        session_ns, frame: of its result; behind_ns: from there to the newest frame; None where frames wait, or go on
+        session_ns, frame: of its result; behind_ns: from there to the newest frame; None if frames wait, or continue
         """
         if self.file is not None:
             behind_ms = None if behind_ns is None else behind_ns / 1e6
@@ -82,7 +82,7 @@ class Outputs:
 
 
 class Encoder(Protocol):
-    """Makes what is recorded ready for rerun, in the writer's thread, and hands it to the outputs."""
+    """Encodes items for rerun, in the writer's thread, and hands them to the outputs."""
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
         """Write items of devices, files or cameras."""
@@ -101,7 +101,7 @@ class Encoder(Protocol):
 
 
 def open_window(application: str, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
-    """Start rerun's window; what feeds it."""
+    """Start rerun's window; its feed."""
     viewer = start_viewer()
     print(viewer.where, file=sys.stderr, flush=True)
     return LiveFeed(partial(live_stream, application, recording_id, viewer, properties))
@@ -110,6 +110,6 @@ def open_window(application: str, recording_id: str, properties: Mapping[str, ob
 def page_feed(
     page: PageServer, application: str, recording_id: str, properties: Mapping[str, object]
 ) -> LiveFeed[LiveStream]:
-    """What feeds a page."""
+    """The feed of a page."""
     connect = partial(page_stream, application, recording_id, page.pieces, properties)
     return LiveFeed(connect, period_s=lambda: page.pieces.period_s)

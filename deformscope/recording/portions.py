@@ -1,4 +1,4 @@
-"""What devices give, gathered into portions: writing costs by portion, little by item."""
+"""Device items, gathered into portions: writing costs by portion, little by item."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from deformscope.arrays import IntArray
 from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, SessionNote, host_ns
 
 GATHER_S, GATHER_BYTES = 1.0, 8 << 20
-"""Items are gathered for so long, or until they are so much."""
+"""Time over which items are gathered, and their largest amount."""
 GATHER_LIVE_S = 0.15
-"""The same of what goes on by itself: what is gathered is lost where the process is killed."""
+"""The same of devices on their own clock: gathered items are lost if the process is killed."""
 ITEM_BYTES = 1 << 10
-"""An item costs so much memory beside its arrays."""
+"""Memory of an item besides its arrays."""
 
 
 class Portions:
-    """Items of one touch after the other, gathered for so long [s]."""
+    """Items of one touch after another, gathered for this time [s]."""
 
     def __init__(self, gather_s: float = GATHER_S) -> None:
         self._gather_s = gather_s
@@ -35,7 +35,7 @@ class Portions:
         return len(self._items)
 
     def add(self, items: Sequence[Item], touch: int, size: int) -> Iterator[tuple[list[Item], int]]:
-        """What is complete with these: items, and their touch."""
+        """Portions that are complete with these: items, and their touch."""
         if touch != self._touch:
             yield from self.rest()
             self._touch = touch
@@ -59,7 +59,7 @@ class Portions:
 
 
 class RisingTimes:
-    """Times that only ever become more: what was read of them stays as it was."""
+    """Times that only rise: earlier readings of them do not change."""
 
     def __init__(self) -> None:
         self._held: IntArray = np.zeros(1024, np.int64)

@@ -1,4 +1,4 @@
-"""What made a result: format, settings, versions, git state, command line, machine."""
+"""Provenance of a result: format, settings, versions, git state, command line, machine."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def machine() -> str:
 
 
 def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:
-    """All of it, as text that any tool can read. brief: without what differs between two runs of one input"""
+    """All of it, as text that any tool can read. brief: without differences between two runs of one input"""
     found: dict[str, object] = {"format": FORMAT, "settings": json.dumps(settings, sort_keys=True, default=str)}
     seed = settings.get("seed")
     if isinstance(seed, int):
@@ -67,8 +67,8 @@ def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, obje
 
 
 def exported(properties: Mapping[str, object], *, anonymous: bool) -> dict[str, object]:
-    """What an export says of how the recording was made. anonymous: versions, and of the settings the numbers alone:
-    commands, machines, commits and words may name a person, a machine or a path"""
+    """Provenance of the recording in an export. anonymous: versions, and of the settings the numbers alone: commands,
+    machines, commits and words may name a person, a machine or a path"""
     found = {name: _parsed(value) for name, value in properties.items()}
     if not anonymous:
         return found
@@ -77,7 +77,7 @@ def exported(properties: Mapping[str, object], *, anonymous: bool) -> dict[str, 
 
 
 def left_out(properties: Mapping[str, object]) -> dict[str, str]:
-    """What an anonymous export does not say of how the recording was made, by its place (`settings.rig`)."""
+    """Provenance that an anonymous export leaves out, by its place (`settings.rig`)."""
     return dict(_differing("", exported(properties, anonymous=False), exported(properties, anonymous=True)))
 
 

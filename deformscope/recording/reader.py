@@ -33,7 +33,7 @@ APPLICATION_PREFIX = "deformscope"
 """Of rerun's applications of ours (`deformscope.log.application`)."""
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
-"""What the images in each component are."""
+"""Kind of the images in each component."""
 SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
 
 _logger = logging.getLogger(__name__)
@@ -44,11 +44,11 @@ def check_magic(path: Path) -> None:
     with path.open("rb") as file:
         magic = file.read(len(RRD_MAGIC))
     if magic != RRD_MAGIC:
-        raise InputError("a recording (.rrd)", "a file that is none" if magic else "an empty file", where=path)
+        raise InputError("a recording (.rrd)", "a file of another kind" if magic else "an empty file", where=path)
 
 
 class Replay:
-    """What a recording holds, read when asked for.
+    """Content of a recording, read on demand.
 
     trust: skip the comparison with the ledger; has_ledger: there is one, which its bytes can be compared with
     """
@@ -60,7 +60,7 @@ class Replay:
 
     @cached_property
     def properties(self) -> dict[str, Any]:
-        """What made the recording: format, settings, seed, versions, git state, command, platform, most as JSON."""
+        """Provenance of the recording: format, settings, seed, versions, git state, command, platform, most as JSON."""
         return self._values(SESSION)
 
     @cached_property
@@ -84,7 +84,7 @@ class Replay:
 
     @cached_property
     def losses(self) -> dict[str, dict[str, float]]:
-        """What its devices lost, by device and kind: as the run left it at its end, else by the last look at them."""
+        """Losses of its devices, by device and kind: from the end of the run, else from their last health."""
         if "losses" in self.outcome:
             found: dict[str, dict[str, float]] = json.loads(self.outcome["losses"])
             return found
@@ -93,12 +93,12 @@ class Replay:
 
     @property
     def discarded(self) -> list[Discard]:
-        """What of it is not to be used, and why."""
+        """Its discarded parts, with reasons."""
         return discards_of(self.path, [row.item for row in read_rows(self, (SessionNote,))])
 
     @cached_property
     def image_counts(self) -> dict[tuple[str, str], int]:
-        """How many images were recorded, by device and what they are: `image`, or `depth` and `color`."""
+        """Number of recorded images, by device and kind: `image`, or `depth` and `color`."""
         found: Counter[tuple[str, str]] = Counter()
         for chunk, _, device in portions(self, (ColorFrame, DepthFrame)):
             batch = chunk.to_record_batch()
@@ -139,7 +139,7 @@ class Replay:
         return None if found is None else decode_image(found, self.path)
 
     def read_pair_bytes(self) -> list[bytes]:
-        """The pair files as they were, in the order of their names."""
+        """The pair files, unchanged, in the order of their names."""
         found = self.read_inputs()
         return [found[name] for name in sorted(found, key=_natural) if name.split("/")[0] == "pair"]
 
@@ -177,7 +177,7 @@ class Replay:
                 yield ColorFrame(frame.stamp, frame.index, frame.color, camera)
 
     def _check(self, trust: bool) -> None:
-        """Refuse what is no recording of ours, or no longer what was recorded."""
+        """Refuse a file that is no recording of ours, or has changed since it was recorded."""
         path = self.path
         if not path.is_file():
             raise InputError("a recording", "a folder" if path.is_dir() else "nothing there", where=path)
@@ -196,7 +196,7 @@ class Replay:
             _logger.warning("%s is discarded: %s", path, one)
 
     def _check_format(self) -> None:
-        """Refuse what this version would misread."""
+        """Refuse formats that this version would misread."""
         if "format" not in self.properties:
             came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
         elif (number := self.properties["format"]) not in READABLE:
@@ -209,14 +209,14 @@ class Replay:
         try:
             check = check_recording(self.path)
         except FileNotFoundError:
-            _logger.warning("%s has no ledger: whether its bytes are as they were recorded is not known", self.path)
+            _logger.warning("%s has no ledger: changed bytes cannot be detected", self.path)
             return
         if not check.ended and not check.problems:
-            came = f"{check.committed} bytes are as they were recorded, what came after is not checked"
-            _logger.warning("%s is of a run that was cut short: %s", self.path, came)
+            came = f"{check.committed} bytes are as recorded, later ones are not checked"
+            _logger.warning("%s is of an interrupted run: %s", self.path, came)
         if problems := check.problems:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-            raise InputError("a recording as its ledger has it", problems[0] + more, "an intact copy", self.path)
+            raise InputError("a recording that matches its ledger", problems[0] + more, "an intact copy", self.path)
 
     def _reader(self) -> RrdReader:
         from rerun.chunk import RrdReader
@@ -255,8 +255,8 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 def _unreadable(path: Path) -> InputError:
     return InputError(
-        "a recording that can be read",
-        "one that is cut off or damaged",
+        "a readable recording",
+        "one that is truncated or damaged",
         f"deformscope recover {path.name}",
         path,
     )

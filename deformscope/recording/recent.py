@@ -1,7 +1,7 @@
-"""The newest seconds of a rig, held in memory, so that what has just happened can still be recorded.
+"""The newest seconds of a rig, in memory, so that recent events can still be recorded.
 
-What is written of it is a recording like any other. It begins with a look at the devices, and counts what they lost
-from that look on: neither readings nor losses of an earlier time are in it.
+Its recording is like any other. It begins with the devices' health, and counts their losses from that on: neither
+readings nor losses of an earlier time are in it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from deformscope.recording.recorder import Recorder, RecordingSummary
 _logger = logging.getLogger(__name__)
 
 MOST_BYTES = 256 << 20
-"""Unless more is asked for: pictures are held as they came, some 30 MB a second of each camera."""
+"""Default limits: pictures are stored as they came, about 30 MB a second of each camera."""
 
 
 @dataclass(slots=True)
 class _Stretch:
-    """From one look at the devices to the next."""
+    """From one health report of the devices to the next."""
 
     look: HealthReport
     batches: list[list[Item]] = field(default_factory=list)
@@ -38,8 +38,7 @@ class _Stretch:
 
 
 class RecentItems:
-    """seconds: held, and what came since the look at the devices before them; most_bytes: less is held where that is
-    more"""
+    """seconds: stored time, from the devices' health before it; most_bytes: less is held where that is more"""
 
     def __init__(self, seconds: float, most_bytes: int = MOST_BYTES) -> None:
         self.seconds = seconds
@@ -48,7 +47,7 @@ class RecentItems:
         self._newest_ns = 0
 
     def add(self, items: Sequence[Item]) -> None:
-        """What the devices gave, in its order. What came before the first look at them is not held."""
+        """Device items, in their order. Items before their first health are not stored."""
         batch: list[Item] = []
         for item in items:
             if isinstance(item, HealthReport):
@@ -80,14 +79,14 @@ class RecentItems:
         return sum(stretch.bytes for stretch in self._stretches)
 
     def taken(self) -> tuple[HealthReport, list[list[Item]]] | None:
-        """The look at the devices with which what is held begins, and all that came from it on; None = nothing yet."""
+        """The health report at the begin of the stored items, and all later items; None = nothing yet."""
         if not self._stretches:
             return None
         return self._stretches[0].look, [list(batch) for stretch in self._stretches for batch in stretch.batches]
 
 
 class WatchedRecorder:
-    """A session's recorder whose view goes on where its file cannot; the file's error is raised in the end.
+    """A session's recorder whose view continues where its file cannot; the file's error is raised in the end.
 
     watch: shows it; kept: records
     """
@@ -127,7 +126,7 @@ class WatchedRecorder:
                 self._kept.write(items)
             except RecordingError as error:
                 self._failure = error
-                _logger.warning("the recording has ended, the view goes on: %s", error)
+                _logger.warning("the recording has ended, the view continues: %s", error)
                 self._ending = threading.Thread(target=self._kept.__exit__, args=(type(error),))
                 self._ending.start()
 
@@ -137,7 +136,7 @@ class WatchedRecorder:
             one.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
-        """Of what was kept, and of what the view lacks."""
+        """Of the stored items, and of the view's missing ones."""
         return replace(self._kept.summary(), dropped=self._watch.summary().dropped)
 
 
@@ -182,7 +181,7 @@ def write_recent(
     streams: Sequence[Stream],
     lossless: Collection[str] = (),
 ) -> None:
-    """Record what was held. recorder: entered, and one that may wait: all of it comes at once"""
+    """Record the stored items. recorder: entered, and one that may wait: all of it comes at once"""
     before, batches = taken
     start_ns = min(host_ns(item) for batch in batches for item in batch)
     recorder.start(RigLayout(tuple(streams)), start_ns, lossless)
@@ -197,7 +196,8 @@ def end_with_recent(
     lossless: Collection[str],
     kind: type[BaseException] | None,
 ) -> None:
-    """Record what is held at a session's end, and close the file. kind: of the error that ended it, None = none did"""
+    """Record the stored items at a session's end, and close the file. kind: of the error that ended it, None = none
+    did"""
     try:
         if (taken := recent.taken()) is not None:
             write_recent(recorder, taken, streams, lossless)

@@ -1,8 +1,8 @@
 """Everything that is recorded or shown goes through here: the file, the live view, timelines, provenance.
 
-A recording in progress is `NAME.part.rrd`, a file like any other recording; it becomes `NAME.rrd` when all went well,
-or when what it records was stopped and the recording holds that (`stopped_because`). A run that crashes, or that ends
-in an error, leaves it there with all it had (a crash: but for the last moments), and whatever `NAME.rrd` was before is
+A recording in progress is `NAME.part.rrd`, a file like any other recording. It becomes `NAME.rrd` after a normal end,
+or when its subject was stopped and the recording holds that (`stopped_because`). A run that crashes, or that ends in an
+error, leaves it there with all its data (a crash: except for the last moments), and an existing `NAME.rrd` is
 untouched. An unfinished recording is never written over.
 """
 
@@ -43,11 +43,11 @@ if TYPE_CHECKING:
     from deformscope.page.server.page_server import PageServer
 
 BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
-"""What may wait to be written of devices, which go on by themselves."""
+"""Limit of waiting data of devices, which continue on their own clock."""
 LATE = 8
-"""The recording is late when a share of 1 in so many of it waits."""
+"""Share of it, as 1 in this number, whose wait means a late recording."""
 AHEAD_JOBS, AHEAD_BYTES = 16, 64 << 20
-"""The same of what can itself wait for its recording."""
+"""The same of sources that can wait for their recording."""
 TICK_S = 0.1
 SETTLE_TIMEOUT_S = 10.0
 DRAIN_TIMEOUT_S = 60.0
@@ -56,11 +56,11 @@ LIVE_TIMEOUT_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """What was recorded.
+    """Summary of a recording.
 
     path: the finished file, or the unfinished one after an error; None where nothing was written
-    dropped: portions (a frame, a step, an input, what the devices gave in a tenth of a second) that the viewer is not
-    known to have got; bytes: size of the file
+    dropped: portions (a frame, a step, an input, device items of a tenth of a second) without the viewer's
+    confirmation; bytes: size of the file
     """
 
     path: Path | None
@@ -75,16 +75,15 @@ class Recorder:
 
     file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer
     it does nothing, and rerun is not even imported.
-    settings: everything that decides the results, JSON-able; application: what it is a recording of
-    deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal; leaves
-    out what differs between runs (start time, command line, versions, git state) and writes in larger portions
-    real_time: what is recorded goes on by itself, as devices do: a disk that stays too slow for it ends the recording
-    with a RecordingError. Otherwise whoever writes waits, once the disk is far behind
-    whole_or_nothing: an error leaves no unfinished file: what is recorded can be read again
+    settings: everything that decides the results, JSON-able; application: kind of its recording
+    deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal. It leaves out
+    differences between runs (start time, command line, versions, git state) and writes in larger portions
+    real_time: its source continues on its own clock, as devices do: a disk that stays too slow for it ends the
+    recording with a RecordingError. Otherwise whoever writes waits, once the disk is far behind
+    whole_or_nothing: an error leaves no unfinished file: its source can be read again
 
-    Nothing is encoded, and no disk waited for, in the thread that calls `write`: that is done in order in a thread
-    of the recorder's own, so what is handed over must not be changed any more. What fails there is raised by the next
-    call, or in the end.
+    Nothing is encoded, and no disk waited for, in the thread that calls `write`: a thread of the recorder does that in
+    order, so items must not be changed after the call. An error there is raised by the next call, or in the end.
     """
 
     def __init__(
@@ -160,10 +159,10 @@ class Recorder:
     # What is handed over ---------------------------------------------------------------------------------------------
 
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
-        """From here on it is devices that are recorded, and what is computed of them.
+        """From here on devices are recorded, and results computed from them.
 
         layout: how, as the experiment has it; start_ns: the host's clock at session time 0
-        lossless: devices whose colour images are kept without loss
+        lossless: devices whose colour images are stored without loss
         """
         if not self.active:
             return
@@ -182,10 +181,10 @@ class Recorder:
         self._encoder = DeviceEncoder(self._outputs, layout, start_ns, lossless, at_frames, self._not_shown, gather_s)
 
     def write(self, items: object) -> None:
-        """Record one thing, or a sequence of things, without loss; an empty one asks whether it can go on.
+        """Record one thing, or a sequence of things, without loss; an empty one checks whether it can continue.
 
-        What devices, files and cameras give (`deformscope.frames.Item`) stands at its own stamp, an `InputFile` at the
-        frame before it. The results of a `Step` stand at its moment, or at the frame that they belong to, which a
+        Items of devices, files and cameras (`deformscope.frames.Item`) are at their own stamp, an `InputFile` at the
+        frame before it. The results of a `Step` are at its moment, or at the frame that they belong to, which a
         `StageResult` names.
         """
         given = tuple(items) if isinstance(items, Sequence) else (items,)
@@ -201,11 +200,11 @@ class Recorder:
                     self._take_input(one)
 
     def stopped_because(self, reason: str) -> None:
-        """What is recorded ended before its time, and the recording with it: whole, and saying why."""
+        """The recorded run ended early, and the recording with it: complete, with the reason."""
         self._stopped = reason
 
     def summary(self) -> RecordingSummary:
-        """What was recorded so far, or in the end."""
+        """The recording so far, or in the end."""
         if self._finished is not None:
             return self._finished
         part = None if self._target is None else self._target.part
@@ -285,7 +284,7 @@ class Recorder:
         self._lateness = Lateness(BACKLOG_BYTES // LATE, self._writer.thread_id)
 
     def _opened_view(self, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
-        """A window, or a page, and what feeds it."""
+        """A window, or a page, and its feed."""
         if self._viewer_kind == "native":
             return open_window(self._application.name, recording_id, properties)
         from deformscope.page.server.page_server import PageServer
@@ -345,7 +344,7 @@ class Recorder:
         return found
 
     def _end_writing(self) -> Exception | None:
-        """Have the writer finish; what kept it from that."""
+        """Have the writer finish; the error that prevented it."""
         writer, self._writer = self._writer, None
         if writer is None:
             return None

@@ -1,10 +1,10 @@
 """The file of a recording in progress: flushed several times a second, and readable whatever ends the process.
 
-What is recorded goes to two files. `NAME.part.rrd` has all of it at the next flush, in many small portions and without
-a footer: for one, rerun keeps some kilobytes of memory for each portion until the file is closed (1 MB for each second
-of a rig's recording), and a viewer reads a file of many portions slowly. `NAME.part.rrd.merged` gets the same rows in
-a hundredth of the portions, with a footer: it becomes the recording in the end. It can be done without: where it does
-not get on, or the disk is short, it is left out, and the recording is the first file.
+A recording goes to two files. `NAME.part.rrd` has all of it at the next flush, in many small portions and without a
+footer. With one, rerun keeps some kilobytes of memory for each portion until the file is closed (1 MB for each second
+of a rig's recording), and a viewer reads a file of many portions slowly. `NAME.part.rrd.merged` gets the same rows in a
+hundredth of the portions, with a footer: it becomes the recording in the end. It is optional: if it fails, or the disk
+is short, it is left out, and the recording is the first file.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 BEAT_S = 0.15
 BEAT_FRAMES = 32
 BEAT_BYTES = 16 << 20
-"""Given since the last flush: what rerun has yet to write is not missing on the disk when its room is looked at."""
+"""Data since the last flush: rerun's pending writes are not missing on the disk when its room is checked."""
 FULL_BYTES = 1 << 20
 """With less room than this a file cannot even be ended."""
 BEATS_MERGED = 200
@@ -50,7 +50,7 @@ _logger = logging.getLogger(__name__)
 
 
 def merged_path(part: Path) -> Path:
-    """Of the file with the large portions, beside the other."""
+    """Path of the file with the large portions, next to the other."""
     return part.with_name(part.name + ".merged")
 
 
@@ -58,9 +58,8 @@ class RecordingFile:
     """Written by one thread at a time.
 
     part: an empty file to record into; properties: of the whole; name: of the recording in a viewer
-    deterministic: what is written, and in which portions, depends on nothing but what is recorded
-    Raises RecordingError once the disk has too little room, with enough left to end the file, or takes no more;
-    `broken` then, and nothing but `close` is left.
+    deterministic: content and portions depend only on the recorded items Raises RecordingError once the disk has too
+    little room, with enough left to end the file, or takes no more; `broken` then, and only `close` is left.
     """
 
     def __init__(
@@ -101,12 +100,12 @@ class RecordingFile:
             raise
 
     def log(self, job: Callable[[rr.RecordingStream], None]) -> None:
-        """Whatever can be done with a stream, now and then with a look at the disk before."""
+        """Any call on a stream, sometimes with a check of the disk before."""
         self.beat()
         self._log(job)
 
     def send(self, batch: Batch) -> None:
-        """What was made ready, with a look at the disk as well."""
+        """Encoded data, with a check of the disk as well."""
         from rerun.chunk import Chunk
 
         self.beat()
@@ -126,9 +125,9 @@ class RecordingFile:
         self._log(lambda rec: rec.send_property(name, rr.AnyValues(True, **values)))
 
     def beat(self) -> None:
-        """Notice now and then that the disk is full or gone: rerun would go on without a word."""
+        """Check now and then whether the disk is full or gone: rerun would continue without a report."""
         if self.broken:
-            raise RecordingError("a recording that goes on", "one that has failed", where=self.path)
+            raise RecordingError("a recording that continues", "one that has failed", where=self.path)
         if self._deterministic:  # by count, since every flush ends a portion of the file
             self._looks += 1
             due = self._looks % BEAT_FRAMES == 0
@@ -138,12 +137,12 @@ class RecordingFile:
             self.flush()
 
     def flush(self) -> None:
-        """Have the disk take what was written, where it has room for more."""
+        """Have the disk take the written data, if it has room for more."""
         self._look_at_disk()
         self.flush_last()
 
     def flush_last(self) -> None:
-        """Have the disk take what was written: the room that is left is for this."""
+        """Have the disk take the written data: the remaining room is for this."""
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
             self._commit()
@@ -180,7 +179,7 @@ class RecordingFile:
             return self._merged_path
         self._merged_path.unlink(missing_ok=True)
         if merged is not None and not self.broken:
-            _warn_that_it_stays_small("a file was not written to its end")
+            _warn_that_it_stays_small("a file is incomplete")
         return self.path
 
     def _note(self, part: Chunk) -> int:
@@ -195,7 +194,7 @@ class RecordingFile:
         return int(batch.nbytes)
 
     def _commit(self) -> None:
-        """Have the ledger answer for what was flushed."""
+        """Have the ledger cover the flushed data."""
         spans = self._given.values()
         span_s = (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
         self._ledger.commit(self.path.stat().st_size, tuple(self._given), span_s)
@@ -233,7 +232,7 @@ class RecordingFile:
 
 
 def _refusal(error: Exception) -> str:
-    """What a disk with room does that a flush fails on. error: of the flush"""
+    """Error of a disk with room when a flush fails on it. error: of the flush"""
     if "shut down" in str(error):
         return "one that refuses it: its quota is full, or it is gone"
     waits = "that takes nothing" if writes_are_held_up() else "or a processor that is so busy that nothing is taken"
@@ -241,11 +240,11 @@ def _refusal(error: Exception) -> str:
 
 
 def _warn_that_it_stays_small(reason: str) -> None:
-    _logger.warning("%s: the recording is whole, but in many small portions, which a viewer opens slowly", reason)
+    _logger.warning("%s: the recording is complete, but in many small portions, which a viewer opens slowly", reason)
 
 
 class _Each:
-    """Whatever is called of it is called of each stream: what a job works out for it is worked out once."""
+    """Every call on it is a call on each stream: the result of a job's function is computed once."""
 
     def __init__(self, streams: Sequence[rr.RecordingStream]) -> None:
         self._streams = streams

@@ -1,7 +1,7 @@
 """Where the portions of a finished recording lie in its file, by the index that rerun writes at its end.
 
 The last 32 bytes are offset and length of the footer (uint64), its checksum (uint32), `RRF2FOOT` and a count. The
-footer is a protobuf message of manifests (field 1), one for each store; field 4 of each holds its table of portions
+footer is a protobuf message of manifests (field 1), one for each store. Field 4 of each holds its table of portions
 (length of the plain bytes in field 4, an Arrow IPC stream, compressed by LZ4, in field 2).
 """
 
@@ -87,7 +87,7 @@ def _parsed(message: bytes) -> Iterator[tuple[int, bytes | int]]:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A number of variable length, and where what follows it begins."""
+    """A number of variable length, and the place after it."""
     value = shift = 0
     while True:
         byte = message[at]

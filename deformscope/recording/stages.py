@@ -28,15 +28,15 @@ from deformscope.stages.msm.state_sweep import StateSweeps
 
 PICTURES = (application.IMAGES, application.FLOW, application.PAIR, application.PAIR_3D, application.FINDINGS)
 LIVE_MS = 1000.0
-"""A stage is live whose results stand so shortly before the newest frame, in the median [ms]."""
+"""A stage is live if the median delay of its results behind the newest frame is below this [ms]."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedStage:
     """A stage as a recording has it.
 
-    timelines: of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms: how long
-    before the newest frame its results stand, in the median; live: whether that is soon; None where it was not recorded
+    timelines: of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms: median delay
+    of its results behind the newest frame; live: whether that is soon; None where it was not recorded
     missing: rows were to be expected, by the recording's settings, and there are none; when: they are to be expected
     """
 
@@ -68,8 +68,8 @@ def registries() -> dict[str, Views[Any]]:
 
 
 def recorded_stages(path: Path) -> list[RecordedStage]:
-    """All that are registered for recordings of its kind, or for the kind that this is a variant of, by chapter;
-    whether they are in it or not."""
+    """All stages that are registered for recordings of its kind, or for the kind that this is a variant of, by chapter,
+    existing or missing."""
     replay = Replay(path, trust=True)
     every, counted = registries(), _Counted(json.loads(replay.properties.get("settings", "{}")))
     for chunk in replay.chunks("/**"):

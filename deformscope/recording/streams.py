@@ -1,7 +1,7 @@
 """A recording as tables: its streams, each as batches of rows in order of time, names and units as in the JSON.
 
-A column's unit stands in its name and in its metadata (`unit`). Vectors are columns of their own (`force_x_n`), the two
-ends of an interval `NAME_low` and `NAME_high`; what has no fixed length is a list, the shape of an array beside it.
+A column's unit is in its name and in its metadata (`unit`). Vectors are separate columns (`force_x_n`), the two ends of
+an interval `NAME_low` and `NAME_high`; values without a fixed length are a list, with the shape of an array as another.
 """
 
 from __future__ import annotations
@@ -95,10 +95,10 @@ KEPT_TEXT = {
     *("verdict", "beta_verdict", "stiffness_verdict", "stage", "name", "parameter", "about", "link", "unit"),
     *("gain_unit", "modality", "labels", "state", "parent_frame", "child_frame"),
 }
-"""Text that is the program's own: all other may name a person, a machine or a path, and is left out where an export is
-anonymous."""
+"""Text of the program itself: all other text may name a person, a machine or a path, and an anonymous export leaves it
+out."""
 PRIVATE = {"raw", "input"}
-"""Entities that an anonymous export leaves out: bytes as they were say what a device says of itself, as its serial
+"""Entities that an anonymous export leaves out: raw bytes contain a device's own information, such as its serial
 number."""
 
 _MATERIALS = (AxisEstimate, FieldEstimate, RecoveryEstimate, YieldEstimate)
@@ -115,7 +115,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class RecordedStream:
-    """One stream. entity: where it stands in the recording; kinds: of what each row holds; about: the device, or None
+    """One stream. entity: its place in the recording; kinds: of what each row holds; about: the device, or None
     schema: of its batches; rows: how many there are, those that were recorded in part included
     until_ns: time of the last since the recording's start [ns]; paths: of the entities, in rerun's spelling
     words: columns that an anonymous export leaves out
@@ -323,12 +323,12 @@ class RecordingTables:
         return dict(sorted(found.items())), offset
 
     def left_out(self) -> dict[str, str]:
-        """What an anonymous export leaves out of the streams, by entity and column, and what devices say of
-        themselves, which no export has."""
+        """Parts that an anonymous export leaves out of the streams, by entity and column, and the devices' own
+        information, which no export has."""
         found: dict[str, str] = {}
         for entity, stream in self.streams.items():
             if entity.split("/")[0] in PRIVATE:
-                found[entity] = f"bytes as they were, {stream.rows} rows"
+                found[entity] = f"raw bytes, {stream.rows} rows"
             else:
                 found |= {f"{entity} {name}": f"words, {stream.rows} rows" for name in stream.words}
             known = stream.about
@@ -465,7 +465,7 @@ def _until(waiting: Sequence[pa.Table], until: int | None) -> tuple[pa.Table | N
 
 
 def _joined(table: pa.Table, first: IntArray) -> pa.Table:
-    """Rows that stand in several portions as one each. first: (rows,) where each begins"""
+    """Rows that span several portions as one each. first: (rows,) where each begins"""
     columns = []
     for column in table.columns:
         there = column.combine_chunks().is_valid().to_numpy(zero_copy_only=False)
@@ -576,8 +576,8 @@ def _axes(column: str, width: int) -> list[str]:
 
 
 def columns_of(name: str, columns: Iterable[str]) -> list[str]:
-    """Those of these columns that hold a frame's field of this name, its own, or one for each of its values, in the
-    order of the values."""
+    """Those of these columns that hold a frame's field of this name: its own column, or one for each of its values, in
+    the order of the values."""
     base, unit = split_unit(name)
     each = re.compile(rf"{re.escape(base)}_(\d+_)?([xyz]|\d+){unit and f'_{unit}'}")
     found = (one for one in columns if one == name or each.fullmatch(one))

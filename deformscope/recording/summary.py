@@ -1,4 +1,4 @@
-"""One recording as a row of a catalog: what made it, how it ended, what it found, by the names of the JSON."""
+"""One recording as a row of a catalog: its command, its end, its results, by the names of the JSON."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ SETTINGS = "settings."
 
 
 def summarise(path: Path) -> dict[str, Any]:
-    """All of it. What is damaged says so in `status` and `problem`, with what can be read. Raises OSError and
-    MemoryError where the system refuses."""
+    """All of it. Damage is reported in `status` and `problem`, with the readable part. Raises OSError and MemoryError
+    where the system refuses."""
     row: dict[str, Any] = {"status": WHOLE, "damaged": False, "problem": None}
     if is_being_written(path):
         return row | {"status": WRITTEN}
@@ -58,7 +58,7 @@ def _damaged(row: Mapping[str, Any], problem: str) -> dict[str, Any]:
 
 
 def _checked(path: Path) -> dict[str, Any]:
-    """The recording beside its ledger, and the SHA-256 of its bytes: the ledger's where that was found to be so."""
+    """The recording checked by its ledger, and the SHA-256 of its bytes: the ledger's if that was found to be right."""
     try:
         check = check_recording(path)
     except FileNotFoundError:
@@ -98,7 +98,7 @@ def _parts(replay: Replay) -> Iterator[dict[str, Any]]:
 
 
 def _rows(replay: Replay) -> Iterator[dict[str, Any]]:
-    """What was remarked, and the last results of an exploration or a squeeze."""
+    """Remarks, and the last results of an exploration or a squeeze."""
     notes, last, touches = list[SessionNote](), dict[type, Any](), list[TouchEstimate]()
     for row in read_rows(replay, (SessionNote, TouchEstimate, MapEstimate, SqueezeEvents, ContentPosterior)):
         if isinstance(row.item, SessionNote):

@@ -1,4 +1,4 @@
-"""The name that a recording gets, and the unfinished file beside it until then."""
+"""The name that a recording gets, and its unfinished file in the same folder until then."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RecordingTarget:
         self._lock: BinaryIO | None = None
 
     def reserve(self) -> None:
-        """Make the unfinished file; refuses what cannot work before any work is done."""
+        """Make the unfinished file; refuses impossible targets before any work is done."""
         self.part, self._lock = _reserve(self.path, self._overwrite)
         try:
             check_room(self.path)
@@ -69,16 +69,16 @@ class RecordingTarget:
         return self.path
 
     def keep_unfinished(self, whole: Path, *, worth_it: bool) -> Path | None:
-        """Leave what there is where it is, unless it is not worth it."""
+        """Leave existing data in place, unless they are useless."""
         self._keep(whole)
         if not worth_it:
             self.part.unlink(missing_ok=True)
             ledger_path(self.part).unlink(missing_ok=True)
             return None
         if is_recoverable(self.part):
-            _logger.warning("what was recorded before the error is kept: deformscope recover %s", self.part)
+            _logger.warning("data recorded before the error are stored: deformscope recover %s", self.part)
         else:
-            _logger.warning("nothing can be recovered of what was recorded before the error: %s", self.part)
+            _logger.warning("no data recorded before the error can be recovered: %s", self.part)
         return self.part
 
     def _keep(self, whole: Path) -> None:
@@ -92,7 +92,7 @@ class RecordingTarget:
 
 
 def remove_strays(folder: Path) -> None:
-    """Of runs that were killed: the file of large portions, of no use without its end. What they recorded stays."""
+    """Of runs that were killed: the file of large portions, of no use without its end. Their recordings stay."""
     for stray in folder.glob(f"*{merged_path(Path(f'.part*{SUFFIX}'))}"):
         if not is_being_written(stray.with_suffix("")):
             with suppress(OSError):  # in a folder that is only read
@@ -110,7 +110,7 @@ def _followed(target: Path) -> Path:
 
 
 def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
-    """An empty file to record into, beside the target, and its lock until it is closed."""
+    """An empty file to record into, next to the target, and its lock until it is closed."""
     if target.suffix.lower() != SUFFIX:
         raise InputError(f"a recording's name that ends in {SUFFIX}", f"{target.suffix or 'no ending'}", where=target)
     if target.is_dir():

@@ -12,11 +12,11 @@ Job = Callable[[], None]
 class Writer:
     """`put` jobs from any thread; they are done one after the other in a thread of the writer's own.
 
-    tick: done after each job and at the least every `tick_s`; the first job or tick that fails ends the thread, and
-    every later `put` raises what it raised
+    tick: called after each job and at the least every `tick_s`; the first job or tick that fails ends the thread, and
+    every later `put` raises its error
     capacity_jobs, capacity_bytes: of jobs that wait
-    overrun: makes the error where more than that waits, of the bytes that do; None = who puts a job then waits for
-    room, as a file or a simulation that is recorded can
+    overrun: makes the error if more than that waits, of the waiting bytes; None = the caller of a job then waits for
+    room, for a file or a simulation
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Writer:
         self._thread.start()
 
     def put(self, job: Job, size: int) -> None:
-        """Hand a job over. size: bytes that it keeps alive. Raises what made the writer fail."""
+        """Hand a job over. size: bytes that it keeps alive. Raises the writer's error."""
         with self._changed:
             while self._is_full(size) and self.failure is None:
                 if self._overrun is not None:
@@ -56,7 +56,7 @@ class Writer:
             self._changed.notify_all()
 
     def check(self) -> None:
-        """Raise what made the writer fail."""
+        """Raise the writer's error."""
         if self.failure is not None:
             raise self.failure
 
@@ -72,12 +72,12 @@ class Writer:
 
     @property
     def waiting_bytes(self) -> int:
-        """What the jobs that wait keep alive."""
+        """Memory of the waiting jobs."""
         return self._bytes
 
     def close(self, timeout_s: float, last: Job | None = None) -> bool:
-        """Do what still waits, then the last job, unless one of them takes longer than the time; return whether the
-        thread has ended."""
+        """Do waiting jobs, then the last one, unless one of them takes longer than the time; return whether the thread
+        has ended."""
         with self._changed:
             if last is not None and self.failure is None:
                 self._jobs.append((last, 0))

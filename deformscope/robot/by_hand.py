@@ -44,7 +44,7 @@ longer."""
 MOST_CORRECTION_M = 0.03
 """A height further from the request is a mistake, such as cm for mm, and is requested again: corrections are a few
 millimetres. A larger limit accepts mistakes; a smaller one refuses true heights of a roughly placed stick."""
-AGAIN = "a height in mm on the scale, or nothing for the requested height:"
+AGAIN = "a height in mm on the scale, or nothing for the requested height: "
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -188,7 +188,8 @@ def follow(
     bool: many routes at once cost little more than one.
 
     start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
-    configuration that the arm is in.
+    configuration that the arm is in. Paths are checked every WAY_M: joints keep PLAN_MARGIN_DEG, and near a
+    singularity its damping keeps the arm on its path (`commands.OFF_COURSE`).
     meanwhile: called every few milliseconds
     """
     directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))

@@ -85,7 +85,7 @@ def home(config: HomeConfig) -> None:
         if not arm.goes_home:
             raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")
         if not config.yes:
-            _ask("The arm will now move to its home pose on its own path: is the way free? Type yes:", asked)
+            _ask("The arm will now move to its home pose on its own path: is the way free? Type yes: ", asked)
         say("the arm goes home: Ctrl-C stops it")
         with ThreadPoolExecutor(1, "home") as beside:
             going = beside.submit(arm.home)

@@ -1,4 +1,4 @@
-"""A catalog of the recordings in a folder: a Parquet file beside them, kept true by their content."""
+"""A catalog of the recordings in a folder: a Parquet file there, updated by their content."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 INDEX, PAGE, PICTURES = "catalog.parquet", "catalog.html", ".catalog"
 UNREAD = "unread"
-"""Status where the system refused, or the process that read it ended: nothing is said of the recording."""
+"""Status if the system refused, or the process that read it ended: it does not describe the recording."""
 STATED = ("size", "mtime_ns", "ledger_ns", "by")
-"""What says that a row of the index still holds: of the file, of its ledger, and the version that read it."""
+"""Conditions for a valid row of the index: of the file, of its ledger, and the version that read it."""
 TYPES = {
     **{name: pa.string() for name in ("path", "status", "problem", "kind", "label", "devices", "verdict", "losses")},
     **{name: pa.string() for name in ("notes", "discarded", "command", "version", "sha256", "recorded", "by")},
@@ -48,7 +48,7 @@ PICTURE_PX, PAGE_ROWS = 320, 1000
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CatalogResult(LibraryResult):
-    """folder: of the recordings; table: the rows asked for; names: of the columns to show; read: recordings that were
+    """folder: of the recordings; table: the requested rows; names: of the columns to show; read: recordings that were
     read now"""
 
     folder: Path
@@ -77,7 +77,7 @@ def catalogue(
 ) -> CatalogResult:
     """The recordings of a folder for which a condition holds (`select_rows`); the index is made or brought up to date.
 
-    names: of columns to show. Raises InputError for what cannot be used; a damaged recording is a row that says so.
+    names: of columns to show. Raises InputError for unusable arguments; a damaged recording is a row with that status.
     """
     if not folder.is_dir():
         raise InputError("a folder of recordings", "a file" if folder.exists() else "nothing there", where=folder)
@@ -211,7 +211,7 @@ class ComparedRecordings(LibraryResult):
     """How the second differs from the first.
 
     settings: those that differ, by name; results: (name, first, second, difference) as JSON has values with intervals
-    series: of what devices measured since the first contact; unaligned: why there are none, empty = there are
+    series: of the devices' measurements since the first contact; unaligned: why there are none, empty = there are
     """
 
     first: Path
@@ -234,7 +234,7 @@ class ComparedRecordings(LibraryResult):
             for one in self.series
         ]
         tables = [Table(settings, names, "Settings that differ"), Table(results, (*names, "difference"), "Results")]
-        tables.append(Table(series, columns, "What devices measured, aligned by contact"))
+        tables.append(Table(series, columns, "Measurements of devices, aligned by contact"))
         return tuple(one for one in tables if one.rows)
 
     def as_json(self) -> dict[str, Any]:

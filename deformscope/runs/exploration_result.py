@@ -302,7 +302,7 @@ class ExplorationResult(LibraryResult):
     def force_text(self) -> str:
         """Set force of touches, and the largest force: by the sensor, and true if it is known."""
         more_n, true_n = self.more_force_n, self.max_force_n
-        more = "" if more_n is None else f"({more_n:g} N if the dent is below {1e3 * SHALLOW_M:g} mm)"
+        more = "" if more_n is None else f" ({more_n:g} N if the dent is below {1e3 * SHALLOW_M:g} mm)"
         true = "" if true_n is None else f", true {true_n:.2f} N (available in simulation only)"
         return f"set to {self.set_force_n:g} N{more}; largest: measured {self.measured_max_force_n:.2f} N{true}"
 

@@ -23,7 +23,7 @@ class ExportResult(FoundResult):
 
 
 def export_recording(config: ExportConfig, progress: Progress) -> ExportResult:
-    """Write it, and list what was written."""
+    """Write it, and list the files."""
     asked = ExportRequest(
         to=config.format,
         folder=config.folder,

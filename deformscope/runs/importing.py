@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from deformscope.experiments.device_stages import Stage
 
 LONG_GAP = 100
-"""A gap in a stream is reported where it is longer than so many usual steps."""
+"""A gap in a stream is reported if it is longer than this number of usual steps."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Inspected:
-    """What a source holds. topics: as the JSON has them; toml: a map to begin with, what is found as its comments"""
+    """Content of a source. topics: as the JSON has them; toml: a map as a start, with the findings as its comments"""
 
     topics: list[dict[str, Any]]
     toml: str
@@ -59,7 +59,7 @@ def inspect_source(config: ImportConfig) -> Inspected:
 
 
 def import_source(config: ImportConfig) -> RecordResult:
-    """Record it. Raises InputError for what the map must say and for what is wrong; then nothing is left."""
+    """Record it. Raises InputError for missing keys of the map and for errors; then no file remains."""
     if config.map is None:
         raise InputError("--map", "none", f"deformscope import --inspect {config.source} > map.toml")
     asked = read_map(config.map)
@@ -97,8 +97,8 @@ def import_source(config: ImportConfig) -> RecordResult:
 
 
 def import_take(config: ImportConfig, folder: Path) -> RecordResult:
-    """Write a take's frames as pair files and a motion file into a new folder. Raises InputError for what is wrong with
-    the take; then nothing is left."""
+    """Write a take's frames as pair files and a motion file into a new folder. Raises InputError for errors of the
+    take; then no file remains."""
     take = read_take(config.source, config.particles)
     pressed = np.flatnonzero(take.touched.any(axis=1))
     unseen = pressed[config.unseen - 1 :: config.unseen]
@@ -137,4 +137,4 @@ def _result(
 
 
 def _words(kind: str, frames: int, lost: int) -> str:
-    return f"{frames} frames ({kind})" + (f", {lost} of its messages made none" if lost else "")
+    return f"{frames} frames ({kind})" + (f", {lost} of its messages made no frame" if lost else "")

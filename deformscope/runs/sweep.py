@@ -1,7 +1,7 @@
-"""A sweep: one function on many files and settings, each result kept as it comes.
+"""A sweep: one function on many files and settings, each result stored when it is done.
 
-A task is known by its content: the bytes of its file and of that one's ledger, what is computed of it with which
-settings, and the code of this package. What was computed is not computed again, whatever the file is called then.
+The content identifies a task: the bytes of its file and of that one's ledger, the function with its settings, and the
+code of this package. A finished task is not computed again, under any name of the file.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ TYPES = {name: pa.string() for name in ("source", "status", "reason", "key")} | 
 VARIED = "vary."
 """Before the names of settings that were varied, in a table of results."""
 PANELS, GROUPS, LISTED = 9, 6, 500
-"""Quantities whose distribution is drawn, by so many settings; rows that the overview lists."""
+"""Quantities whose distribution is drawn, by this number of settings; rows of the overview."""
 EXIT_STATUS = "exit_status"
 """Of a command that gave its JSON with another one than 0, as where devices lost frames."""
 GREEN, AMBER = "#1b7f4b", "#b3541e"
@@ -59,7 +59,7 @@ GREEN, AMBER = "#1b7f4b", "#b3541e"
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """One way to compute a file. settings: what is varied, by name; argument: what the function gets beside the file
+    """One way to compute a file. settings: the varied ones, by name; argument: of the function, besides the file
 
     identity: all that decides the result but for the file, in words
     """
@@ -71,7 +71,8 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """source: the file; sent: its content by its name, and its ledger's; files: where what it writes begins"""
+    """source: the file; sent: its content by its name, and its ledger's; files: begin of the names of its output
+    files"""
 
     key: str
     source: str
@@ -93,7 +94,7 @@ class SweepOptions:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SweepResult(LibraryResult):
-    """What became of the tasks. table: a row each; computed: how many were computed now; seconds: that this took"""
+    """Outcome of the tasks. table: a row each; computed: how many were computed now; seconds: that this took"""
 
     folder: Path
     table: pa.Table
@@ -142,10 +143,10 @@ def sweep_on(
     begin: Callable[[], None] | None = None,
     progress: Progress | None = None,
 ) -> SweepResult:
-    """Compute each source in each way that was not computed before, and write what came of all.
+    """Compute each source in each way that was not computed before, and write the outcome of all.
 
-    function: of a module; gives what JSON has
-    Raises InputError where nobody computes, or the folder cannot be used; a task that fails is a row with its reason.
+    function: of a module; returns values of JSON's types Raises InputError without a worker, or for an unusable folder;
+    a task that fails is a row with its reason.
     """
     make_folder(out)
     began, computed, skipped = time.monotonic(), 0, 0
@@ -222,7 +223,7 @@ def _sent(source: Path) -> dict[str, bytes]:
 
 
 def _about(source: str, contents: Mapping[tuple[str, int, int], str]) -> dict[str, Any]:
-    """What the journal keeps of a source. contents: of files whose size and time tell that they are the same"""
+    """The journal's description of a source. contents: by name, size and time, of files read before"""
     path = resolve(source)
     size, mtime_ns = (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else (-1, -1)
     known = contents.get((source, size, mtime_ns)) if size >= 0 else None
@@ -288,7 +289,7 @@ def _overview(found: SweepResult) -> str:
     sections = [Section("", [ReportVerdict(headline, words, AMBER if failed else GREEN)])]
     drawn = _distributions(table, quantities, varied)
     if drawn:
-        caption = "how many cases gave which value" + (", by what was varied" if varied else "")
+        caption = "number of cases by value" + (", by the varied settings" if varied else "")
         sections.append(Section("Distributions", [Figure(distributions_png(drawn), caption)]))
     if failed:
         rows = [
@@ -351,7 +352,7 @@ def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
 
 
 def in_order(paths: Iterable[Path], out: Path, match: str, where: Path) -> list[Path]:
-    """In natural order, folder by folder, but for what lies in OUT. match: names like this alone
+    """In natural order, folder by folder, without the files in OUT. match: names like this alone
 
     Raises InputError where there are none.
     """
@@ -388,7 +389,7 @@ def function_variations(
 
 
 def one_thread() -> None:
-    """What a worker does before its first task."""
+    """First call in a worker: one thread."""
     cv2.setNumThreads(1)
 
 

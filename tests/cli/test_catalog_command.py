@@ -77,7 +77,7 @@ def test_all_are_listed_and_the_damaged_as_damaged(listed: dict[str, dict[str, A
     }
     assert "differ from what was recorded" in listed["flipped.rrd"]["problem"]
     assert "truncated" in listed["short.rrd"]["problem"]
-    assert listed["none.rrd"]["problem"] == "expected a recording (.rrd); got a file that is none"
+    assert listed["none.rrd"]["problem"] == "expected a recording (.rrd); got a file of another kind"
 
 
 def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, Any]]) -> None:
@@ -225,7 +225,7 @@ def test_settings_and_results_that_differ_are_named_and_what_has_no_contact_is_n
         (["{folder}", "--where", "stiffnes < 1"], "stiffness"),
         (["{folder}", "--where", "open('x')"], "columns compared with values"),
         (["{folder}", "--columns", "path,no_such"], "columns of the catalog"),
-        (["compare", "{folder}/flipped.rrd", "{folder}/explore.rrd"], "as its ledger has it"),
+        (["compare", "{folder}/flipped.rrd", "{folder}/explore.rrd"], "that matches its ledger"),
         (["compare", "{folder}/none.rrd", "{folder}/explore.rrd"], "a recording"),
     ],
 )

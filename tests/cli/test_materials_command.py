@@ -154,7 +154,7 @@ def test_a_camera_that_saw_no_end_of_the_push_is_refused_with_what_to_record(
 ) -> None:
     pressed_on = str(filmed(tmp_path / "on", [0.5, 1.0, 1.0]))
     said = failure(["calibrate", "yield", pressed_on, *SEEDED], capsys)
-    assert "loaded and let go" in said
+    assert "loaded and released" in said
     assert "record until the tool is off" in said
     assert "--fps" in failure(["calibrate", "viscous", pressed_on, *SEEDED], capsys)
     let_go = [pressed_on, *SEEDED, "--fps", "10"]

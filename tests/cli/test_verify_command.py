@@ -79,7 +79,7 @@ def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: pytest.
     assert "it has no ledger: changed bytes cannot be detected" in said
 
 
-@pytest.mark.parametrize(("content", "came"), [(b"of another kind", "a file that is none"), (b"", "an empty file")])
+@pytest.mark.parametrize(("content", "came"), [(b"of another kind", "a file of another kind"), (b"", "an empty file")])
 def test_a_foreign_file_is_refused_without_the_advice_to_recover_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, came: str
 ) -> None:
@@ -155,7 +155,7 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
     with Recorder(tmp_path / "now.rrd") as recorder:
         recorder.write(InputFile("a", b"1"))
         refused = {
-            text: "a file that is none",
+            text: "a file of another kind",
             noise: "with readable parts",
             whole: "a finished one",
             tmp_path / "now.part.rrd": "one that a run is writing",

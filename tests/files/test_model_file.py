@@ -80,8 +80,8 @@ def test_what_is_no_model_is_refused_in_one_line(tmp_path: Path) -> None:
     save_model(model(), good)
     cases = {
         "nothing.npz": (None, "got no file"),
-        "text.npz": (b"hello", "none, or damaged"),
-        "cut.npz": (good.read_bytes()[:300], "none, or damaged"),
+        "text.npz": (b"hello", "a damaged file"),
+        "cut.npz": (good.read_bytes()[:300], "a damaged file"),
     }
     for name, (content, said) in cases.items():
         if content is not None:

@@ -75,8 +75,8 @@ def npz(**arrays: object) -> bytes:
 LABEL = np.array(["a", "b"])
 REFUSED = {
     "none.npz": (None, "got no file"),
-    "text.npz": (b"hello", "none, or damaged"),
-    "cut.npz": (npz(label=LABEL, f=np.eye(2))[:200], "none, or damaged"),
+    "text.npz": (b"hello", "a damaged file"),
+    "cut.npz": (npz(label=LABEL, f=np.eye(2))[:200], "a damaged file"),
     "unlabelled.npz": (npz(f=np.eye(2)), "`label` in the table; got f"),
     "objects.npz": (npz(label=np.array(["a", None], dtype=object), f=np.eye(2)), "Python objects (pickle)"),
     "short.npz": (npz(label=LABEL, f=np.eye(3)), "2 rows of features in f"),

@@ -64,7 +64,7 @@ CASES: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     ),
     "unknown type": (lambda path: write_bag(path, steady), MAP.replace("/ft", "/thing"), "of ft in the map"),
     "nan": (lambda path: write_bag(path, steady, nan=200), MAP, "forces of ft that are numbers; got NaN in frame 200"),
-    "cut": (lambda path: cut(write_bag(path, steady)), MAP, "a bag that is whole; got one that is cut off or damaged"),
+    "cut": (lambda path: cut(write_bag(path, steady)), MAP, "a complete bag; got one that is truncated or damaged"),
     "clocks": (
         lambda path: write_bag(path, steady, other_s=3600.0, nan=5),
         OTHER,  # said at the first message, before the NaN

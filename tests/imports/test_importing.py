@@ -370,7 +370,7 @@ CASES: dict[str, Case] = {
     "offset": (usual, lambda m: f'{m}offset_s = "?"\n', "offset_s of tip"),
     "key": (usual, lambda m: f"{m}unit = 3\n", "unknown field `unit` - at `$.streams[0]`"),
     "topic": (usual, lambda m: m.replace("t.parquet", "s.parquet"), "got 's.parquet'"),
-    "damaged": (lambda p: Path(p.write_bytes(b"PAR1 nothing") and p), lambda m: m, "a table that can be read"),
+    "damaged": (lambda p: Path(p.write_bytes(b"PAR1 nothing") and p), lambda m: m, "a readable table"),
 }
 
 

@@ -144,7 +144,7 @@ def test_touches_are_counted_and_the_time_left_is_said(capsys: pytest.CaptureFix
         pass
     said = capsys.readouterr().err.splitlines()
     assert said[0] == "touch 1 of at most 12, at (15, 20) cm: because"
-    assert said[2].startswith("touch 2 of at most 12, at (15, 20) cm: because; some ")
+    assert said[2].startswith("touch 2 of at most 12, at (15, 20) cm: because; about ")
     assert said[2].endswith(" s left for all 12")
     assert said[-1] == "no further touch: the allowed number of touches is reached"
 

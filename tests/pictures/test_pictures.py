@@ -144,7 +144,7 @@ def test_errors_and_where_the_model_is_wrong() -> None:
     said = where_wrong(found)
     place = ", ".join(f"{1e2 * v:.3g}" for v in pair.rest[10])
     assert f"The largest error is 5 mm, at the particle with rest position ({place}) cm" in said
-    assert "2% of the particles hold half" in said
+    assert "2% of the particles have half" in said
     assert where_wrong(dataclasses.replace(pair, seen=np.zeros_like(seen))) == "No particle was observed."
 
 

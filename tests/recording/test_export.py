@@ -427,7 +427,7 @@ def test_an_export_that_fails_leaves_nothing(to: str, tmp_path: Path, capfd: pyt
     cut.write_bytes(BENCH.read_bytes()[: BENCH.stat().st_size * 2 // 3])
     assert main(["export", str(cut), "--to", to, "--out", str(tmp_path / "out")]) == 2
     error = capfd.readouterr().err
-    assert "got one that is cut off or damaged | try: deformscope recover cut.rrd" in error
+    assert "got one that is truncated or damaged | try: deformscope recover cut.rrd" in error
     assert [path.name for path in tmp_path.iterdir()] == ["cut.rrd"]
 
 

@@ -172,7 +172,7 @@ def test_refuses_a_flipped_bit(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    with pytest.raises(InputError, match="as its ledger has it"):
+    with pytest.raises(InputError, match="that matches its ledger"):
         Replay(path)
 
 

@@ -1,4 +1,5 @@
-"""Write a recording in a format of others: into a draft beside the folder, which takes its name once it is whole."""
+"""Write a recording in another format: into a draft in the same parent folder, which takes its name once it is
+complete."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ class ExportRequest:
 
     only: entities, what is below them, or devices; () = all; camera: images of this device alone
     anonymous: without what may name a person, a machine or a path; overwrite: replace an earlier export
-    manifest: `export.json` beside the files is not hidden
+    manifest: `export.json` in the folder is not hidden
     """
 
     to: Format
@@ -79,7 +80,8 @@ class ExportRequest:
 
 
 def export(replay: Replay, asked: ExportRequest, note: Note) -> Exported:
-    """Write it. Raises InputError for what cannot be read or written; then the folder is as it was."""
+    """Write it. Raises InputError for sources and targets that cannot be read or written; then the folder is
+    unchanged."""
     tables = RecordingTables(replay, anonymous=asked.anonymous)
     chosen = tables.select(asked.only)
     devices = {stream.device for stream in chosen.values()} if asked.only else None
@@ -173,7 +175,7 @@ def _unused(parts: Sequence[str], used: Collection[str]) -> str:
 
 
 def _about(replay: Replay, asked: ExportRequest, tables: RecordingTables) -> dict[str, Any]:
-    """What the manifest, and the metadata of an MCAP, say of the export."""
+    """Description of the export in the manifest, and in the metadata of an MCAP."""
     application, recording = replay.identity
     found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "format": asked.to, "recording": recording}
     found |= {"application": application, "source": None if asked.anonymous else replay.path.name}
@@ -243,7 +245,7 @@ def _check_empty(folder: Path, came: str, *, allowed: bool) -> None:
 def _replace(folder: Path, draft: Path) -> None:
     """Take away what an earlier export wrote, as its manifest says, and move the draft's files there.
 
-    Raises InputError where images that are no export's would stand among the new ones.
+    Raises InputError if foreign images would be among the new ones.
     """
     new = {folder / path.relative_to(draft) for path in draft.rglob("*") if path.is_file()}
     old = set[Path]()
@@ -268,7 +270,7 @@ def _numbered(folder: Path) -> set[Path]:
 
 
 def as_text(value: Any) -> str:
-    """A value as metadata of a file: words as they are, all else as JSON."""
+    """A value as metadata of a file: text unchanged, all else as JSON."""
     return value if isinstance(value, str) else json.dumps(value)
 
 

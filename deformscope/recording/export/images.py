@@ -21,7 +21,7 @@ VIDEO_CODEC, VIDEO_SUFFIX = "vp09", ".mp4"
 """Free of patents, in OpenCV's own wheel, and shown by browsers."""
 Note = Callable[[str, int, int], None]
 ImageNames = Mapping[tuple[str, str], str]
-"""Of a folder or a file for images, by device and what they are."""
+"""Of a folder or a file for images, by device and kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class ExportedImages:
 
 
 def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tuple[str, str], int]:
-    """How many images there are, by device and what they are. devices: of these alone; None = of all
+    """Number of images, by device and kind. devices: of these alone; None = of all
 
     Raises InputError where there is none.
     """
@@ -49,8 +49,8 @@ def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tupl
 
 
 def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Path], note: Note) -> None:
-    """Write them as `INDEX.jpg` and `INDEX.png`. folders: by device and what they are; note: called with what is done,
-    and of how much."""
+    """Write them as `INDEX.jpg` and `INDEX.png`. folders: by device and kind; note: called with what is done, and of
+    how much."""
     for path in folders.values():
         path.mkdir(parents=True, exist_ok=True)
     devices = {device for device, _ in folders}
@@ -69,7 +69,7 @@ def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Pat
 
 class Videos:
     """A video of each kind of images at their mean rate. Distances are colours from 0, violet, to the largest of the
-    first image; the recorded times of the images are in the table beside it."""
+    first image; the recorded times of the images are in the table of the same name."""
 
     def __init__(self, folder: Path, rates_hz: dict[str, float], names: ImageNames) -> None:
         self._folder, self._rates_hz, self._names = folder, rates_hz, names

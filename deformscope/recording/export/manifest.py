@@ -1,4 +1,4 @@
-"""What an export says of itself, as `import` reads it: `export.json`, or the metadata of an MCAP."""
+"""Description in an export, for `import`: `export.json`, or the metadata of an MCAP."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ExportedStream(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """All of it; as it is made, it is that of what is no export. devices: by name, without it
+    """All of it; a new one belongs to no export. devices: by name, without it
     topics, device_topics: of an MCAP, of entities and of devices"""
 
     session_starts_ns: int | None = None
@@ -40,7 +40,7 @@ class Manifest(msgspec.Struct, frozen=True):
     device_topics: dict[str, str] = {}
 
     def stream(self, device: str, otherwise: Stream) -> Stream:
-        """What is known of a device, or what it is otherwise. Raises InputError for what none is."""
+        """Description of a device, or its default. Raises InputError if it is none."""
         if device not in self.devices:
             return otherwise
         try:

@@ -1,7 +1,7 @@
 """A recording as MCAP with ROS 2 messages; nothing of ROS needs to be there.
 
-Each stream is a topic of its entity's name, whose message has every column. Beside these, what ROS tools know by
-themselves: wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions, in metres,
+Each stream is a topic of its entity's name, whose message has every column. Further topics have ROS's own types:
+wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions. They are in metres,
 radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_frame`: z forward, x right, y down).
 """
 
@@ -37,7 +37,7 @@ LATCHED = (
     "  lifespan: {sec: 9223372036, nsec: 854775807}\n  liveliness: 1\n"
     "  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}\n  avoid_ros_namespace_conventions: false\n"
 )
-"""What rosbag2 offers of a topic whose last message also those get who come late."""
+"""QoS of rosbag2 for a topic whose last message late subscribers also receive."""
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Joints of a URDF that an arm's angles turn; those of fingers follow."""
 Row = dict[str, Any]
@@ -110,7 +110,7 @@ class _Bag:
 
 
 class _Topics:
-    """What of each stream becomes which messages."""
+    """Messages of each stream."""
 
     def __init__(
         self, bag: _Bag, tables: RecordingTables, chosen: Mapping[str, RecordedStream], about: Mapping[str, Any]
@@ -161,7 +161,7 @@ class _Topics:
         self._write_standard(stream, row, header, ns)
 
     def close(self) -> None:
-        """Write what is left: the last transforms, and in one message those that stand still."""
+        """Write the rest: the last transforms, and in one message the static ones."""
         self._post()
         # A joint's rest pose stands still in the recording too; for ROS a frame either moves or does not.
         if own := [one for one in self._still if one["child_frame_id"] not in self._moving]:

@@ -26,8 +26,8 @@ def definition(name: str) -> str:
 
 
 def stream_definition(stream: RecordedStream) -> tuple[str, dict[str, tuple[str, bool]]]:
-    """The message of a stream, documented by what its kind says of itself and by units; and of each column its field
-    and whether that is a list of at most one: a number that may be missing. A real number that is missing is NaN."""
+    """The message of a stream, documented by its kind's description and by units; and of each column its field and
+    whether that is a list of at most one: a number that may be missing. A real number that is missing is NaN."""
     known = [line for kind in stream.kinds for line in (inspect.getdoc(kind) or "").splitlines()]
     about = [f"# {line}".rstrip() for line in (f"deformscope export, schema version {SCHEMA_VERSION}", *known)]
     fields = {}

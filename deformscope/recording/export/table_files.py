@@ -26,7 +26,7 @@ class TableFile(Protocol):
 
 
 class ParquetFile:
-    """Columns as they are, with their units in the fields' metadata."""
+    """Columns unchanged, with their units in the fields' metadata."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         from pyarrow.parquet import ParquetWriter

@@ -1,4 +1,4 @@
-"""The model at a value of its parameter that somebody chose, beside the one that fits best."""
+"""The model at a chosen value of its parameter, compared with the best one."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class AtValue:
 def simulate(seen: Observation, model: Model, values: FloatArray, body: Msm | None = None) -> list[Comparison]:
     """The model at each value (g,) of its parameter; a simulation that does not come to rest is NaN.
 
-    body: `model.body(seen)`, where it was made before. Each simulation begins at rest, so that what comes of it does
-    not depend on what was simulated before.
+    body: `model.body(seen)`, where it was made before. Each simulation begins at rest, so that its result does not
+    depend on earlier simulations.
     """
     other = np.ones(len(values))
     beta, theta = (values, model.theta * other) if model.parameter == "beta" else (model.beta * other, values)

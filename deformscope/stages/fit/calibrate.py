@@ -64,7 +64,7 @@ TURNED = 5
 class Calibration:
     """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be.
 
-    left_out: particles of each observation that were taken for no measurement
+    left_out: particles of each observation that do not count as measurements
     """
 
     estimate: Estimate
@@ -176,8 +176,8 @@ def calibrate(
 
 
 def _put_held_right(fit: Search, options: FitOptions) -> tuple[Search, tuple[IntArray, ...], list[Doubt]]:
-    """A search with the held particles that are off put right, their indices (n,) in each observation, and the doubt
-    where two materials do as well; the search as it was where two materials, or axes put right, explain the residuals
+    """A search with wrong held particles corrected, their indices (n,) in each observation, and the doubt if two
+    materials fit equally well. It is the earlier search if two materials, or corrected axes, explain the residuals
     better."""
     as_stated = fit.only(np.arange(len(fit.seen)), fit.weight)
     none = tuple(np.zeros(0, dtype=np.int64) for _ in fit.seen)

@@ -1,8 +1,8 @@
 """How a creep compliance may grow with time: discrete branches, or a spectrum without end (`stages.poke.creep_law`).
 
 Each is a set of low-pass filters of the force, of strengths j_i and retardation times l_i. `Branches`: each filter has
-its own. `Endless`: those of all times follow one power of the time: the compliance grows as t^n (Nutting 1921), with
-n about 0 as log(1 + t / t0), and reaches no plateau.
+its own. `Endless`: those of all times follow one power of the time. The compliance grows as t^n (Nutting 1921), with n
+about 0 as log(1 + t / t0), and reaches no plateau.
 
 Times have a log-uniform prior from a part of the approach's duration to ten holds, which is a sum of Gaussians about
 nodes: of every choice of nodes the parameters have one likeliest value.
@@ -20,9 +20,9 @@ from deformscope.arrays import FloatArray
 
 STRENGTH_MEDIAN, STRENGTH_SPREAD = 0.2, 0.9
 """Log-normal prior of the strength of one branch, in equal parts of several, and of a spectrum within the hold:
-relaxation of 2 to 50 %, where flexible foams lie [assumed]."""
+relaxation of 2 to 50 %, the range of flexible foams [assumed]."""
 FASTEST, SLOWEST = 1.0 / 8.0, 10.0
-"""Retardation times go from this share of the approach's duration to so many holds [assumed]."""
+"""Retardation times range from this share of the approach's duration to this number of holds [assumed]."""
 NODES_APART, NODE_SD = 0.75, 0.6
 """Of log times, about; deviation of a node's Gaussian over the distance of two: their sum is level within 1 %."""
 POWERS, POWER_SD = (0.05, 0.2, 0.35, 0.5), 0.09
@@ -65,7 +65,7 @@ class Branches:
         return _exp(parameters[:, : self.count]), _exp(parameters[:, self.count :])
 
     def felt(self, parameters: FloatArray, filtered: Filtered) -> tuple[FloatArray, FloatArray]:
-        """(d, m) what the filters add to the force, and (d, k, m) its derivatives."""
+        """(d, m) contribution of the filters to the force, and (d, k, m) its derivatives."""
         strength, log_l = _exp(parameters[:, : self.count, None]), parameters[:, self.count :]
         each = strength * filtered(log_l, 0)
         return each.sum(axis=1), np.concatenate([each, strength * filtered(log_l, 1)], axis=1)
@@ -126,8 +126,8 @@ def _exp(log: FloatArray) -> FloatArray:
 
 
 def spectra(approach_s: float, hold_s: float, most: int) -> list[Spectrum]:
-    """All kinds of creep that are compared: none and up to `most` branches, each number half as probable as the one
-    before, and those without an end, which together are as probable as three [assumed]."""
+    """All kinds of creep that are compared. They are none and up to `most` branches, each number half as probable as
+    the one before, and those without an end, which together are as probable as three [assumed]."""
     fastest, slowest = np.log(FASTEST * approach_s), np.log(SLOWEST * hold_s)
     count = max(most + 1, 1 + round((slowest - fastest) / NODES_APART))
     nodes = np.linspace(fastest, slowest, count)

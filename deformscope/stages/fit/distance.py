@@ -30,8 +30,8 @@ def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
 def unexplained(
     rest: FloatArray, deformed: FloatArray, simulated: FloatArray, judged: BoolArray, known: BoolArray
 ) -> tuple[float, float]:
-    """What a simulation leaves of a motion, and what the best rigid motion leaves of it: sums of squared distances over
-    the particles judged, [unit^2].
+    """Residuals of a simulation of a motion, and of the best rigid motion: sums of squared distances over the judged
+    particles, [unit^2].
 
     rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) those whose deformed position is known
     """
@@ -40,8 +40,8 @@ def unexplained(
 
 
 def explained_share(left: Iterable[tuple[float, float]], size: float) -> float:
-    """Share of a motion beyond a rigid one that a simulation explains, from its parts (`unexplained`); 0 or less where
-    it explains nothing, and 0 where nothing deformed. size: of the body [unit]"""
+    """Share of a motion beyond a rigid one that a simulation explains, from its parts (`unexplained`). It is 0 or less
+    if it explains nothing, and 0 without deformation. size: of the body [unit]"""
     by_model, by_rigid = np.sum(list(left), axis=0)
     return float(1.0 - by_model / by_rigid) if by_rigid > (1e-9 * size) ** 2 else 0.0
 

@@ -3,10 +3,10 @@
 Which of them lower a verdict, and why:
 
 - `not-converged`, less than 30 % of the motion explained, rest and deformed of two sizes, columns swapped or mirrored,
-  two materials: the value is of nothing that was there, so the parameter is unidentified.
-- Less than 75 % explained (half of the motion, root mean square, is left) where more than noise is left, a value on the
-  end of a narrow interval, residuals ten times as large as the noise that was stated, theta where a misfit outweighs
-  the noise: a compromise that depends on how errors are summed, or on what was done to the body, so at most weak.
+  two materials: the value describes nothing in the data, so the parameter is unidentified.
+- Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
+  of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. These are
+  compromises that depend on how errors are summed, or on the load of the body, so at most weak.
 - Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals: named alone.
 - A body of an unlikely size has the same beta and theta in any unit: named, and its stiffness is at most weak.
 """
@@ -38,24 +38,24 @@ SMALL_M = 1e-3
 """No body of particles that a camera follows is smaller [m]."""
 
 NOISE_NAMED, NOISE_LOWERS = 3.0, 10.0
-"""Residuals so many times larger or smaller than the noise that was stated contradict it, and lower a verdict: a
-factor of e is one deviation of what is taken as likely (`noise.SCALE_SPREAD`)."""
+"""Residuals larger or smaller than the stated noise by this factor contradict it, and lower a verdict: a factor of e is
+one standard deviation of its prior (`noise.SCALE_SPREAD`)."""
 
 LIKE_NOISE = 1.5
 """Residuals at most so many times as large as the noise that was stated are noise: they hold errors of prescribed
 positions too."""
 
 RESCALED = 2.0
-"""A deformed shape that is larger or smaller than the rest shape by this factor is taken for another unit."""
+"""A deformed shape that is larger or smaller than the rest shape by this factor has another unit."""
 
 MIRRORED = 0.25
 """Share of a motion beyond a rigid one (squares) that a mirrored rest shape leaves at most, where it is mirrored."""
 
 SWAPPED, SWAPPED_SHARE = 0.5, 0.75
-"""With columns put right, the squared residuals are at most this share of what they are without, and the share of the
-motion beyond a rigid one that is left at most that share: what fits neither way is another thing. Chosen on tuning
-seeds (`studies.seeds`): the squares of 750 bodies whose columns are right came to no less than 0.6, of 150
-whose columns are swapped 95 % came to 0.45 at most."""
+"""With corrected columns, the squared residuals are at most this share of those without, and the remaining share of the
+motion beyond a rigid one at most that share: data that fit neither way have another error. Chosen on tuning
+seeds (`studies.seeds`): the squares of 750 bodies with right columns were no less than 0.6, of 150 with swapped columns
+95 % were 0.45 at most."""
 
 BULGES = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 """Values of theta at which a body may bulge instead."""
@@ -67,7 +67,7 @@ TAIL = 0.005
 """Mass of a posterior beyond a value, below which the value contradicts it."""
 
 END = 0.01
-"""Of the interval's width: a value nearer to its end stands on it."""
+"""Share of the interval's width: a value nearer to its end lies on it."""
 
 
 def found_in_numbers(
@@ -84,9 +84,9 @@ def found_in_numbers(
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
-    noise: size of the residuals in units of the noise that is known, if it is; the noise that they show [unit], where
-    it is known apart from a misfit; and where the known noise is from; rank: mass of the posterior below the value,
-    where there is a posterior; version: see `model.NEWEST_FIT`
+    noise: size of the residuals in units of the known noise, if any; their own noise [unit], if it is known apart from
+    a misfit; and the source of the known noise; rank: mass of the posterior below the value, where there is a
+    posterior; version: see `model.NEWEST_FIT`
     """
     ratio, shown, source = noise
     # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
@@ -101,11 +101,11 @@ def found_in_numbers(
 
 
 CAUSES: tuple[DoubtCode, ...] = ("axes-swapped", "units", "two-materials")
-"""What is wrong, rather than what comes of it."""
+"""Causes, rather than consequences."""
 
 
 def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
-    """Those that lower a verdict the most first, and of these what is wrong before what comes of it."""
+    """Those that lower a verdict the most first, and of these causes before consequences."""
     rank: dict[Verdict | None, int] = {"unidentified": 0, "weak": 1, None: 2}
     return tuple(sorted(reasons, key=lambda one: (rank[one.allows], one.code not in CAUSES)))
 
@@ -152,8 +152,8 @@ def value_at_end(
     if value - low <= slack or high - value <= slack:
         other = high if value - low <= slack else low
         text = (
-            f"the {name} of least mean distance, {value:.3g}, stands on the end of its interval: the likelihood puts "
-            f"it towards {other:.3g}, so the value depends on how errors are summed"
+            f"the {name} of least mean distance, {value:.3g}, lies on the end of its interval: the likelihood "
+            f"puts it towards {other:.3g}, so the value depends on how errors are summed"
         )
         yield Doubt("value-at-interval-end", text, "weak")
 
@@ -246,16 +246,16 @@ def mirrored(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> Iterat
 
 
 Simulate = Callable[[Sequence[FloatArray]], Sequence[FloatArray]]
-"""States (B, K, d) of each observation at B values of what is fitted, the same ones for all, with the held particles
-where its deformed shape (K, d) has them; NaN where there is none."""
+"""States (B, K, d) of each observation at B values of the fitted parameter, the same ones for all, with the held
+particles at their places in its deformed shape (K, d); NaN where there is none."""
 
 Turn = tuple[str, FloatArray]
 """What may have been done to the columns of displacements, in words, and the matrix (d, d) that undoes it."""
 
 
 def turns(dim: int) -> list[Turn]:
-    """Columns of displacements taken for each other, with and without a sign, and one sign turned; but for the sign of
-    all, which small motions do not show."""
+    """Columns of displacements exchanged, with and without a sign, and one sign changed; without the sign of all, which
+    small motions do not show."""
     axes, eye = "xyz", np.eye(dim)
     found: list[Turn] = []
     for axis in range(dim):
@@ -295,10 +295,10 @@ def swapped_axes(
     rival: float = np.inf,
 ) -> Iterator[Doubt]:
     """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
-    the motion beyond a rigid one, since what is turned may be less than it was.
+    the motion beyond a rigid one, because the exchanged part may be less than before.
 
-    bulge: the states of `bulging`: what bulges as rubber does is no motion of another axis, so that the columns in
-    another order have to fit better than it too, None = not tried; weight: (n,) of each observation, default 1
+    bulge: the states of `bulging`: a bulge as of rubber is no motion of another axis, so that the columns in another
+    order have to fit better than it too, None = not tried; weight: (n,) of each observation, default 1
     rival: squared error [unit^2] of another explanation, which other axes have to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight

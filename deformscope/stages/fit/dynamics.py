@@ -95,7 +95,7 @@ class MovingSearch(Search):
         progress: Callable[[int, int], None] | None = None,
         tolerance: float | None = None,
     ) -> Relaxed:
-        """What held positions (B, n, d) that are off do to a moving state (K, d): as to the static one there."""
+        """Effect of wrong held positions (B, n, d) on a moving state (K, d): as on the static one there."""
         assert start is not None
         still = super().relax(body, start[body.held], parameter, None, tolerance=tolerance)
         moved = super().relax(body, held_position, parameter, still.position[0], progress, tolerance)

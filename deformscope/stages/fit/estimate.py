@@ -1,4 +1,4 @@
-"""What a calibration says: the parameter, its interval, the verdicts, and the evidence they rest on."""
+"""Result of a calibration: the parameter, its interval, the verdicts, and their evidence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Parameter = Literal["beta", "theta"]
 Verdict = Literal["identified", "weak", "at-bound", "unidentified"]
 LengthUnit = Literal["m", "px"]
 NoiseSource = Literal["given", "flow", "residuals"]
-"""Where the noise of positions is known from: a person or a file, the optical flow, or only what a fit left."""
+"""Source of the noise of positions: a person or a file, the optical flow, or only a fit's residuals."""
 
 IDENTIFIED_WIDTH, WEAK_WIDTH = 0.2, 0.7
 """An interval narrower than the first is identified, narrower than the second weak."""
@@ -25,8 +25,8 @@ RISE_LEAST = 2.0
 """Standard deviations by which the data must separate the likeliest value from the least likely."""
 
 EXPLAINED_LEAST, EXPLAINED_LOW = 0.3, 0.75
-"""Share of the non-rigid motion (sums of squares) that a model must explain before its parameter means anything, and
-below which half of the motion (root mean square) is left, so that the parameter is a compromise and not identified."""
+"""Share of the non-rigid motion (sums of squares) that a model must explain before its parameter is meaningful. Below
+the second, half of the motion (root mean square) is left, so that the parameter is a compromise and not identified."""
 
 SHOWN = 121
 """Values of a posterior in the JSON."""
@@ -50,10 +50,10 @@ DoubtCode = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """A reason to doubt a parameter, or what it holds for.
+    """A reason to doubt a parameter, or its range of validity.
 
     code: for programs, stable; text: one sentence for people, with its numbers
-    allows: the best verdict that it leaves; None: it says what the value holds for, or is allowed for in the interval
+    allows: the best verdict that it leaves; None: it gives the range of validity, or the interval accounts for it
     """
 
     code: DoubtCode
@@ -98,7 +98,7 @@ class Posterior:
         return np.asarray(mass / mass[-1])
 
     def thinned(self, count: int) -> Posterior:
-        """At most so many of its values, evenly chosen."""
+        """At most this number of its values, evenly chosen."""
         rows = np.unique(np.linspace(0, len(self.parameter) - 1, count).round().astype(int))
         return Posterior(self.parameter[rows], self.density[rows])
 
@@ -120,8 +120,8 @@ class Posterior:
     def shortest(self, level: float, holding: float) -> tuple[float, float]:
         """The shortest interval of the mass `level` that holds a value, the estimate.
 
-        It is the highest-density set wherever that set holds the estimate, and one-sided where the density is highest
-        at a bound: equal tails cannot cover there.
+        It is the highest-density set if that set holds the estimate, and one-sided if the density is highest at a
+        bound: equal tails cannot cover there.
         """
         start = np.linspace(0.0, 1.0 - level, 401)
         at = self.rank(holding)
@@ -142,9 +142,9 @@ class Identifiability:
     """Whether the data identify the parameter.
 
     rise: by how many standard deviations the data separate the likeliest value of the range from the least likely one
-    explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles);
-    0 or less where misfit or noise are as large as the motion itself
-    deviation: of the posterior; misfit: root mean square of what the model cannot do, a coordinate [unit]
+    explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles).
+    It is 0 or less if misfit or noise are as large as the motion itself
+    deviation: of the posterior; misfit: root mean square of the model's error, per coordinate [unit]
     """
 
     rise: float = field(metadata=reported(key="rise_sd"))
@@ -192,9 +192,9 @@ class Estimate(ReportedResult):
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
     contact_stiffness: force over the distance that the contact moved, and its interval [N/mm], where both are known
     metres_per_unit: the scale of the lengths; None where pixels have no known size
-    posterior, identifiability: what the interval and the verdict rest on
+    posterior, identifiability: evidence of the interval and the verdict
     reasons: to doubt the parameter, those that lower its verdict first
-    selection: choices of model that were tried, where some were to be chosen; selection_text: what can be said of them
+    selection: choices of model that were tried, where some were to be chosen; selection_text: remarks on them
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
     nearest: one-sided nearest-neighbour error (eq. 4.6); unit: of every length here
     converged: every simulation that the value and the interval rest on reached its static state
@@ -234,7 +234,7 @@ class Estimate(ReportedResult):
 
     @derived()
     def stiffness_text(self) -> str:
-        """What can be said of stiffness, in plain words."""
+        """Remarks on stiffness, as text."""
         texts = []
         if self.contact_stiffness is not None:
             value, (low, high) = self.contact_stiffness
@@ -327,7 +327,7 @@ def converged_text(found: Any) -> str:
 
 
 def explained_text(share: float) -> str:
-    """What share of a motion beyond a rigid one is explained, in plain words, with a warning where it is little."""
+    """Explained share of a motion beyond a rigid one, as text, with a warning if it is small."""
     described = f"{max(share, 0.0):.0%} of the motion beyond a rigid one"
     if share >= EXPLAINED_LOW:
         return described
@@ -340,7 +340,7 @@ def verdict(
     identifiability: Identifiability | None = None,
     reasons: Sequence[Doubt] = (),
 ) -> Verdict:
-    """What an interval within its bounds, the data behind it, and the reasons to doubt it allow to say."""
+    """The verdict by an interval within its bounds, the data behind it, and the reasons to doubt it."""
     width = ends[1] - ends[0]
     found = identifiability
     if width >= WEAK_WIDTH or (found is not None and (found.rise < RISE_LEAST or found.explained < EXPLAINED_LEAST)):

@@ -1,7 +1,7 @@
 """Algorithm 2 of the thesis as it is printed: fixed steps down a numerical slope, with its early stops.
 
-What print and text leave open: the error is in centimetres, as in Thesis figure 3.11; the slope is a central
-difference; it stops where the slope's size is below epsilon; and it stays in the range.
+Choices that print and text leave open: the error is in centimetres, as in Thesis figure 3.11, and the slope is a
+central difference. It stops when the slope's size is below epsilon, and stays in the range.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 RATE, STOP = 0.01, 1e-2
 """lambda and epsilon of the thesis (3.5.1.1)."""
 BESIDE, MOST_STEPS = 1e-3, 5000
-"""Half the distance over which the slope is taken; it is given up after so many steps."""
+"""Half the distance over which the slope is taken; number of steps after which it is abandoned."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ FORCE_SHARE = 0.05
 """Standard deviation of a force whose noise was not stated, as a share of it."""
 
 CERTAIN = 1e-6
-"""Least relative deviation of a stiffness: what the arithmetic resolves."""
+"""Least relative deviation of a stiffness: the resolution of the arithmetic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +78,10 @@ def stiffness(
     """k at each beta and theta (g,), from the measured forces of all observations; None where there is none to compare.
 
     positions: for each observation (g, K, d); misfit: of each, as a share of its motion. A static state's energy is
-    stationary, so that what is wrong with its positions is wrong with its force to the second order: the square of that
-    share adds to the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; where
-    several forces scatter more than their noise, its deviation grows as much (Birge's ratio). Eq. 3.17 has no energy,
-    so with theta in that form there is no force to compare.
+    stationary, so that errors of its positions change its force to the second order: the square of that share adds to
+    the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; if several forces
+    scatter more than their noise, its deviation grows in proportion (Birge's ratio). Eq. 3.17 has no energy, so with
+    theta in that form there is no force to compare.
     """
     rows = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
     if not rows or (model.volume == "scale" and theta.any()):
@@ -118,7 +118,7 @@ def stiffness_interval(
     level: float,
 ) -> tuple[float, tuple[float, float]] | None:
     """k at the last of some values (g,), the estimate's, and its interval over all of them with weights `share` (g,);
-    None where no force can be compared. It holds the force's noise and the model's misfit."""
+    None without a comparable force. It holds the force's noise and the model's misfit."""
     misfit = []
     for s, one in zip(seen, explanations, strict=True):
         motion = float(np.sqrt(np.mean((s.deformed - s.rest)[s.free_observed] ** 2)))

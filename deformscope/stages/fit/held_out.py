@@ -1,4 +1,4 @@
-"""How well a choice of model predicts what it was not fitted to: error on blocks of particles that were left out.
+"""Prediction error of a choice of model: error on blocks of particles that were left out of the fit.
 
 Blocks, not single particles, because neighbours share errors: a particle whose neighbours were fitted is not held out.
 And particles, not frames: errors are much the same in all frames, so a frame left out is no new trial.
@@ -24,7 +24,7 @@ BLOCKS_ACROSS = 3
 """Blocks along the longer side at least, whatever the flow's window."""
 
 FINE = 10
-"""Values looked at from one candidate of the parameter to the next, by a spline of the states."""
+"""Number of evaluated values from one candidate of the parameter to the next, by a spline of the states."""
 
 
 TOLD_LEAST = 0.01

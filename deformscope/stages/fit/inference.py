@@ -1,17 +1,17 @@
 """The posterior of one parameter, given all candidates that a search has simulated.
 
 The prior is flat over the range that is searched. The likelihood is that of `deformscope.stages.fit.noise`, its
-hypotheses weighed and summed at each value; what is simulated between candidates is a cubic spline of them, in
--log(1 - beta), which spreads out what happens near 1. The range is narrowed until the spline's knots resolve the
-posterior, however narrow it is.
+hypotheses weighted and summed at each value. States between candidates are a cubic spline of them, in -log(1 - beta),
+which spreads out the range near 1. The range is narrowed until the spline's knots resolve the posterior, however narrow
+it is.
 
-All residuals together identify their causes (noise, its reach, its level, misfit, a tool or a camera that is off) and
-the parameter: what the parameter leaves alone tells how large the errors are that it is mistaken for.
+All residuals together identify their causes (noise, its reach, its level, misfit, a displaced tool or camera) and the
+parameter. The part that the parameter does not change shows the size of the errors that resemble it.
 
 Where misfit or what neighbours share outweighs white noise, the few projections of the residuals that the parameter
-can change identify it, with the noise of the first step. So an estimate is as sharp as least squares there, no sharper:
-to weigh every detail by a covariance that is but a guess (as generalised least squares does) would take the finest part
-of a misfit for knowledge. Fits of versions 1 and 2 took these projections always.
+can change identify it, with the noise of the first step. So an estimate is as sharp as least squares there, no sharper.
+Weighting every detail by a guessed covariance (as generalised least squares does) would treat the finest part of a
+misfit as information. Fits of versions 1 and 2 took these projections always.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
 from deformscope.stages.fit.search import Progress, Search
 
 Judge = Callable[[int, FloatArray, FloatArray, Sequence[FloatArray], FloatArray], FloatArray]
-"""Log likelihood (f,) of one observation, by residuals (r, n, d) and the sums of them (f, r) that are judged, what held
-positions do at some nodes, and the share of each node at each value (k, f)."""
+"""Log likelihood (f,) of one observation, by residuals (r, n, d) and their judged sums (f, r), the effect of held
+positions at some nodes, and the share of each node at each value (k, f)."""
 
 KNOTS, BETWEEN = 25, 8
 """Candidates over the range, and steps of the grid from one to the next."""
@@ -40,7 +40,7 @@ KNOTS, BETWEEN = 25, 8
 ZOOMS = 10
 
 NODES_FROM = (0.15, 0.5)
-"""Widths of the range from which on the effect of held positions is found at two and at three places in it."""
+"""Widths of the range from which the effect of held positions is computed at two and at three places in it."""
 
 RESOLVED = 0.3
 """The posterior is resolved where it fills this share of the range."""
@@ -107,8 +107,8 @@ class Inference:
     def _narrowed(
         self, low: float, high: float, judge: Judge, progress: Progress | None
     ) -> tuple[FloatArray, FloatArray, float]:
-        """A grid (f,) of stretched values that resolves a posterior, its logarithm there (f,), and by how many standard
-        deviations it separates the likeliest value of the whole range from the least likely."""
+        """A grid (f,) of stretched values that resolves a posterior, its logarithm there (f,), and the number of
+        standard deviations that separate the most likely value of the whole range from the least likely."""
         fine, total = self._over(low, high, judge)
         finite = total[np.isfinite(total)]
         rise = float(np.sqrt(2.0 * (finite.max() - finite.min())))
@@ -189,8 +189,8 @@ def smooth_outweighs(parts: Sequence[Residuals]) -> bool:
 
 
 def _nodes(width: float) -> IntArray:
-    """(n,) knots at which the effect of held positions is found anew: few over a (stretched) range in which it changes
-    little."""
+    """(n,) knots at which the effect of held positions is computed again: few over a (stretched) range in which it
+    changes little."""
     count = 1 + int(np.searchsorted(NODES_FROM, width))
     return np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])
 

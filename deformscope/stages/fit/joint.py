@@ -166,8 +166,8 @@ class _Joint:
     def over(
         self, b: tuple[float, float], t: tuple[float, float], *, explain: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Grids of stretched beta and of theta, and the log likelihood (b, t) there: of all that the residuals are, by
-        which they are explained, or of what of them the parameters can change."""
+        """Grids of stretched beta and of theta, and the log likelihood (b, t) there: of all residuals, for their
+        explanations, or of the part that the parameters can change."""
         knots = [np.linspace(*ends, count) for ends, count in zip((b, t), KNOTS, strict=True)]
         fine = [np.linspace(*ends, (count - 1) * BETWEEN + 1) for ends, count in zip((b, t), KNOTS, strict=True)]
         beta, theta = (each.ravel() for each in np.meshgrid(self.shrink(knots[0]), knots[1], indexing="ij"))
@@ -200,8 +200,9 @@ class _Joint:
     def narrowed(
         self, progress: Progress | None, *, explain: bool
     ) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
-        """The grid that resolves the posterior, beta (b,) and theta (t,), its logarithm (b, t), and for each parameter
-        by how many standard deviations it separates the likeliest value of the whole range from the least likely."""
+        """The grid that resolves the posterior, beta (b,) and theta (t,), its logarithm (b, t), and the number of
+        standard deviations that separate, for each parameter, the most likely value of the whole range from the least
+        likely."""
         b, t, total = self.over(self.ends, self.options.theta_bounds, explain=explain)
         rise = [float(np.sqrt(2.0 * np.ptp(total.max(axis=axis)))) for axis in (1, 0)]
         for zoom in range(ZOOMS):

@@ -1,8 +1,8 @@
 """Several parameters at once by least squares, over simulations that run many candidates side by side.
 
-Gauss-Newton steps with finite differences, damped (Levenberg, Marquardt): each round is two batches, one for the
-derivatives and one for steps of several lengths, of which the best is taken. For even noise the least sum of squares is
-the likeliest; it is smooth where the average distance (Thesis eq. 3.18) is not, so that its curvature is known.
+Gauss-Newton steps with finite differences, damped (Levenberg, Marquardt). Each round is two batches, one for the
+derivatives and one for steps of several lengths, of which the best is taken. For uniform noise the least sum of squares
+is the most likely. It is smooth where the average distance (Thesis eq. 3.18) is not, so that its curvature is known.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.special import gammaincinv, stdtrit
 from deformscope.arrays import BoolArray, FloatArray
 
 Simulate = Callable[[FloatArray], FloatArray]
-"""From parameters (B, m) to what is compared (B, n); NaN where a candidate has no simulation to rely on."""
+"""From parameters (B, m) to the compared values (B, n); NaN if a candidate has no reliable simulation."""
 
 DAMPINGS = (0.0, 1e-3, 1e-1, 1e1)
 """Tried in every round, as shares of the derivatives' squares."""
@@ -34,7 +34,7 @@ class Minimum:
     """Where the sum of squares is least.
 
     at: (m,) parameters; simulated: (n,) there; jacobian: (n, m); residual: (n,) observed - simulated
-    inside: (m,) whether it is away from both bounds; converged: the steps ended by themselves
+    inside: (m,) whether it is away from both bounds; converged: the steps ended without the limit
     """
 
     at: FloatArray
@@ -94,11 +94,11 @@ def minimise(
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What repeats of an observation would differ by.
+    """Variation between repeats of an observation.
 
     deviation: of one observed number; shared: how many times more the mean of all varies than if their errors were
-    independent (variances); held: (r, n) what the simulation would differ by in repeats of the prescribed
-    positions' noise; none (0, n) where they are exact
+    independent (variances); held: (r, n) variation of the simulation in repeats of the prescribed positions' noise;
+    none (0, n) if they are exact
     """
 
     deviation: float
@@ -129,10 +129,10 @@ class Noise:
 
 
 def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried: float, least: float) -> Noise:
-    """The noise that observed and prescribed positions share, as large as the residuals (n,) ask for, but not below
-    `least`: what was stated, or what numbers can resolve.
+    """The noise that observed and prescribed positions share, by the residuals (n,), but not below `least`: the stated
+    noise, or the resolution of numbers.
 
-    held: (r, n) what prescribed positions with noise of the size `tried` made of the simulation: part of the residuals
+    held: (r, n) effect of prescribed positions with noise of the size `tried` on the simulation: part of the residuals
     is theirs, so that the noise is smaller than those
     """
     share = float(np.mean(held**2)) / tried**2 if len(held) else 0.0
@@ -141,7 +141,7 @@ def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried:
 
 
 def deviation_of(residual: FloatArray, parameters: int) -> float:
-    """Standard deviation of one number, from the residual (n,) of a fit of so many parameters, in its unit."""
+    """Standard deviation of one number, from the residual (n,) of a fit with this number of parameters, in its unit."""
     return float(np.sqrt(residual @ residual / max(residual.size - parameters, 1)))
 
 

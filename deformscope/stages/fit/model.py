@@ -18,10 +18,10 @@ from deformscope.stages.msm.solver import Msm, Precision
 Method = Literal["sweep", "gradient"]
 
 NEWEST_FIT = 3
-"""How a fit explains errors. 2: the parameter is always found from the few projections of the residuals that it can
-change, errors of tool and camera have one size, and a value on the end of a wide interval is named. 1, as recordings of
-before have it: as 2, but neither the tool as a whole nor the camera is off, a smooth error beside exact held positions
-is misfit, and `axes-swapped` knows no body that bulges."""
+"""How a fit explains errors. 2: the parameter is always estimated from the few projections of the residuals that it can
+change, errors of tool and camera have one size, and a value on the end of a wide interval is reported. 1, as in older
+recordings: as 2, but neither the tool as a whole nor the camera has an error, a smooth error with exact held positions
+is misfit, and `axes-swapped` ignores bulging bodies."""
 
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them are taken as touched."""
@@ -40,15 +40,15 @@ class Observation:
     rest, deformed: (K, d), d = 2 or 3 [unit]; held: (n,) indices whose deformed position is prescribed
     observed: (K,) particles that were seen in `deformed`
     noise: (K,) standard deviation per coordinate, None if unknown; noise_source: where it is known from
-    shape, cell: the lattice that the particles stand on (last axis fastest, may have holes), None if they stand on none
+    shape, cell: the particles' lattice (last axis fastest, may have holes), None without one
     metres_per_unit: size of the unit, None for pixels of unknown size
     force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
     deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) where its axis met the body [unit], which
-    particles show no better than they stand apart, if it is known
-    held_shift: deviation of what all that is held is off by, as one [unit]: of a robot's or a fixture's registration;
-    None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
+    particles show only within their spacing, if it is known
+    held_shift: standard deviation of the common error of all held positions [unit]: of a robot's or a fixture's
+    registration; None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
     loose: held particles whose position is no measurement but estimated, None = none
     """
 
@@ -146,8 +146,8 @@ class Model:
 class FitOptions:
     """How the parameter of `model` is found within `bounds`, and how sure of it one can be.
 
-    method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3);
-    "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only where it went
+    method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3).
+    "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only along its path
     level: of the interval; seed: of its random repeats
     at: a value whose error is reported as well, None = none
     """

@@ -1,4 +1,4 @@
-"""One moment of something that goes on: where its particles are, and what its parameters must be for that."""
+"""One moment of a motion: positions of its particles, and the values of its parameters for them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class MomentFit:
-    """Particles at one moment, and the parameter that the pose at this moment gives, by itself.
+    """Particles at one moment, and the parameter that the pose at this moment gives alone.
 
     rest_px, observed_px, simulated_px: (K, 2) positions at rest, as seen, as simulated with `value` (NaN without a fit)
     [px]; seen: (K,) whether the flow followed it; held: (n,) particles whose motion is prescribed
@@ -47,7 +47,7 @@ class ParticleMoment:
 
 @dataclass(frozen=True, slots=True)
 class FieldMoment:
-    """How stiff each place is against the others at one moment, as `calibrate field` says of a frame.
+    """Relative stiffness of each place at one moment, as in `calibrate field` for a frame.
 
     place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: of the particles [px]
     stiffness: (C,) over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak

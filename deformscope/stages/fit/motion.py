@@ -18,7 +18,7 @@ class Motion:
     rest: (K, d) before any load; position: (T, K, d) at each frame [unit of rest]; NaN where a particle was not seen
     held: (T, K) particles whose position is prescribed in a frame
     duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
-    shape, cell: the lattice that the particles stand on, None if they stand on none
+    shape, cell: the particles' lattice, None without one
     noise: standard deviation of a coordinate; None: from the residuals; noise_source: where it is known from
     unit, metres_per_unit: of positions; None: not known
     """
@@ -44,7 +44,7 @@ class Motion:
         if not np.isfinite(self.position[self.held]).all():
             raise InputError("finite positions of the held particles", "NaN or infinity", "hold fewer particles")
         if not self.held.any(axis=1).all():
-            raise InputError("held particles in every frame", "a frame without", "hold what stands still")
+            raise InputError("held particles in every frame", "a frame without", "hold the fixed part")
         if not self.judged.any():
             raise InputError("free particles that were observed", "none", "hold fewer particles")
         if self.duration is not None and not (

@@ -1,22 +1,22 @@
 """How likely residuals are: errors of measurement, of the prescribed positions, and of the model, each weighed.
 
-What is left at a parameter's true value, observed - simulated at the free particles, is r = e - J e_held: J is what
-prescribed positions that are off do to the simulation. The errors (e, e_held) of all particles are
+The residual at a parameter's true value, observed - simulated at the free particles, is r = e - J e_held: J is the
+effect of wrong prescribed positions on the simulation. The errors (e, e_held) of all particles are
 
-    white noise, of the stated size times a scale that the residuals correct, and
-    a smooth random field (the same in each coordinate): an error of measurement that neighbours share, as
-    that of optical flow, in free and prescribed particles alike; or misfit of the model, in the free ones alone.
+    white noise, of the stated size times a scale that the residuals correct, and a smooth random field (the same in
+    each coordinate). The field is an error of measurement that neighbours share, as in optical flow, in free and
+    prescribed particles alike; or misfit of the model, in the free ones alone.
 
-Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood; whether the
-prescribed positions were measured too is another choice where unstated. The scale is integrated (Laplace) with a
+Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood. Whether the
+prescribed positions were measured too is another choice if unstated. The scale is integrated (Laplace) with a
 log-normal prior about 1, or a flat one where no noise was stated.
 
 With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. It is never formed: that is the marginal of a flat
-e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1, which the eigenvectors of the field make diagonal, one
+e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1. The eigenvectors of the field make this diagonal, one
 decomposition for all sizes of the field, all residuals and all coordinates.
 
-Beside them a tool or a camera may displace all positions at once (`deformscope.stages.fit.systematic`): what such
-displacements do to r is a few vectors, whose factors are integrated out. How large they are is another choice.
+In addition a tool or a camera may displace all positions together (`deformscope.stages.fit.systematic`): the effect of
+such displacements on r is a few vectors, whose factors are integrated out. How large they are is another choice.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ MISFIT_MOST = 1e5
 """Largest of them that misfit may have."""
 
 SHARED_MOST = 1e8
-"""Largest that an error of measurement which neighbours share may have. The smoother a field, the less of it is seen as
-a difference between neighbours, and there may be next to no white noise beside it."""
+"""Largest that an error of measurement which neighbours share may have. The smoother a field, the less of it appears as
+a difference between neighbours, and there may be next to no other white noise."""
 
 MISFIT_MOST_UNKNOWN = 100.0
 """As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
 
 MISFIT_ROUGH = 0.05
-"""Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and where
-they are large their finest part must not pass for knowledge."""
+"""Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and if
+they are large their finest part must not count as information."""
 
 PRIOR_NO_FIELD = 0.5
 PRIOR_HELD_EXACT = 0.15
@@ -82,12 +82,12 @@ SCALE_ROUNDS = 6
 """Of finding the noise's scale from what errors of tool and camera leave, which depends on it."""
 
 OFFS = ((1.0, 1.0, 0.35), (2.5, 1.0, 0.15), (1.0, 2.5, 0.35), (2.5, 2.5, 0.15))
-"""Deviations that errors of camera and tool may have, in units of `systematic`'s, and their prior: a registration or a
-scale may be worse than most. Versions before 3 know the first alone, with which 80 bodies of tuning seeds
-(`studies.seeds`) whose tool is off by 1 mm were held in 0.81."""
+"""Possible standard deviations of errors of camera and tool, in units of `systematic`'s, and their prior: a
+registration or a scale may be worse than most. Versions before 3 have the first alone, with which the intervals of 80
+bodies of tuning seeds (`studies.seeds`) with a tool off by 1 mm held in 0.81."""
 
 SCALE_LEAST = 0.05
-"""Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the statement stands."""
+"""Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the stated value holds."""
 
 NEIGHBOURS = 1.2
 """Particles within this many spacings are neighbours."""
@@ -101,10 +101,10 @@ PRODUCTS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The particles of one observation, and what was said of their errors.
+    """The particles of one observation, and the stated sizes of their errors.
 
-    rest: (n, d) free observed particles; held_rest: (k, d) prescribed ones, whose k d coordinates are the directions
-    of a response; None where m random combinations, noise included, stand for too many of them
+    rest: (n, d) free observed particles; held_rest: (k, d) prescribed ones, whose k d coordinates are the directions of
+    a response; None if m random combinations, noise included, represent too many of them
     noise, held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed
     positions carry noise, None = not known; spacing: of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed ones that may be anywhere near, None = none
@@ -289,7 +289,7 @@ class ErrorModel:
     ) -> Evidence:
         """How likely residuals are, where prescribed positions act by `response` (n, d, m).
 
-        residual: (r, n, d); mix: (g, r) sums of them that are judged; default each by itself
+        residual: (r, n, d); mix: (g, r) sums of them that are judged; default each alone
         chosen: rows of the hypotheses; default all
         """
         mix = np.eye(len(residual)) if mix is None else mix
@@ -422,7 +422,7 @@ class ErrorModel:
     def _scaled(self, chi2: FloatArray, log_det: FloatArray, count: int, rows: IntArray, trusted: bool) -> Evidence:
         """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.
 
-        Where there is a field, the statement may mean the white noise alone or all of the noise: its prior is level
+        With a field, the stated size may be that of the white noise alone or of all of the noise: its prior is level
         from the one to the other.
         """
         log_prior = self.hypotheses.log_prior[rows][:, None]
@@ -450,7 +450,7 @@ class ErrorModel:
 
 
 def few(residual: FloatArray, mix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sums (g, r) of residuals (r, n, d) as sums of as few as numbers tell apart."""
+    """Sums (g, r) of residuals (r, n, d) as sums of as few as the arithmetic distinguishes."""
     across, size, along = np.linalg.svd(residual.reshape(len(residual), -1), full_matrices=False)
     keep = max(1, int(np.count_nonzero(size > TELLS_APART * size[0])))
     return (size[:keep, None] * along[:keep]).reshape(keep, *residual.shape[1:]), mix @ across[:, :keep]

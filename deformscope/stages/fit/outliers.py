@@ -1,11 +1,11 @@
 """Particles whose observed position is no measurement of them: tracks that were lost, or that jumped to another place.
 
-The value of the lowest average error is little moved by them (a mean of distances is a median's kin), but a likelihood
-of Gaussian errors is. So each particle is compared with its neighbours at that value: what a fit leaves there, noise
-apart, is smooth, whether it be a model's misfit, a shared error or a beta that is still off. A particle whose residual
-lies far outside theirs is left out as if it had not been seen, the fit closes in anew, and so on until none changes.
-The more there are, the nearer are those that are looked for, by the share of right ones among them; of clean Gaussian
-data hardly an observation loses a particle. What outliers are smaller stay in, where they count as noise.
+They hardly change the value of the lowest average error (a mean of distances resembles a median), but a likelihood of
+Gaussian errors. So each particle is compared with its neighbours at that value. Residuals of a fit, noise apart, are
+smooth, for a model's misfit, a shared error or a beta that has not converged. A particle whose residual lies far
+outside theirs is left out as if it were unseen, the fit is repeated, and so on until none changes. The more there are,
+the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data hardly an
+observation loses a particle. Smaller outliers stay in, where they count as noise.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from deformscope.stages.fit.model import Observation
 
 FALSE_ALARMS = 0.05
 """Share of right ones among those that are left out of white noise, and chance that clean noise loses one, were its
-scale known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies: of lost tracks 58, 64
-and 69 % were found at 0.01, 0.05 and 0.2, and 0.01, 0.07 and 0.4 % of the others left out."""
+scale known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies. Of lost tracks 58, 64 and 69 %
+were found at 0.01, 0.05 and 0.2, and 0.01, 0.07 and 0.4 % of the others left out."""
 
 SCALE_MARGIN = 1.25
-"""The bound's factor for what is not known of the scale: it comes from few particles, and neighbours are noisy too."""
+"""The bound's factor for the scale's uncertainty: it comes from few particles, and neighbours are noisy too."""
 
 NEIGHBOURS = {2: 8, 3: 12}
 """Nearest particles that one is compared with, by dimension; their median bears up to half of them wrong."""
@@ -48,9 +48,9 @@ STOPPED = 0.8
 """A track counts as lost, not wrong, if its end lies on the way that the model expects, short of this share of it."""
 
 BEHIND_GAIN, BEHIND_ROUNDS = 10.0, 50
-"""Twice the log likelihood that lost tracks must gain together where none of them stands out; rounds to their share.
-Compared with 5 and without on tuning seeds, 150 bodies: of lost tracks 68, 69 and 65 % were found, of wrong tracks and
-of white or shared noise as many as without."""
+"""Gain in twice the log likelihood that lost tracks need together if none of them is an outlier alone; rounds to their
+share. Compared with 5 and without on tuning seeds, 150 bodies. Of lost tracks 68, 69 and 65 % were found, of wrong
+tracks and of white or shared noise as many as without."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +153,8 @@ def outlying(
 
 
 def _behind(residual: FloatArray, way: FloatArray, scale: FloatArray) -> BoolArray:
-    """(n,) which residuals (n, d) are those of tracks that stay behind on their ways (n, d), too little by themselves.
+    """(n,) which residuals (n, d) are those of tracks that stay behind on their paths (n, d), too little to be outliers
+    alone.
 
     A mixture: an unknown share of tracks does, from `STOPPED` of the way on down; scale: (n,) deviation of a coordinate
     """

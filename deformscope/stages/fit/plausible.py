@@ -1,6 +1,6 @@
-"""Whether lengths can be what they are taken for: metres of a body that a robot handles, in one unit and one frame.
+"""Whether lengths are plausible: metres of a body that a robot handles, in one unit and one frame.
 
-What a user does wrong is not seen in a fit: shapes are the same in millimetres, and converge as well.
+A fit does not show a user's mistakes: shapes are the same in millimetres, and converge as well.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def check_same_unit(rest: FloatArray, deformed: FloatArray, known: BoolArray) ->
 
 
 def size_note(rest: FloatArray) -> str | None:
-    """What to say of positions at rest (K, d) that are metres, if they are, of an unusually large body."""
+    """Remark on positions at rest (K, d) that are metres, if they are, of an unusually large body."""
     size = size_of(rest)
     if size <= LARGE_M:
         return None

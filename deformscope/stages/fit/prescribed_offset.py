@@ -1,10 +1,10 @@
 """Prescribed particles that are not where they are said to be.
 
-A simulation follows its held particles, so one that is off cannot be seen by its own residual, as a free one can; it
-pulls the free ones around it along. So each held particle gets a displacement, its part in the residuals beside that of
-the parameter and of all that they may be explained by otherwise (`deformscope.stages.fit.noise`). Where twice the
-logarithm of the likelihood gains far more by that than noise makes it, the particle counts as off: its position is
-estimated, and what is left of its error is a part of the interval, as the noise of the other held ones is.
+A simulation follows its held particles, so a wrong one has no residual of its own, as a free one has; it displaces the
+free ones around it. So each held particle gets a displacement as an unknown, in addition to the parameter and to all
+other explanations of the residuals (`deformscope.stages.fit.noise`). If twice the logarithm of the likelihood gains far
+more by that than noise explains, the particle counts as wrong. Its position is estimated, and the remaining error is a
+part of the interval, as the noise of the other held ones is.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from deformscope.stages.fit.search import Search
 
 HELD_GAIN = 20.0
 """Twice the log likelihood that a held particle's displacement must gain. Compared with 15 and 30 on tuning seeds
-(`studies.seeds`), 240 bodies a kind of error: intervals held 0.92, 0.90 and 0.87 at 15, 20 and 30 where one
-of them was off by 0.3 spacings (0.84 without), and none was moved for noise, white or shared over 2 or 6 spacings."""
+(`studies.seeds`), 240 bodies per kind of error. Intervals held 0.92, 0.90 and 0.87 at 15, 20 and 30 if one of them was
+off by 0.3 spacings (0.84 without), and none was moved for noise, white or shared over 2 or 6 spacings."""
 
 LEAST = 0.05
 """Displacement below which a held particle counts as right [spacings]."""

@@ -13,15 +13,15 @@ RAMP_STEPS = 60
 """Of an approach, whose force is summed over."""
 KEPT_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 DOUBTED = 0.5
-"""Probability that the relaxed state was not seen from which on that is a reason."""
+"""Probability of an unseen relaxed state from which that is a reason."""
 SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
-"""Strength of a branch that outlasts the record, and its share of all strengths, from which on it matters: a fainter
-one is what a drift of the sensor may be."""
+"""Strength of a branch that outlasts the record, and its share of all strengths, from which it matters: a fainter one
+may be a drift of the sensor."""
 
 
 def relaxation_modes(strength: FloatArray, retarded_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rates (d, m) [1/s] at which branches of strengths and retardation times (d, b) relax, the modes (d, b, m) that do
-    so, in sqrt(j_i l_i) E_i, and how fast the displacement drives each (d, m).
+    """Relaxation rates (d, m) [1/s] of branches with strengths and retardation times (d, b), their modes (d, b, m), in
+    sqrt(j_i l_i) E_i, and the displacement's drive of each (d, m).
 
     Under a displacement y, dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In sqrt(j_i l_i) E_i that is a
     symmetric matrix, whose eigenvectors are orthogonal.
@@ -75,8 +75,8 @@ class ForceKept:
 def kept_of(
     strength: FloatArray, retarded_s: FloatArray, exponent: FloatArray, ramp_s: float, held_s: float
 ) -> tuple[ForceKept, ...]:
-    """The force that is kept after round times within the hold, and at its end, of draws that are alike; arguments as
-    of `force_kept`."""
+    """The remaining force after round times within the hold, and at its end, of equally weighted draws; arguments as of
+    `force_kept`."""
     after_s = np.array([*(one for one in KEPT_AFTER_S if one < 0.95 * held_s), held_s])
     kept = np.quantile(force_kept(strength, retarded_s, exponent, ramp_s, after_s), (0.05, 0.5, 0.95), axis=0).T
     return tuple(
@@ -87,11 +87,11 @@ def kept_of(
 
 @dataclass(frozen=True, slots=True)
 class RelaxationSeen:
-    """What a record of relaxation saw of it.
+    """The part of relaxation that a record shows.
 
     reasons: to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that nothing ends
-    within: (d,) draws of which all relaxes within the record; share: (d,) of the modulus that relaxes, of what creeps
-    without end within the record
+    within: (d,) draws of which all relaxes within the record; share: (d,) of the modulus that relaxes, of endless creep
+    within the record
     """
 
     reasons: tuple[Doubt, ...]
@@ -108,8 +108,8 @@ class RelaxationSeen:
 def seen_of(
     strength: FloatArray, retarded_s: FloatArray, endless: BoolArray, weight: FloatArray, record_s: float
 ) -> RelaxationSeen:
-    """Whether what relaxes does so within a record, of draws: strength, retarded_s (d, b); endless, weight (d,), which
-    adds up to 1."""
+    """Whether relaxation ends within a record, of draws: strength, retarded_s (d, b); endless, weight (d,), which adds
+    up to 1."""
     slow = np.where(retarded_s / (1.0 + strength) > record_s, strength, 0.0)
     most, all_of_it = slow.max(axis=1, initial=0.0), np.maximum(strength.sum(axis=1), 1e-12)
     outlasts = ~endless & (slow.sum(axis=1) > np.maximum(SLOW_LEAST, SLOW_SHARE * all_of_it))

@@ -1,5 +1,5 @@
-"""What an observation leaves unexplained: which of its particles count, how their errors are modelled, and what
-prescribed positions that are off would do to them."""
+"""Residuals of an observation: its particles that count, the model of their errors, and the effect of wrong prescribed
+positions."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ TEMPER = 0.3
 """Power of the likelihood by which explanations are weighed, and share of the coordinates that count as independent
 where their size is uncertain. No explanation on the list is the true one, and the finest detail of the residuals, which
 decides between them at full power, says little of the long waves that a parameter is mistaken for (a coarsened
-posterior: Miller and Dunson 2019). Compared with 0.1 and 1 on tuning seeds, 90 bodies a kind of error: at 1 intervals
-held 0.83 to 0.84 where errors were shared over 3 and 6 cells, at 0.3 0.87 to 0.88, at 0.1 0.90."""
+posterior: Miller and Dunson 2019). Compared with 0.1 and 1 on tuning seeds, 90 bodies per kind of error. At 1 intervals
+held 0.83 to 0.84 for errors shared over 3 and 6 cells, at 0.3 0.87 to 0.88, at 0.1 0.90."""
 
 SYSTEMATIC_LEAST = 0.1
 """Deviations of the noise that an error of tool or camera must make along a direction, or it is left out."""
@@ -45,7 +45,7 @@ RESOLVED = 1e-14
 """Share of the mean variance of projections below which a variance is a rounding error."""
 
 SUMMARIES, SUMMARY_LEAST = 3, 0.02
-"""Directions that stand for what the parameter does to the particles: as many at most, and down to this share."""
+"""Directions that represent the parameter's effect on the particles: largest number, and least share."""
 
 MOST_PARTICLES, MOST_FOR_CHOICE = 1500, 150
 """Particles that the likelihood is taken from (of more, a random part), and those that hypotheses are chosen by."""
@@ -56,10 +56,10 @@ MOST_HELD, SKETCHED = 200, 100
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """What the errors of one observation were like, each with its weight, (h,).
+    """The errors of one observation, each model with its weight, (h,).
 
-    weight: by the tempered likelihood, as the parameter is inferred; likely: by the likelihood itself, as what is
-    predicted of errors is weighed
+    weight: by the tempered likelihood, as the parameter is inferred; likely: by the likelihood itself, with the weights
+    of predicted errors
     white: deviation of the white noise, as a multiple of the stated one (or in the unit of the rest shape)
     field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: by prescribed
     particles, hence measurement and not misfit; held: the prescribed positions were noisy
@@ -74,12 +74,12 @@ class Explanation:
     held: BoolArray
 
     def misfit(self) -> float:
-        """Root mean square of what the model cannot do, a coordinate [unit]."""
+        """Root mean square of the model's error, per coordinate [unit]."""
         return float(np.sqrt(self.weight @ np.where(self.shared, 0.0, self.field**2)))
 
 
 class Residuals:
-    """One observation: its free particles that count, its errors, and what its held ones do."""
+    """One observation: its free particles that count, its errors, and the effect of its held ones."""
 
     def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator, version: int) -> None:
         self.seen, self.body = seen, body
@@ -141,7 +141,7 @@ class Residuals:
     def response(self, parameter: Hashable, base: FloatArray, relax: Relax, *, exact: bool = True) -> FloatArray:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
 
-        base: (K, d) static state at `parameter`, by which responses are kept; relax: states for held positions
+        base: (K, d) static state at `parameter`, the key of stored responses; relax: states for held positions
         exact: none is found where the held positions were stated to be exact
         """
         if exact and self.measured.held_measured is False and self.measured.loose is None:
@@ -181,11 +181,11 @@ class Residuals:
     def summary(
         self, residual: FloatArray, response: FloatArray, most: int = SUMMARIES
     ) -> tuple[FloatArray, FloatArray]:
-        """What the parameter, and errors of tool and camera, do to the residuals (f, n, d), as few directions
-        (n, d, q), weighed by each particle's noise and misfit; and the second moment (a, a) of those errors' factors.
+        """Effect of the parameter, and of errors of tool and camera, on the residuals (f, n, d), as few directions (n,
+        d, q), weighted by each particle's noise and misfit; and the second moment (a, a) of those errors' factors.
 
-        Details that the parameter does not alter tell such errors from it where there is white noise above all. Where
-        misfit and shared errors outweigh it, they tell no more than how large such errors may be.
+        Details that the parameter does not change distinguish such errors from it if white noise dominates. If misfit
+        and shared errors outweigh it, they only bound the size of such errors.
         response: of held positions (n, d, m)
         """
         one = self.explanation
@@ -222,8 +222,8 @@ class Residuals:
     def log_summary(
         self, residual: FloatArray, onto: FloatArray, amplitude: FloatArray, response: FloatArray
     ) -> FloatArray:
-        """Log likelihood (f,) of the projections of residuals (f, n, d) onto what `summary` gives: Student's t, as wide
-        as the noise's scale is uncertain."""
+        """Log likelihood (f,) of the projections of residuals (f, n, d) onto the directions of `summary`: Student's t,
+        as wide as the noise's scale is uncertain."""
         one = self.explanation
         z = np.tensordot(residual, onto, 2)
         freedom, q = TEMPER * residual.shape[1] * residual.shape[2], onto.shape[2]

@@ -19,7 +19,7 @@ from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.solver import Msm, Relaxed
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is done, and all of it."""
+"""Called with the present step, its progress, and its total."""
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Search:
         return [found[row] for row in range(len(self.seen))]
 
     def only(self, rows: IntArray, weight: FloatArray) -> Search:
-        """The same search over the observations at rows (n,), weighted by `weight` (n,), with what was tried so far."""
+        """The same search over the observations at rows (n,), weighted by `weight` (n,), with the candidates so far."""
         some = copy.copy(self)
         some.seen = [self.seen[row] for row in rows]
         some.bodies = [self.bodies[row] for row in rows]
@@ -102,7 +102,7 @@ class Search:
         return some
 
     def rows_of(self, parameter: FloatArray, progress: Progress | None = None) -> IntArray:
-        """Indices (B,) of these candidates (B,) among those tried; what has not been simulated yet is."""
+        """Indices (B,) of these candidates (B,) among those tried; new ones are simulated."""
         known = np.abs(parameter[:, None] - self.tried.parameter).min(axis=1) <= 1e-13
         if not known.all():
             self.simulate(parameter[~known], progress, "interval")
@@ -133,7 +133,7 @@ class Search:
 
     def error(self) -> FloatArray:
         """(B,) average Euclidean error of every candidate tried over all observed particles of all observations, each
-        with its weight, in their unit of length; NaN where not usable."""
+        with its weight, in their unit of length; NaN if unusable."""
         total = np.zeros(len(self.tried.parameter))
         count = 0.0
         for seen, position, weight in zip(self.seen, self.tried.positions, self.weight, strict=True):
@@ -142,7 +142,7 @@ class Search:
         return np.where(self.tried.usable, total / count, np.nan)
 
     def each_best(self) -> FloatArray:
-        """(observations,) the value of the lowest error of each observation by itself, out of the candidates tried."""
+        """(observations,) the value of the lowest error of each observation alone, out of the candidates tried."""
         some = [self.only(np.array([row]), np.ones(1)).error() for row in range(len(self.seen))]
         return np.array([self.tried.parameter[int(np.nanargmin(error))] for error in some])
 
@@ -170,7 +170,7 @@ class Search:
         return [position[best] for position in self.tried.positions]
 
     def again(self, count: int) -> None:
-        """Sweep and refine anew, as held positions have changed."""
+        """Sweep and refine again, because held positions have changed."""
         self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
         self.sweep(count, None)
         self.refine()
@@ -193,9 +193,9 @@ class Search:
         """Algorithm 2's purpose: follow the slope of the error to its minimum. Returns why it stopped.
 
         The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
-        minimum. Here the slope comes from two neighbours simulated beside each point, the step from the slope's own
-        change (secant), kept inside the bracket in which the slope changes sign; it stops when that bracket is
-        narrower than `tolerance`, or at a bound that the slope pushes against.
+        minimum. Here the slope comes from two neighbours simulated around each point, the step from the slope's own
+        change (secant), limited to the bracket in which the slope changes sign. It stops when that bracket is narrower
+        than `tolerance`, or at a bound that the slope pushes against.
         """
         low, high = (self.stretch(b) for b in self.bounds)
         h = 1e-3 * (high - low)
@@ -246,7 +246,7 @@ class Search:
         return float(self.error()[np.abs(self.tried.parameter - parameter).argmin()])
 
     def stretch(self, parameter: float) -> float:
-        """-log(1 - beta) resolves beta near 1, where the shape still changes; theta stays as it is."""
+        """-log(1 - beta) resolves beta near 1, where the shape still changes; theta is unchanged."""
         return float(-np.log1p(-parameter)) if self.model.parameter == "beta" else float(parameter)
 
     def shrink(self, stretched: FloatArray | float) -> FloatArray:

@@ -1,14 +1,13 @@
-"""Errors that a tool or a camera makes of all positions at once: a few displacements, in any proportion.
+"""Common errors of all positions due to a tool or a camera: a few displacements, in any proportion.
 
-- Of the tool: what is held is not where it is said to be, as one. The particles that something moved, and those held
-  still, are each shifted and turned (the registration of a robot or a fixture).
-- Of the camera: all measured positions are off by a displacement that is linear in the place: a scale that is wrong
-  along some direction, or a drift. What bends, as a lens does, is left to the smooth fields of
-  `deformscope.stages.fit.noise`.
+- Of the tool: all held positions have a common displacement. The particles that something moved, and those held still,
+  are each shifted and turned (the registration of a robot or a fixture).
+- Of the camera: all measured positions have a displacement that is linear in the place: a wrong scale along some
+  direction, or a drift. Bent ones, as of a lens, are left to the smooth fields of `deformscope.stages.fit.noise`.
 
-Each has a Gaussian prior, so that they add a covariance of low rank to that of the noise. They are there always: what
-a tool that is off leaves in the residuals is hardly told from what another parameter leaves, so that evidence decides
-for no tool error where there is one (`python -m studies beta`, docs/results/coverage.md).
+Each has a Gaussian prior, so that they add a covariance of low rank to that of the noise. They are always included. A
+tool's displacement is hardly distinguishable from another parameter in the residuals, so that evidence would decide
+against an existing tool error (`python -m studies beta`, docs/results/coverage.md).
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 
 TOOL_SHIFT = 0.04
-"""Deviation of a shift along each axis, and of what a turn does to the farthest particle [spacings]. With that of the
-camera chosen on tuning seeds (`studies.seeds`), bodies of `studies.independent`."""
+"""Standard deviation of a shift along each axis, and of a turn's effect on the farthest particle [spacings]. With that
+of the camera chosen on tuning seeds (`studies.seeds`), bodies of `studies.independent`."""
 
 CAMERA_SLOPE = 0.005
 """Deviation of each part of a linear displacement, as a share of the distance."""

@@ -1,12 +1,11 @@
 """Whether the residuals of a fit show that the parameter differs between two parts of the body.
 
-The body is split in several ways: across each of its axes, into what is near to the push and what is far from it, and
-into an inclusion, at one of several places, and all else.
-For each split the residuals get one more term, a beta that is larger on one side and smaller on the other, beside the
-parameters that were fitted, and everything that they were explained by before (noise, its reach, misfit, prescribed
-positions that are off: `deformscope.stages.fit.noise`). Twice the logarithm of the likelihood that this gains is the
-statistic of a likelihood ratio test (a score test, as the states are linear in the betas about the fit). One that gains
-more than noise does is fitted in full, by simulation, and has to leave much less of the residuals.
+The body is split in several ways: across each of its axes, into the parts near to the push and far from it, and into an
+inclusion, at one of several places, and the rest. For each split the residuals get one more term, a beta that is larger
+on one side and smaller on the other. It is added to the fitted parameters and to the other explanations (noise, its
+reach, misfit, wrong prescribed positions: `deformscope.stages.fit.noise`). Twice the logarithm of the likelihood's gain
+is the statistic of a likelihood ratio test (a score test, as the states are linear in the betas about the fit). One
+that gains more than noise does is fitted in full, by simulation, and has to leave much less of the residuals.
 """
 
 from __future__ import annotations
@@ -39,18 +38,18 @@ GAIN = 6.0
 """Twice the log likelihood that a second beta must gain."""
 
 APART, LEFT = 0.05, 0.8
-"""By how much the two betas must differ at least, and what share of the error (root mean square) they leave at most.
+"""Least difference of the two betas, and largest share of the error (root mean square) that they leave.
 
-These and `GAIN`, the least of 6 to 18 that few bodies of one material meet, were chosen on tuning seeds
-(`studies.seeds`), 100 bodies a kind: together they are met by no body of one beta with noise that is
-independent or shared over a cell, by 2 % with noise shared over three, by 3 % of finite element bodies of one modulus,
-by 71 % of bodies whose halves have betas of 0.2 and 0.8, and by 60 % of those with an inclusion."""
+These and `GAIN`, the least of 6 to 18 that few bodies of one material reach, were chosen on tuning seeds
+(`studies.seeds`), 100 bodies per kind. No body of one beta reaches them together with noise that is independent or
+shared over a cell, 2 % do with noise shared over three, and 3 % of finite element bodies of one modulus. So do 71 % of
+bodies whose halves have betas of 0.2 and 0.8, and 60 % of those with an inclusion."""
 
 GAIN_SURE, LEFT_SURE, LIKE_STATED = 12.0, 0.95, (0.5, 3.0)
-"""Where residuals are so many times as large as the noise that was stated, they are noise for the most part, and the
-likelihood knows how much of it two betas fit: twice its logarithm must then gain that much, and the betas leave that
-share. On the same tuning seeds two betas were named in 91 and 73 of 100 instead of 81 and 67, and in no more bodies of
-one. Smaller residuals are those of smooth errors that the fit has taken in: gains are then of its last digits."""
+"""If residuals are this many times as large as the stated noise, they are noise for the most part, and the likelihood
+has two betas' chance of fitting it. Twice its logarithm must then gain that much, and the betas leave that share. On
+the same tuning seeds two betas were reported in 91 and 73 of 100 instead of 81 and 67, and in no more bodies of one.
+Smaller residuals are those of smooth errors that the fit has taken in: gains are then of its last digits."""
 
 DIFFERENCE = 1e-2
 """Of -log(1 - beta), for derivatives of the full fit."""
@@ -137,8 +136,8 @@ def gains(local: Sequence[Local]) -> FloatArray:
 
 
 def _highest(likelihood: Callable[[FloatArray], FloatArray], flat: FloatArray, columns: Sequence[int]) -> float:
-    """The highest log likelihood that the residual, the first row of flat (1 + q, n), reaches less multiples of some of
-    the derivatives in the others, by Newton's steps."""
+    """The highest log likelihood of the residual, the first row of flat (1 + q, n), less multiples of some of the
+    derivatives in the others, by Newton's steps."""
 
     def taken(multiple: FloatArray) -> FloatArray:
         mix = np.zeros((len(multiple), len(flat)))
@@ -193,13 +192,13 @@ def _peak(stencil: FloatArray, value: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class FittedBody:
-    """One observation at its fit, with what is needed to change the beta of each cluster.
+    """One observation at its fit, with the values for changing the beta of each cluster.
 
     part: its particles and error model; grouped: its clusters; position: (K, d) simulated at the fit
-    response: of held positions there (n, d, m); others: (q, n, d) derivatives by parameters beside beta
+    response: of held positions there (n, d, m); others: (q, n, d) derivatives by parameters besides beta
     states: positions (B, K, d) for -log(1 - beta) of each cluster (B, C); weight: of the observation
-    whole: of a history of which the observation is one frame, all numbers that were observed (n,), and what each
-    (B, C) gives of them (B, n): errors of one frame are fitted by two betas more easily than those of all
+    whole: of a history of which the observation is one frame, all observed numbers (n,), and the derivative of each by
+    (B, C), as (B, n): two betas fit errors of one frame more easily than those of all
     """
 
     part: Residuals
@@ -212,7 +211,7 @@ class FittedBody:
     whole: tuple[FloatArray, Callable[[FloatArray], FloatArray]] | None = None
 
     def compared(self) -> tuple[FloatArray, Callable[[FloatArray], FloatArray]]:
-        """The numbers that two betas are compared by, (n,), and what -log(1 - beta) (B, C) gives of them."""
+        """The compared numbers of two betas, (n,), and their derivatives by -log(1 - beta) (B, C)."""
         judged = self.part.judged
         own = self.part.observed.ravel(), lambda at: self.states(at)[:, judged].reshape(len(at), -1)
         return self.whole or own
@@ -228,7 +227,7 @@ class FittedBody:
 
 
 def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: float = np.inf) -> Iterator[Doubt]:
-    """Whether two betas explain what one, fitted to all bodies, does not.
+    """Whether two betas explain data that one, fitted to all bodies, does not.
 
     beta: the one; top: the highest that is searched; rival: squared error [unit^2] of another explanation, which two
     betas have to leave less than

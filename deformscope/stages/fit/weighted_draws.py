@@ -33,7 +33,7 @@ def draw_about(
     """Draws (d, k), their weights (d,) which add up to 1, and the log evidence.
 
     best: (k,) of least squares; jacobian: (m, k) there of residuals, which takes (d, k) and gives (d, m), in
-    deviations, priors among them; log_size: logarithm of what the density is divided by
+    deviations, priors among them; log_size: logarithm of the density's divisor
     """
     root = np.linalg.cholesky(jacobian.T @ jacobian)
     stretch = np.sqrt(PROPOSAL_FREEDOM / random.chisquare(PROPOSAL_FREEDOM, (DRAWS, 1)))
@@ -117,7 +117,7 @@ class DrawnModel:
         return self._half(drawn, self.mean[choice], self.residuals(drawn))
 
     def log_size(self) -> float:
-        """Logarithm of what the density of each choice is divided by."""
+        """Logarithm of the divisor of each choice's density."""
         known = self.spread[np.isfinite(self.spread)]
         return float(np.log(np.sqrt(2.0 * np.pi) * known).sum() - np.log(self.prior / len(self.mean)))
 
@@ -128,8 +128,8 @@ class DrawnModel:
 def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -> tuple[list[FloatArray], FloatArray]:
     """Draws (d_i, k_i) of each model, and the weights (d,) of all, one after the other, which add up to 1.
 
-    Choices are drawn by their evidence as a Gaussian about their likeliest parameters gives it (Laplace), parameters
-    about these from a heavier tail, and weighed by what their density is over that of the draw."""
+    Choices are drawn by their evidence as a Gaussian about their most probable parameters gives it (Laplace).
+    Parameters about these are drawn from a heavier tail, and weighted by their density over that of the draw."""
     minima = [one.minima() for one in models]
     roots = [np.linalg.cholesky(curved) for _, _, curved in minima]
     logs = [np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1) for root in roots]

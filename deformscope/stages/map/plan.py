@@ -84,7 +84,7 @@ class PlanOptions:
     the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     missed: where inclusions alone are sought: probability of a missed one, below which enough is known
     (`inclusion_plan`)
-    version: of what touches are expected to read: 1, as in older recordings, knows the scatter that is shared with
+    version: of what touches are expected to read: 1, as in older recordings, has the scatter that is shared with
     earlier touches at their very places alone, 2 also near them
     """
 

@@ -1,1 +1,1 @@
-"""What beta and theta leave out: direction, yielding, motion in time."""
+"""Materials beyond beta and theta: direction, yielding, motion in time."""

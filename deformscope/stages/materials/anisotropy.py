@@ -47,10 +47,10 @@ def fit_axes(
 ) -> AxisEstimate:
     """The betas along `axes` (d, d; default x, y, z) that leave the least squared error over all observations.
 
-    The intervals are Gaussian in -log(1 - beta), with the noise of observed and of measured prescribed positions;
-    errors that neighbours share, as those of a model that misfits are, widen them. The verdicts follow the rule of one
-    beta: `at-bound` where the interval reaches 0 or the upper end of the search, `unidentified` where it is wide, the
-    data do not rise over the range of that beta, or the betas explain too little of the motion.
+    The intervals are Gaussian in -log(1 - beta), with the noise of observed and of measured prescribed positions.
+    Errors that neighbours share, as those of a misfitting model, widen them. The verdicts follow the rule of one
+    beta: `at-bound` if the interval reaches 0 or the upper end of the search. It is `unidentified` if it is wide, the
+    error does not rise over the range of that beta, or the betas explain too little of the motion.
     """
     d = seen[0].rest.shape[1]
     if any(s.rest.shape[1] != d for s in seen):
@@ -67,7 +67,7 @@ def fit_axes(
     every = RANGE[:, None]
     squares = np.sum((observed - fit.isotropic(every)) ** 2, axis=1)
     if not np.isfinite(squares).any():
-        raise InputError("a simulation that settles", "none for any beta", "check what is held")
+        raise InputError("a simulation that settles", "none for any beta", "check the held particles")
     even = least_squares.minimise(
         fit.isotropic, observed, every[int(np.nanargmin(squares))], one_bounds, np.array([DIFFERENCE])
     )
@@ -134,8 +134,8 @@ def fit_axes(
 
 
 def mean_strain(seen: Sequence[Observation], axes: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
-    """(d,) strain along each axis (d, d) of the affine motion nearest to what was seen, and what noise makes of it; the
-    mean over observations."""
+    """(d,) strain along each axis (d, d) of the affine motion nearest to the observation, and its standard deviation by
+    noise; the mean over observations."""
     strains, variances = [], []
     for one in seen:
         rest = one.rest[one.observed] - one.rest[one.observed].mean(axis=0)
@@ -170,7 +170,7 @@ class _AxisFit:
         return self.along(np.repeat(stretched, len(self.axes), axis=1))
 
     def noise(self, best: least_squares.Minimum, rng: np.random.Generator) -> Noise:
-        """Noise of the observed numbers: what was stated, else what the fit left; and of the held ones alike."""
+        """Noise of the observed numbers: the stated one, else the fit's residual; and of the held ones alike."""
         stated = [s.noise[j] for s, j in zip(self.seen, self.judged, strict=True) if s.noise is not None]
         least = max(10.0 * TOLERANCE[body.precision] * body.extent for body in self.bodies)
         if len(stated) == len(self.seen):
@@ -232,7 +232,7 @@ class _AxisFit:
         return tuple(found)
 
     def _in_residuals(self, best: least_squares.Minimum) -> Iterator[Doubt]:
-        """What simulations with other axes, and with two materials, show of the residuals of the best."""
+        """Evidence of simulations with other axes, and with two materials, in the residuals of the best."""
         tried = np.concatenate([np.repeat(RANGE[::3, None], len(best.at), axis=1), best.at[None]])
 
         def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
@@ -286,7 +286,7 @@ class _AxisFit:
         return along.relax(one.deformed[one.held], beta).settled
 
     def positions(self, best: least_squares.Minimum) -> list[FloatArray]:
-        """(K, d) of every observation at the best betas; what was not judged is as it was seen."""
+        """(K, d) of every observation at the best betas; unjudged particles are as observed."""
         found, first = [], 0
         for s, j in zip(self.seen, self.judged, strict=True):
             position, size = s.deformed.copy(), int(j.sum()) * s.rest.shape[1]

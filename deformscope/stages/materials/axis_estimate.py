@@ -1,4 +1,4 @@
-"""What pairs show of a material's axes: a beta along each, and whether one would do."""
+"""A material's axes from pairs: a beta along each, and whether one would do."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deformscope.stages.fit.estimate import (
 )
 
 SEEN_SDS = 3.0
-"""A strain counts as seen from so many of its deviations on."""
+"""Number of its standard deviations from which a strain counts as observed."""
 
 ACROSS_VIEW = "one view, or a plane of particles, shows nothing along the third axis: film from another side, or in 3D"
 
@@ -28,12 +28,12 @@ class AxisEstimate(ReportedResult):
     """Betas along the axes of a material (linear clusters, theta = 0).
 
     axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
-    verdict: (d,) of each, as for one beta; reasons: (d,) to doubt each, what concerns all of them included
+    verdict: (d,) of each, as for one beta; reasons: (d,) to doubt each, including those of all
     anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
-    beta: the best single one, and p_isotropic: how likely it leaves so much more error if it were true
-    identifiability: (d,) of each axis, its rise with the betas along the others as they are
+    beta: the best single one, and p_isotropic: probability of this additional error if it were true
+    identifiability: (d,) of each axis, its rise with fixed betas along the others
     aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
-    strain: (d,) mean strain along each axis, of all observations, and strain_sd: (d,) what noise makes of it
+    strain: (d,) mean strain along each axis, of all observations, and strain_sd: (d,) its standard deviation by noise
     unit, metres_per_unit: of all lengths; None: not known
     """
 
@@ -42,7 +42,7 @@ class AxisEstimate(ReportedResult):
     @property
     @derived(key="axes")
     def by_axis(self) -> list[dict[str, object]]:
-        """What is known of each axis."""
+        """Results of each axis."""
         each = zip(self.axes.T, self.value, self.interval, self.verdict, self.reasons, strict=True)
         return [dict(zip(("axis", "value", "interval", "verdict", "reasons"), one, strict=True)) for one in each]
 
@@ -78,7 +78,7 @@ class AxisEstimate(ReportedResult):
     @property
     @derived()
     def across_view(self) -> dict[str, str] | None:
-        """What is known along the third axis, where one view or a plane shows nothing of it."""
+        """Results along the third axis, if one view or a plane shows nothing of it."""
         return {"verdict": "unidentified", "text": ACROSS_VIEW} if len(self.value) == 2 else None
 
     @property

@@ -6,10 +6,10 @@ quadratic in the displacements u, with one factor exp(p) for each cell c:
     E = 1/2 u^T K u,    K = K_0 + sum_c exp(p_c) K_c
 
 "elastic": K_c is the bilinear finite element of modulus 1 (plane stress in the plane), K_0 = 0, and p is the logarithm
-of the modulus; the material may be stiffer along one direction, the same in all cells. "beta": the model's own energy
+of the modulus. The material may be stiffer along one direction, the same in all cells. "beta": the model's own energy
 of 2^d clusters (design: sum of (1 - beta) E_rigid + beta E_affine). For small deformations the rigid part is that of
-the strain e beside the affine part, (1 - beta) |e q|^2 + |what no linear map explains|^2: K_c is the strain's, K_0 what
-keeps a cell from other than linear deformations, p = log(1 - beta).
+the strain e in addition to the affine part, (1 - beta) |e q|^2 + the squared residual of the best linear map. K_c is
+the strain's, K_0 the resistance of a cell to other than linear deformations, p = log(1 - beta).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ GAUSS = 0.5 / np.sqrt(3.0)
 """Of the quadrature's points from a cell's middle [cells]."""
 
 NU_STEP = 1e-4
-"""Of Poisson's ratio, and of what makes a material anisotropic, for the derivative by it."""
+"""Steps of Poisson's ratio, and of the anisotropy's parameters, for the derivatives."""
 
 
 def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
@@ -66,7 +66,8 @@ def elastic_cells(corner: FloatArray, nu: float, bent: FloatArray | None = None)
 
 
 def beta_cells(corner: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(C, m d, m d) twice: of the strain, times 1 - beta, and of what no linear map explains. corner: (C, m, d)"""
+    """(C, m d, m d) twice: of the strain, times 1 - beta, and of the residual of the best linear map. corner: (C, m,
+    d)"""
     count, m, d = corner.shape
     q = corner - corner.mean(axis=1, keepdims=True)
     moment = np.einsum("cmi,cmj->cij", q, q)
@@ -87,7 +88,8 @@ def elasticity(d: int, nu: float, bent: FloatArray | None = None) -> FloatArray:
     """(3, 3) or (6, 6) stresses of strains (engineering shear) at Young's modulus 1; plane stress for d = 2.
 
     bent: (m,) upper triangle of a symmetric matrix that is added to the law's logarithm, in a basis in which turning
-    the axes is a rotation (Mandel: shear times sqrt 2): an anisotropic material, positive definite whatever the numbers
+    the axes is a rotation (Mandel: shear times sqrt 2). It gives an anisotropic material, positive definite for any
+    numbers
     """
     if d == 2:
         law = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
@@ -130,8 +132,8 @@ def _strain(gradient: FloatArray) -> FloatArray:
 @dataclass(frozen=True, slots=True)
 class CellState:
     """A static state. moved: (K, d); slope: (K d, C) derivative by each cell's p; by_nu: (K d,), zero for "beta"
-    by_bent: (K d, m) derivative by what makes it anisotropic, (K d, 0) where nothing does
-    response: (K d, n d) of every displacement to the held ones; force: (K, d) that what holds the body exerts"""
+    by_bent: (K d, m) derivative by the anisotropy's parameters, (K d, 0) without any
+    response: (K d, n d) of every displacement to the held ones; force: (K, d) of the body's support"""
 
     moved: FloatArray
     slope: FloatArray

@@ -1,15 +1,15 @@
 """A stiffness per place from one deformation: smooth or of a few materials, whichever predicts particles left out.
 
-What divides a given motion between the places of a body is the ratio of their stiffness; how stiff all of it is, a
-force alone determines. The ratio is that of bilinear finite elements on the particles' lattice (`cell_model`), with
-Poisson's ratio fitted beside it: beta's energy has none, which makes its ratios of 1 - beta too small on foams that
-have one. A beta for each cell is fitted beside it, in the same places.
+The ratio of stiffness between the places of a body determines a given motion; only a force determines the absolute
+stiffness. The ratio is that of bilinear finite elements on the particles' lattice (`cell_model`), with Poisson's ratio
+fitted too. beta's energy has none, so that its ratios of 1 - beta are too small on foams that have one. A beta for each
+cell is fitted too, in the same places.
 
-How far a smooth field hangs together is chosen by blocks of particles left out. Whether a few materials with borders
-describe it better is decided by evidence: with what density every number was predicted from those before it, less what
-a border of that length costs. So is whether places differ at all: one material, one that is stiffer along a direction,
-and one that was seen with a smooth error stand beside them. An interval holds every description that this does not rule
-out, so that a place of which the data say nothing keeps what it had before them.
+How far a smooth field hangs together is chosen by blocks of particles left out. Evidence decides whether a few
+materials with borders describe it better: the density with which every number was predicted from those before it, less
+the cost of a border of that length. It also decides whether places differ at all: alternatives are one material, one
+that is stiffer along a direction, and one that was observed with a smooth error. An interval holds every description
+that this does not rule out, so that a place without information retains its prior.
 """
 
 from __future__ import annotations
@@ -76,18 +76,18 @@ BORDER_ROUNDS = 6
 """Rounds of fitting levels and moving borders."""
 
 BORDER_COST = 0.4
-"""What a border costs for each pair of cells that it parts, in natural logarithms of a probability."""
+"""Cost of a border for each pair of cells that it parts, in natural logarithms of a probability."""
 
 PLAUSIBLE = 0.05
-"""Probability of a description from which on intervals hold it."""
+"""Least probability of a description that intervals hold."""
 
 SHOWN, DIRECTIONS_SHOWN = 1e-4, 1e-3
 """Probability of one material below which places differ, and of a plain one among these below which directions do. Of
 noise that is smoother than the model's one material had 6e-4, and a plain one 7e-3, where neither differs."""
 
 CELLS_ERROR = 0.03
-"""Deviation of the log ratio of two materials that is the cells' own, as they are as coarse as the particles: of bodies
-without noise 0.96 to 1.02 of the true ratio was found."""
+"""Standard deviation of the log ratio of two materials due to the cells, as they are as coarse as the particles: of
+bodies without noise 0.96 to 1.02 of the true ratio was found."""
 
 EXPLAINABLE = 1e-12
 """Share of the largest displacement, squared, that there is at least to be explained."""
@@ -102,7 +102,7 @@ DETERMINED_LEAST = 0.5
 """Share of the places that must be determined, so that the whole has another verdict than unidentified."""
 
 DIRECTIONS = 360
-"""In which an anisotropic material is looked at."""
+"""Directions of an anisotropic material that are tried."""
 
 STRAIN_MOST = 0.15
 """Change of a cell's sides, as a share, beyond which small deformations are no description (95 % of all sides)."""
@@ -111,8 +111,8 @@ STRAIN_MOST = 0.15
 @dataclass(frozen=True, slots=True)
 class Description:
     """One way to describe the field. fit: that it is a point of; label: (C,) materials, -1 where it is smooth; root: of
-    the covariance after the data (p, q); weight: logarithm of its probability, but for what all share; misfit: chi2 for
-    each number"""
+    the covariance after the data (p, q); weight: logarithm of its probability, without the common part; misfit: chi2
+    for each number"""
 
     name: str
     fit: FieldFit
@@ -176,7 +176,7 @@ class Description:
 def fit_field(
     seen: Observation, *, level: float = 0.9, seed: int = 0, device: str = "cpu", progress: Progress | None = None
 ) -> tuple[FieldEstimate, Comparison]:
-    """A stiffness for each place of what was seen, and it beside what the engine makes of the betas."""
+    """A stiffness for each place of the observation, and the betas of the engine."""
     seen = in_whole_cells(seen)
     fit = FieldFit(seen, "elastic")
     sds = float(ndtri(0.5 + 0.5 * level))
@@ -274,8 +274,8 @@ def fit_field(
 def _descriptions(
     fit: FieldFit, edges: IntArray, done: Callable[[int], None]
 ) -> tuple[float, list[Description], list[Description]]:
-    """How far a smooth field hangs together [spacings]; all descriptions: smooth, one material, more, and last one that
-    is anisotropic and one that was seen with a smooth error; and others of as many materials, with other borders."""
+    """Correlation length of a smooth field [spacings]; all descriptions: smooth, one material, more, and last an
+    anisotropic one and one with a smooth error; and others of as many materials, with other borders."""
     reach, noise, point = _smooth(fit)
     done(1)
     found = [_described(fit, "smooth", fit.prior(reach), noise, point)]
@@ -291,8 +291,7 @@ def _descriptions(
 
 
 def _chosen(found: list[Description], probability: FloatArray) -> tuple[Description, float]:
-    """The description that is told, and the probability of one material, plain, anisotropic or seen with a smooth
-    error.
+    """The reported description, and the probability of one material, plain, anisotropic or with a smooth error.
 
     That places differ has to be shown, and so has that directions do: evidence is as good as the model of the noise.
     """
@@ -354,8 +353,8 @@ def _described(
 
 
 def _materials(fit: FieldFit, found: list[Description], edges: IntArray, count: int) -> list[Description]:
-    """Descriptions by so many materials, with borders that were found from several beginnings, the likeliest first;
-    none where there are fewer. found: the smooth field, and fewer materials; edges: (n, 2) neighbouring cells"""
+    """Descriptions by this number of materials, with borders that were found from several starts, the most probable
+    first; none if there are fewer. found: the smooth field, and fewer materials; edges: (n, 2) neighbouring cells"""
     smooth, noise = found[0], max(found, key=lambda one: one.weight).noise
     p, weight = smooth.point.at[:-1], 1.0 / np.maximum((smooth.root[:-1] ** 2).sum(axis=1), 1e-12)
     begun = [levels_of(p, weight, count)]
@@ -382,7 +381,7 @@ def _best_cuts(fit: FieldFit, noise: NoiseModel, one: Description) -> list[IntAr
 def _found_from(
     fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray, count: int, before: list[Description]
 ) -> list[Description]:
-    """What moving borders (C,) comes to, if that are so many materials and not found before."""
+    """Result of moving borders (C,), if it has this number of materials and was not found before."""
     least = fit.cells.shape[1]  # what is smaller is no more than a border that passes through cells
     moved, point = _bordered(fit, noise, label, edges)
     if moved.max() + 1 != count or np.bincount(moved).min() < least:
@@ -397,7 +396,7 @@ def _found_from(
 
 
 def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray) -> tuple[IntArray, FieldPoint]:
-    """Labels (C,) and the fit, of the borders of least chi2 and length that were met while moving them."""
+    """Labels (C,) and the fit, of the borders of least chi2 and length found while moving them."""
     tried: list[tuple[float, IntArray, FieldPoint]] = []
     point = None
     for _ in range(BORDER_ROUNDS):
@@ -414,7 +413,7 @@ def _bordered(fit: FieldFit, noise: NoiseModel, label: IntArray, edges: IntArray
 
 
 def _rival(uniform: Description, rival: Rival) -> Description:
-    """One material in all places that a rival tells from the plain one."""
+    """One material in all places that a rival distinguishes from the plain one."""
     fit = FieldFit(uniform.fit.seen, "elastic", rival)
     prior = fit.levels(uniform.label)
     point = fit.fit(prior, uniform.noise)
@@ -442,8 +441,8 @@ def _all_directions(d: int) -> FloatArray:
 
 
 def _hidden(one: Description) -> list[Description]:
-    """A body that looks uniform, as two materials whose border is across an axis: what contrast could be there unseen.
-    Layers that strain alike show none."""
+    """A body that looks uniform, as two materials whose border is across an axis: the contrast that the data cannot
+    exclude. Layers that strain alike show none."""
     fit, noise, found = one.fit, one.noise, []
     for number, along in enumerate(fit.place.T):
         for share in SPLITS:
@@ -464,8 +463,8 @@ def _softest_first(label: IntArray, p: FloatArray) -> IntArray:
 def _betas(
     seen: Observation, chosen: Description, reach: float, sds: float, device: str
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """(C,) beta of each cell in the places that were found, (C, 2) its interval, and what the engine makes of them:
-    (K, d) positions and their mean distance from what was seen [unit]."""
+    """(C,) beta of each cell in the found places, (C, 2) its interval, and the engine's positions with them: (K, d) and
+    their mean distance from the observation [unit]."""
     fit = FieldFit(seen, "beta")
     prior = fit.prior(reach) if chosen.label[0] < 0 else fit.levels(chosen.label)
     noise = NoiseModel(1.0, FIRST_NOISE * fit.size)
@@ -488,7 +487,7 @@ def _absolute(
     chosen: Description, value: FloatArray, interval: FloatArray, rng: np.random.Generator, sds: float
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """(C,) stiffness of each cell [N per unit], modulus times spacing (in the plane, times thickness), and its
-    interval, by the net force on what was touched."""
+    interval, by the net force on the touched particles."""
     fit, seen, count = chosen.fit, chosen.fit.seen, len(value)
     if seen.force_n is None or not len(seen.touched) or fit.size <= LEAST_MOTION:
         return None, None
@@ -509,19 +508,20 @@ def _part_of_a_face(fit: FieldFit) -> list[Doubt]:
     if len(fit.held) == len(fit.seen.held):
         return []
     text = (
-        "a tool presses a part of a face: cells blur what happens around it, and what is beside each other below it "
-        "strains alike; hold and move whole faces (stretch or shear it)"
+        "a tool presses a part of a face: cells blur the strain around it, and neighbours below it strain "
+        "alike; hold and move whole faces (stretch or shear it)"
     )
     return [Doubt("setting", text, "unidentified")]
 
 
 def _smooth_error(chosen: Description, differ: bool) -> list[Doubt]:
-    """differ: places that differ explain what was seen, too"""
+    """differ: places that differ explain the observation, too"""
     if chosen.fit.rival != "smooth error":
         return []
     text = (
-        "one material explains it if what was seen has a smooth error (a scale or a drift that differs between the two "
-        "states, a lens); see that camera and body stand still, or measure it with nothing moved"
+        "one material explains it if the observation has a smooth error (a scale or a drift that differs "
+        "between the two states, a lens); make sure that camera and body are at rest, or measure it with "
+        "nothing moved"
     )
     return [Doubt("smooth-error", text, "unidentified" if differ else "weak")]
 

@@ -1,4 +1,4 @@
-"""What one deformation shows of a body's stiffness from place to place."""
+"""Stiffness of a body from place to place, by one deformation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def directions_text(found: DirectionalStiffness | None) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldEstimate(ReportedResult):
-    """What one deformation shows of a body's stiffness from place to place.
+    """Stiffness of a body from place to place, by one deformation.
 
     place: (C, d) middles of the cells [unit]; spacing: of the particles [unit]
     stiffness: (C,) of each place over the geometric mean of all, interval: (C, 2) at `level`, verdicts: (C,)
@@ -58,10 +58,10 @@ class FieldEstimate(ReportedResult):
     absolute: (C,) stiffness of a cell [N per unit], absolute_interval: (C, 2); None without a force
     directions: of one anisotropic material, else None
     verdict: "uniform", "anisotropic" (one material, stiffer along a direction), "materials", "gradual"; "unidentified"
-    where at most of the places the data do not tell
+    if the data do not determine most of the places
     reasons: to doubt it
     poisson, poisson_sd: Poisson's ratio; reach: of the smooth field [spacings]
-    held_out: (h,) error of what was left out, chi2 for each number, of each of `tried` (borders as they were found from
+    held_out: (h,) error of left-out data, chi2 for each number, of each of `tried` (borders as they were found from
     all); probability: (h,) of each by its evidence; plausible: (h,) whether intervals hold it
     noise, noise_reach: of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error (Thesis eq. 3.18) of
     the elastic body and of the engine with its betas [unit]

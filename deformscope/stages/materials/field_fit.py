@@ -1,12 +1,11 @@
 """A body of cells fitted to one deformation: Gauss-Newton, the noise that is likeliest, and blocks left out.
 
-Before the data, the logarithms of stiffness are a Gaussian random field of deviation `SPREAD` (a factor of 3), however
-alike the body looks, or one number for each of a few materials.
+Before the data, the logarithms of stiffness are a Gaussian random field of standard deviation `SPREAD` (a factor of 3),
+however alike the body looks, or one number for each of a few materials.
 
-Errors of measurement are shared by neighbours, as optical flow's are, and held positions are measured too: their
-covariance is white noise or a random field of the reach and the smoothness that make what was seen most likely
-(evidence), at a size that is found the same way. What is left out is judged beside the errors that it shares with what
-was not.
+Neighbours share errors of measurement, as in optical flow, and held positions are measured too. Their covariance is
+white noise or a random field, with the reach and smoothness of highest evidence, and a size that is found the same way.
+Left-out data are judged with the errors that they share with the others.
 """
 
 from __future__ import annotations
@@ -43,25 +42,25 @@ STATED_SPREAD = 1.0
 """Log-normal deviation of the true noise about a stated one."""
 
 Rival = Literal["none", "anisotropic", "smooth error"]
-"""What else than places may explain what was seen."""
+"""Explanations of the observation other than places."""
 
 NU, NU_SPREAD = 0.3, 0.15
-"""Poisson's ratio before the data. In the plane it is what the thickness leaves of it."""
+"""Poisson's ratio before the data. In the plane it is the part that the thickness leaves of it."""
 
 BENT_SPREAD = 0.5
 """Deviation of the logarithms of an anisotropic material's stiffness before the data: two moduli differ by a factor of
 two (one deviation)."""
 
 ERROR_SPREADS = (0.1, 0.03)
-"""Smooth errors of what was seen, as shares of the largest displacement: linear in place (the camera's scale, a drift
+"""Smooth errors of the observation, as shares of the largest displacement: linear in place (the camera's scale, a drift
 of one side) and quadratic (a lens)."""
 
 ODDS, ODDS_SPREAD = float(np.log(0.4)), 1.0
 """log((1 - beta) / beta) of the whole body before the data."""
 
 ROUNDS, SETTLED = 30, 1e-3
-"""Gauss-Newton's steps at most, and the change of chi2 to be had by another that is none: the parameters are then
-within a thirtieth of their deviation, also along directions that the data hardly determine."""
+"""Gauss-Newton's largest number of steps, and the change of chi2 below which it ends. The parameters are then within a
+thirtieth of their standard deviation, also along directions that the data hardly determine."""
 
 MOST_STEP = 1.5
 """Of a log stiffness at once."""
@@ -97,13 +96,13 @@ NOISES = (
     *(NoiseModel(reach, 1.0) for reach in (0.0, 0.6, 1.0, 1.4, 2.0, 3.0, 6.0)),
     *(NoiseModel(reach, 1.0, True, own) for own in (NOISE_ROUGH, NOISE_SMOOTH) for reach in (1.0, 1.4, 2.0, 2.8, 4.0)),
 )
-"""That are tried, of size 1: what smooths images is smoother than a Matern field."""
+"""Kernels that are tried, of size 1: filtered images are smoother than a Matern field."""
 
 
 @dataclass(frozen=True, slots=True)
 class StiffnessPrior:
-    """What is assumed of all parameters, those of the cells and what they share (Poisson's ratio, or the whole body's
-    level, and what a rival has).
+    """Prior of all parameters, those of the cells and the common ones (Poisson's ratio, or the whole body's level, and
+    a rival's).
 
     mean: (C + 1 + m,); root: (C + 1 + m, q) of the covariance
     """
@@ -116,8 +115,8 @@ class FieldFit:
     """One observation, to which cells of one law are fitted.
 
     Parameters (C + 1 + m,) are of each cell the logarithm of its modulus, and Poisson's ratio; or of each cell the odds
-    of 1 - beta, and what of these all cells share. The m others are a rival's: of "anisotropic" what makes the material
-    so (`cell_model.elasticity`), of "smooth error" the displacements that are errors (`smooth_modes`).
+    of 1 - beta, and the part of these that all cells share. The m others are a rival's: of "anisotropic" the material's
+    anisotropy (`cell_model.elasticity`), of "smooth error" the displacements that are errors (`smooth_modes`).
 
     cells: (C, 2^d); place: (C, d) [unit]; held: (n,) particles whose displacement is prescribed; displacement: (K, d)
     without the rigid motion [spacings]; rows: (m,) of its numbers, those that are judged; target: (m,)
@@ -136,7 +135,7 @@ class FieldFit:
         d = seen.rest.shape[1]
         judged = np.setdiff1d(np.flatnonzero(seen.free_observed), self.held)
         if not judged.size:
-            raise InputError("particles that are free and were seen", "all held, or beside the tool", "a finer grid")
+            raise InputError("particles that are free and were seen", "all held, or next to the tool", "a finer grid")
         self.rows = (judged[:, None] * d + np.arange(d)).ravel()
         self.target = self.displacement.ravel()[self.rows]
         self.size = max(float(np.abs(self.displacement[seen.observed]).max()), LEAST_MOTION)
@@ -192,17 +191,17 @@ class FieldFit:
         return state, moved, np.concatenate(columns, axis=1)
 
     def log_stiffness(self, at: FloatArray) -> FloatArray:
-        """(C,) what the cells' energies are multiplied by: of a modulus 1, or 1 - beta."""
+        """(C,) factor of the cells' energies: of a modulus 1, or 1 - beta."""
         p = at[: len(self.cells)]
         return np.asarray(-np.logaddexp(0.0, -p) if self.law == "beta" else p)
 
     def bent(self, at: FloatArray) -> FloatArray | None:
-        """(m,) what makes the material of parameters (p,) anisotropic; None where nothing does."""
+        """(m,) anisotropy of the material of parameters (p,); None without one."""
         return at[len(self.cells) + 1 :] if self.rival == "anisotropic" else None
 
     def nu(self, at: FloatArray) -> float:
-        """Poisson's ratio of parameters (p,): the first after the cells', bent where it comes near its bounds (a ratio
-        that is cut off there has no derivative, and the fit does not settle)."""
+        """Poisson's ratio of parameters (p,): the first after the cells', bent near its bounds (a clipped ratio has no
+        derivative, and the fit does not converge)."""
         return self._half * (1.0 + float(np.tanh(at[len(self.cells)] / self._half - 1.0)))
 
     def nu_sd(self, at: FloatArray, sd: float) -> float:
@@ -267,7 +266,7 @@ class FieldFit:
 
 @dataclass(frozen=True, slots=True)
 class FieldPoint:
-    """A fit, and what it is linear in about it. at: (p,); moved: (n,); slope: (n, p)"""
+    """A fit, and its linearization. at: (p,); moved: (n,); slope: (n, p)"""
 
     at: FloatArray
     state: CellState
@@ -276,12 +275,12 @@ class FieldPoint:
     converged: bool
 
     def linear(self, target: FloatArray) -> FloatArray:
-        """(n,) what the derivatives times the parameters have to be."""
+        """(n,) target of the derivatives times the parameters."""
         return np.asarray(target - self.moved + self.slope @ self.at)
 
 
 def matern(distance: FloatArray) -> FloatArray:
-    """Correlation at distances of so many lengths (Matern, 3/2)."""
+    """Correlation at distances in units of the length (Matern, 3/2)."""
     root = np.sqrt(3.0) * distance
     return np.asarray((1.0 + root) * np.exp(-root))
 
@@ -299,8 +298,8 @@ def smooth_modes(rest: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def bent_root(d: int) -> FloatArray:
-    """(m, m) root of the covariance of an anisotropic law's numbers (`cell_model.elasticity`) for which no direction is
-    special; their geometric mean stays as it is, which positions cannot tell."""
+    """(m, m) root of the covariance of an anisotropic law's numbers (`cell_model.elasticity`) without a preferred
+    direction; their geometric mean is unchanged, which positions do not determine."""
     size = d * (d + 1) // 2
     row, column = np.triu_indices(size)
     root = np.diag(np.where(row == column, 1.0, np.sqrt(0.5)))
@@ -345,7 +344,7 @@ def in_whole_cells(seen: Observation) -> Observation:
 
 def _beside_tool(seen: Observation, cells: IntArray) -> IntArray:
     """Indices (n,) of particles next to a tool that covers a part of a face, by cells (C, 2^d). Cells as coarse as
-    particles cannot follow what happens at its edge, which falls anywhere between two: what was seen around it is
+    particles cannot follow the displacement at its edge, which falls anywhere between two: the observation around it is
     prescribed instead."""
     touched = np.isin(np.arange(len(seen.rest)), seen.touched)
     for axis in seen.rest.T:
@@ -379,8 +378,8 @@ def _cells_of(seen: Observation) -> IntArray:
 def likeliest_noise(
     fit: FieldFit, prior: StiffnessPrior, point: FieldPoint, near: NoiseModel | None = None
 ) -> tuple[NoiseModel, float]:
-    """Errors that make what was seen most likely, whatever the field is, and the logarithm of that likelihood
-    (evidence): with what density every number was predicted from those before it.
+    """Errors with the highest evidence for any field, and its logarithm: the density with which every number was
+    predicted from those before it.
 
     near: whose reach, and the next ones of its kind, they have; None = any
     """
@@ -420,8 +419,8 @@ class LeftOutError:
 
 
 class Folds:
-    """Which rows are left out in turn, and factors of the noise in which the trained rows come first: what is left out
-    is then judged beside the errors that it shares with what was trained."""
+    """Rows that are left out in turn, and factors of the noise in which the trained rows come first: left-out data are
+    then judged with the errors that they share with the trained ones."""
 
     def __init__(self, fit: FieldFit, noise: NoiseModel, response: FloatArray) -> None:
         d = fit.displacement.shape[1]
@@ -446,8 +445,8 @@ class Folds:
     def judge(
         self, point: FieldPoint, target: FloatArray, find: Callable[[FloatArray, FloatArray], FloatArray]
     ) -> LeftOutError:
-        """How far what is left out is from what the others say. find: gives parameters (p,) of what is wanted (n,) and
-        its derivatives (n, p), whitened"""
+        """Distance of left-out data from their prediction by the others. find: gives parameters (p,) for targets (n,)
+        and derivatives (n, p), whitened"""
         wanted = point.linear(target)
         square = np.empty(len(wanted))
         for part, (order, count, _) in enumerate(self.parts):
@@ -458,7 +457,7 @@ class Folds:
 
 
 def smooth_mean(prior: StiffnessPrior, y: FloatArray, w: FloatArray) -> FloatArray:
-    """(p,) parameters of a prior, of whitened rows: y (n,) wanted, w (n, p) derivatives."""
+    """(p,) parameters of a prior, of whitened rows: y (n,) targets, w (n, p) derivatives."""
     own = w @ prior.root
     z = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (y - w @ prior.mean))
     return np.asarray(prior.mean + prior.root @ z)

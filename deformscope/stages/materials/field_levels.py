@@ -1,4 +1,4 @@
-"""Borders of materials: levels of a field of stiffness, and the cells at borders put where the data want them."""
+"""Borders of materials: levels of a field of stiffness, and cells at borders assigned by the data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.stages.materials.field_fit import StiffnessPrior
 
 BORDER = 4.0
-"""What a border costs for each pair of cells that it parts while it is looked for, in units of chi2."""
+"""Cost of a border for each pair of cells that it parts during the search, in units of chi2."""
 
 PATCHES, SWEEPS = (0, 1, 2, 4), 20
 """How far around a cell at a border its material changes with it [cells]; sweeps at most."""
@@ -25,7 +25,7 @@ def neighbours(place: FloatArray, spacing: float) -> IntArray:
 
 
 def border_cells(label: IntArray, edges: IntArray) -> IntArray:
-    """Cells beside one of another material. label: (C,); edges: (e, 2)"""
+    """Cells next to one of another material. label: (C,); edges: (e, 2)"""
     return np.unique(edges[label[edges[:, 0]] != label[edges[:, 1]]])
 
 
@@ -37,10 +37,10 @@ def border_length(label: IntArray, edges: IntArray) -> int:
 def sharpened(
     label: IntArray, prior_of: Callable[[IntArray], StiffnessPrior], edges: IntArray, y: FloatArray, w: FloatArray
 ) -> IntArray:
-    """(C,) labels after cells at borders, alone and with all of their material around them, changed to a neighbour's
-    wherever that lowers chi2, and `BORDER` for each pair of neighbours (edges (e, 2)) that differ.
+    """(C,) labels after cells at borders, alone and with all of their material around them, changed to a neighbour's if
+    that lowers chi2, plus `BORDER` for each pair of neighbours (edges (e, 2)) that differ.
 
-    prior_of: gives the levels of labels; y: (n,) wanted and w: (n, C + 1) derivatives, in units of the noise
+    prior_of: gives the levels of labels; y: (n,) targets and w: (n, C + 1) derivatives, in units of the noise
     """
     label = label.copy()
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(label), len(label))).tocsr()
@@ -102,9 +102,9 @@ def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArr
 
 
 def gain(prior: StiffnessPrior, gram: FloatArray, wanted: FloatArray) -> float:
-    """By how much the parameters of a prior lower chi2, with what the prior holds against them.
+    """Reduction of chi2 by the parameters of a prior, less the prior's penalty.
 
-    gram: (C + 1, C + 1) and wanted: (C + 1,) of the derivatives, and of these with what is wanted
+    gram, wanted: (C + 1, C + 1) and (C + 1,) products of the derivatives with themselves and with the targets
     """
     inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
     along = prior.root.T @ (wanted - gram @ prior.mean)

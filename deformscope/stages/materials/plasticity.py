@@ -1,6 +1,6 @@
-"""The yield strain of a thing from its recorded motion: what it had when it was let go, and did not before.
+"""The yield strain of a body from its recorded motion: its strain before the release, which it did not have before.
 
-The motion is a history of static states (no inertia): frame by frame the prescribed particles go where they were seen,
+The motion is a history of static states (no inertia): frame by frame the prescribed particles follow the observation,
 clusters flow (`msm.materials`), and the free particles are compared. Without `creep` a load acts as long as it takes;
 with it, for the time to the next frame.
 """
@@ -43,7 +43,7 @@ from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import TOLERANCE, Relaxed
 
 YIELDS, BETAS, CREEPS = 14, 6, 8
-"""Values of the first search; for each yield strain beta and creep are searched anew, closer in `ZOOMS` rounds."""
+"""Values of the first search; for each yield strain beta and creep are searched again, closer in `ZOOMS` rounds."""
 
 ZOOMS = 2
 
@@ -71,7 +71,7 @@ SURE = 0.99
 
 @dataclass(frozen=True, slots=True)
 class YieldOptions:
-    """What is known and what is to be found.
+    """Known and unknown parameters.
 
     beta: None, to be found along with the yield strain; creep: "none" (loads act as long as it takes), "fit", or a
     rate [1/s]; maximum: bound of the plastic strain; level: of the intervals; seed: of the noise of held positions
@@ -98,13 +98,13 @@ class YieldOptions:
 
 
 def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Progress | None = None) -> YieldEstimate:
-    """The yield strain, with beta and creep where asked, of least squared error over all frames.
+    """The yield strain, with beta and creep if requested, of least squared error over all frames.
 
     The interval of the yield strain holds every value whose squared error, with beta and creep at their best, exceeds
-    the least by no more than noise does in `level` of all repeats. It is open above, and the verdict `unidentified`,
-    where an elastic body is not ruled out at 99 %; `unidentified` too where the model explains too little of the
-    motion. Noise: of observed and of prescribed positions; errors that neighbours or frames share, as those of a model
-    that misfits are, widen the interval.
+    the least by no more than noise does in `level` of all repeats. It is open above, and the verdict `unidentified`, if
+    an elastic body is not ruled out at 99 %; also `unidentified` if the model explains too little of the motion. Noise:
+    of observed and of prescribed positions; errors that neighbours or frames share, as those of a model that misfits
+    are, widen the interval.
     """
     options = options or YieldOptions()
     fit = _YieldFit(motion, options)
@@ -188,7 +188,7 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
 
 
 def simulate_yielding(motion: Motion, options: YieldOptions, found: YieldEstimate) -> FloatArray:
-    """(T, K, d) states of a motion at what was found of it, or of some of its frames."""
+    """(T, K, d) states of a motion with its fitted parameters, or of some of its frames."""
     creep = np.inf if found.creep is None else found.creep.value
     strain, beta, rate = (np.array([one]) for one in (found.yield_strain.value, found.beta.value, creep))
     states, _ = _YieldFit(motion, options).run(strain, beta, rate)
@@ -208,7 +208,7 @@ def _ends(
     grid: FloatArray, excess: FloatArray, inside: IntArray, value: float, limit: float
 ) -> tuple[float, float | None]:
     """The yield strains, out of a grid (n,), at which the excess (n,) crosses the limit on either side of the value;
-    None above where it never does."""
+    None above if it never does."""
     if not inside.size:
         return value, value
 
@@ -260,9 +260,9 @@ class _YieldFit:
     def run(
         self, strain: FloatArray, beta: FloatArray, creep: FloatArray, held: list[FloatArray] | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """(B, T, K, d) states, NaN where one did not settle, and the largest strain that any cluster met, (B,).
+        """(B, T, K, d) states, NaN if one did not converge, and the largest strain of any cluster, (B,).
 
-        held: for each frame (B, n, d), in place of what was seen
+        held: for each frame (B, n, d), in place of the observation
         """
         motion, options = self.motion, self.options
         body = PlasticMsm(self.body, Plasticity(strain, creep, options.maximum), len(strain))
@@ -326,7 +326,7 @@ class _YieldFit:
         every = self.stretched(np.linspace(0.05, 0.98, 2 * BETAS))[:, None]
         squares = np.sum((self.observed - simulate(every)) ** 2, axis=1)
         if not np.isfinite(squares).any():
-            raise InputError("a simulation that settles", "none for any beta", "check what is held")
+            raise InputError("a simulation that settles", "none for any beta", "check the held particles")
         limits = np.array([[0.0, float(self.stretched(BETA_LIMIT))]])
         start = every[int(np.nanargmin(squares))]
         return least_squares.minimise(simulate, self.observed, start, limits, np.array([DIFFERENCE]))
@@ -394,7 +394,7 @@ class _YieldFit:
         return [self.motion.position[frame, index] for frame, index in enumerate(self.frames)]
 
     def repeats(self, best: Minimum, rng: np.random.Generator) -> tuple[FloatArray, float]:
-        """What more noise of the prescribed positions makes of the best simulation, (r, n), and its size."""
+        """Effect of more noise of the prescribed positions on the best simulation, (r, n), and its size."""
         tried = max(self.least_noise, least_squares.deviation_of(best.residual, len(best.at)))
         held: list[FloatArray] = [
             each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in self.prescribed()
@@ -425,8 +425,7 @@ class _YieldFit:
         return float(count / worth) * (1.0 + (frames - 1) * min(alike, 1.0))
 
     def grid(self, best: Minimum, noise: Noise, largest: float) -> FloatArray:
-        """(n,) yield strains [-] around the best, some standard errors wide, and some beyond, up to what never
-        yields."""
+        """(n,) yield strains [-] around the best, some standard errors wide, and some beyond, up to no yielding."""
         error = float(np.sqrt(max(noise.covariance(best.jacobian)[0, 0], 0.0)))
         reach = float(np.clip(5.0 * error, 0.02, 3.0))
         low, high = np.log(LEAST_SHARE * largest), np.log(1.05 * largest)
@@ -448,7 +447,7 @@ class _YieldFit:
         return _Profile(grid, squares, excess)
 
     def _freed(self, best: Minimum, away: FloatArray) -> FloatArray:
-        """What is left of a change (n,) of the coordinates when beta and creep adapt as well as they can."""
+        """Remainder of a change (n,) of the coordinates when beta and creep adapt as well as possible."""
         others = best.jacobian[:, 1:]
         if not others.shape[1]:
             return away
@@ -523,7 +522,7 @@ class _YieldFit:
         return ordered(found)
 
     def frame(self, row: int | np.int64) -> Observation:
-        """What was seen at one of the frames."""
+        """Observation of one of the frames."""
         motion = self.motion
         seen = np.isfinite(motion.position[row]).all(axis=1)
         noise = None if motion.noise is None else np.full(len(seen), motion.noise)

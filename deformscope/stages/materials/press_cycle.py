@@ -1,8 +1,8 @@
 """When a motion is loaded most, and from when on nothing loads it: by displacement, by force, or as it is named.
 
-What was pressed moves along the way of the push and comes back when it is let go; nothing loads it any more once it
-rests again. A camera alone cannot see whether a tool that rests still presses, so that a force, where there is one,
-decides instead.
+The pressed particles move along the push and come back after the release; nothing loads them any more once they rest
+again. A camera alone cannot see whether a tool that rests still presses, so that a force, where there is one, decides
+instead.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from deformscope.results.declared import reported
 from deformscope.results.render import ReportedResult
 
 RESTS = 0.03
-"""Share of the way of the push within which what was pressed counts as at rest, or as pressed as deep as ever."""
+"""Share of the push within which the pressed particles count as at rest, or as at the greatest depth."""
 
 OFF_N, OFF_SHARE, OFF_SDS = 0.05, 0.05, 5.0
-"""A tool is off where its force is at most so much [N], or such a share of the largest, or so many deviations of what
-the sensor reads before the push."""
+"""A tool is off if its force is at most this [N], or this share of the largest, or this number of standard deviations
+of the sensor's readings before the push."""
 
 ROUNDS, CAUCHY = 20, 2.0
 """Rounds of the weights, and of them the scale: medians of how far particles are off."""
@@ -47,7 +47,7 @@ class PressForce:
         return np.asarray(np.interp(time_s, self.time_s, self.force_n))
 
     def off_n(self) -> float:
-        """What a tool that is off may read at most [N]."""
+        """Largest reading of a tool that is off [N]."""
         return max(OFF_N, OFF_SHARE * float(self.force_n.max()), OFF_SDS * self.zero_sd_n)
 
 
@@ -55,10 +55,9 @@ class PressForce:
 class PressCycle(ReportedResult):
     """A push and its end.
 
-    loaded: last frame at the deepest; unloaded: first frame from which on nothing loads the thing, and at which by
-    displacement it rests
-    course: (T,) how far what was pressed has moved along the way of the push [unit of the positions]
-    kept: share of that way that is left at the unloaded frame; source: what showed the unloaded frame
+    loaded: last frame at the deepest; unloaded: first frame without a load, and at which by displacement it rests
+    course: (T,) displacement of the pressed particles along the push [unit of the positions]
+    kept: share of that way that is left at the unloaded frame; source: of the unloaded frame
     """
 
     loaded: int = field(metadata=reported(key="loaded_frame"))
@@ -69,12 +68,12 @@ class PressCycle(ReportedResult):
 
 
 def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
-    """(T,) how far what was pressed has moved along the way of the push.
+    """(T,) displacement of the pressed particles along the push.
 
     moved: (T, K, d) displacements of all particles, NaN where one was not seen; pressed: those that were pressed
 
-    Particles below a tool are easily lost when it lifts. So the share of the push that each frame has is that of all
-    particles that were seen throughout, and its size that of the pressed ones at the deepest.
+    Particles below a tool are easily lost when it lifts. So the share of the push in each frame is that of all
+    particles that were tracked throughout, and its size that of the pressed ones at the deepest.
     """
     amplitude, loaded, _ = share_of_push(moved)
     down = moved[loaded, pressed]
@@ -86,8 +85,8 @@ def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
 
 
 def share_of_push(moved: FloatArray) -> tuple[FloatArray, int, BoolArray]:
-    """(T,) the share of the largest displacement that each frame has, the frame that has it, and the particles (K,)
-    seen in all frames, which this is of.
+    """(T,) each frame's share of the largest displacement, the frame of the latter, and the particles (K,) that were
+    tracked in all frames, which determine it.
 
     moved: (T, K, d) displacements, NaN where a particle was not seen
     """
@@ -102,8 +101,8 @@ def share_of_push(moved: FloatArray) -> tuple[FloatArray, int, BoolArray]:
 
 
 def _share(moved: FloatArray, shape: FloatArray) -> float:
-    """How many times a shape (k, d) a displacement (k, d) is: tracks that went wrong, as beside a tool that lifts,
-    hardly count (Cauchy's weights)."""
+    """Scale of a displacement (k, d) relative to a shape (k, d): wrong tracks, as next to a tool that lifts, hardly
+    count (Cauchy's weights)."""
     along, square = np.sum(moved * shape, axis=1), np.sum(shape**2, axis=1)
     weight, share = np.ones(len(shape)), 0.0
     for _ in range(ROUNDS):
@@ -123,8 +122,8 @@ def find_cycle(
 ) -> PressCycle:
     """The loaded and the unloaded frame of a course (T,).
 
-    noise: deviation of the course; time_s: (T,) of the frames, for a force; given: both frames, as somebody named them
-    Raises InputError where the motion has no push, or no end of it.
+    noise: deviation of the course; time_s: (T,) of the frames, for a force; given: both frames, if named Raises
+    InputError for a motion without a push, or without its end.
     """
     last = len(course) - 1
     if given is not None:
@@ -147,7 +146,9 @@ def find_cycle(
             raise InputError("a motion whose force goes back to nothing", came, RECORD)
         return _cycle(course, loaded, int(pressed[-1]) + 1, "force")
     if loaded == last:
-        raise InputError("a motion that is loaded and let go", "one that is as deep at its last frame as ever", RECORD)
+        raise InputError(
+            "a motion that is loaded and released", "one that is as deep at its last frame as ever", RECORD
+        )
     moving = np.flatnonzero(np.abs(course - course[-1]) > near)
     unloaded = int(moving[-1]) + 1
     if unloaded == last and course[-1] > near:
@@ -165,11 +166,11 @@ def _cycle(
 
 
 def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:
-    """Indices (n,) of at most so many frames, rising: even along the way down, with the loaded, the unloaded and the
-    last one.
+    """Indices (n,) of at most this number of frames, rising: even along the loading, with the loaded, the unloaded and
+    the last one.
 
     The first frame, at rest, is none of them: a history of loads depends on the way, not on how long it took. between:
-    also along the way back, which what flows with time wants; where a tool lifts, particles are followed least well
+    also along the unloading, for materials that flow with time; next to a lifting tool, tracks are least accurate
     """
     last = len(cycle.course) - 1
     known = {cycle.loaded, cycle.unloaded, (cycle.unloaded + last + 1) // 2, last}

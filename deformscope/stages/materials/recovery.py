@@ -1,17 +1,17 @@
-"""How a thing recovers once it is let go: what of its modulus relaxes, how fast, and what it keeps for good.
+"""Recovery of a body after its release: relaxing share of its modulus, relaxation time, and permanent set.
 
-Where every modulus of a body relaxes alike and Poisson's ratio stays, one shape of its displacement grows and shrinks
-with time (the correspondence principle: Lee 1955), and its share a(t) of the largest follows
+If every modulus of a body relaxes alike and Poisson's ratio is constant, one shape of its displacement grows and
+shrinks with time (the correspondence principle: Lee 1955). Its share a(t) of the largest follows
 
     a(t) = f(t) + sum_i j_i E_i(t) + p max a,      dE_i/dt = (f - E_i) / l_i
 
-with the force f as a share of what the same dent takes at once: each branch is a low-pass filter of the force, of
-strength j_i and retardation time l_i (`stages.poke.creep`), and p the share that is kept. While a tool prescribes a(t)
-nothing but a force shows f; once it is off f is 0, and what is left recovers by what the branches remember. So a motion
-without force is asked by its recovery alone, and one with force by its relaxation too, which shows the stiffness.
+with the force f as a share of the immediate force of the same dent. Each branch is a low-pass filter of the force, of
+strength j_i and retardation time l_i (`stages.poke.creep`), and p the permanent share. While a tool prescribes a(t)
+only a force shows f; once it is off f is 0, and the rest recovers by the branches' memory. So a motion without force is
+fitted by its recovery alone, and one with force by its relaxation too, which shows the stiffness.
 
 None to three branches, and a spectrum that reaches no plateau (`stages.fit.creep_spectra`), with and without a set,
-are compared by their evidence and averaged. What the record did not see to its end is a reason, and a bound.
+are compared by their evidence and averaged. A process that outlasts the record is a reason, and a bound.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehav
 SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""
 SLOWEST = 10.0
-"""Retardation times go from the time between frames to so many times what was recorded since the push."""
+"""Retardation times range from the time between frames to this multiple of the record since the push."""
 MOST_BRANCHES = 3
 PRESSED = 0.95
 """Share of the largest displacement at which the push has come to its end."""
 FORCE_DRAWS = 400
-"""Of all draws, from which the force that is kept is computed."""
+"""Number of draws from which the remaining force is computed."""
 NOTICED = 0.03
-"""Share that relaxes, or is kept, from which on a thing counts as viscous, or plastic."""
+"""Relaxing, or permanent, share from which a body counts as viscous, or plastic."""
 SURE = 0.95
 LEAST_SD = 2e-3
 """Deviation of a frame's share at the least: one shape does not hold closer [chosen on tuning seeds]."""
 OFFSET_SD = 4e-3
-"""Deviation of an error that all frames after the release share, as flow has that has followed a push and its way back
-[chosen on tuning seeds]."""
+"""Standard deviation of an error that all frames after the release share, as in flow that has followed a push and its
+end [chosen on tuning seeds]."""
 FORCE_SD = 0.01
-"""Of a force as a share of the largest: what one shape, and its law, leave open."""
+"""Error of a force as a share of the largest, due to the one shape and its law."""
 BETWEEN_SD = 0.5
 """Of where between its two frames the release lies, about the middle: anywhere."""
 LEAST_AFTER = 4
@@ -78,10 +78,10 @@ def fit_recovery(
 ) -> RecoveryEstimate:
     """Fit the law to shares (T,) of the largest displacement.
 
-    time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame at which nothing touches it, None:
-    found as the frame from which on the law holds without a force
-    force_n: (T,) of the tool [N], and the deviation of one sample; largest: displacement of what was pressed then
-    Raises InputError where too little was seen after the release, and no force before it.
+    time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
+    the frame from which the law holds without a force
+    force_n: (T,) of the tool [N], and the deviation of one sample; largest: displacement of the pressed particles then
+    Raises InputError if too little was recorded after the release, and no force before it.
     """
     if len(time_s) != len(amplitude) or not (np.diff(time_s) > 0.0).all():
         raise InputError("a rising time for each frame", f"{len(time_s)} for {len(amplitude)}")
@@ -148,8 +148,8 @@ def _alike(mean_time: tuple[float, tuple[float, float]], watched_s: float) -> Do
     """That a recovery may be slower than was watched. mean_time: median and interval [s]"""
     middle, (_, slowest) = mean_time
     text = (
-        f"what recovers takes {middle:.2g} s (up to {slowest:.2g} s), and {watched_s:.2g} s were watched after the "
-        "release: a slow recovery and a permanent set look alike; record longer"
+        f"the recovery takes {middle:.2g} s (up to {slowest:.2g} s), and {watched_s:.2g} s were recorded "
+        "after the release: a slow recovery and a permanent set look alike; record longer"
     )
     return Doubt("short-record", text)
 
@@ -159,7 +159,7 @@ def _per_unit(stiffness: FloatArray, weight: FloatArray, largest: float, level: 
 
 
 def _verdict(share: FloatArray, kept: FloatArray, weight: FloatArray) -> RecoveryBehaviour:
-    """The verdict of draws. share, kept: (n,) lost by flow, kept for good; weight: (n,)"""
+    """The verdict of draws. share, kept: (n,) relaxing and permanent shares; weight: (n,)"""
     viscous, plastic = (float(weight[one > NOTICED].sum()) for one in (share, kept))
     if viscous >= SURE:
         return "viscoplastic" if plastic >= SURE else "viscous"
@@ -174,8 +174,8 @@ def _begin(amplitude: FloatArray) -> int:
 
 
 def _released(time_s: FloatArray, amplitude: FloatArray, loaded: int) -> int:
-    """The first frame after which the law holds without a force: what is in contact may be anywhere between rest and
-    the deepest, what is free is where the law has it."""
+    """The first frame after which the law holds without a force: particles in contact may be anywhere between rest and
+    the deepest, free ones follow the law."""
     last = len(time_s) - 1
     latest = last + 1 - LEAST_AFTER
     if latest <= loaded:
@@ -198,8 +198,8 @@ def _released(time_s: FloatArray, amplitude: FloatArray, loaded: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _RecoveryDraws:
-    """Of one model: log evidence, its best parameters; weight (d,); j_i and l_i [s] (d, b), what is not there with a
-    strength of 0; mean relaxation time [s], share kept, force for the largest displacement at once [N], and whether
+    """Of one model: log evidence, its best parameters; weight (d,); j_i and l_i [s] (d, b), with strength 0 for absent
+    branches; mean relaxation time [s], permanent share, immediate force of the largest displacement [N], and whether
     the spectrum has no end, all (d,)."""
 
     log_evidence: float
@@ -214,9 +214,9 @@ class _RecoveryDraws:
 
 
 class _RecoveryLaw:
-    """The law over one motion; parameters: those of a spectrum, the error that all frames after the release share, how
-    far between its two frames the release lies, then log of the share kept, and log of the stiffness, where
-    these are there."""
+    """The law over one motion; parameters: those of a spectrum, the error that all frames after the release share, and
+    the release's position between its two frames. Then log of the permanent share, and log of the stiffness, if these
+    exist."""
 
     def __init__(
         self,
@@ -246,7 +246,7 @@ class _RecoveryLaw:
             self._force_sd = np.hypot(FORCE_SD, force_sd_n / most)
 
     def widen(self, best: FloatArray, spectrum: Spectrum) -> None:
-        """Take what the best fit (p,) leaves as noise, and that neighbours share it."""
+        """Use the residual of the best fit (p,) as noise, shared by neighbours."""
         off = self.residuals(best[None], spectrum)[0][: len(self._amplitude) - self._released]
         if len(off) <= len(best):
             return
@@ -304,7 +304,7 @@ class _RecoveryLaw:
         return np.asarray((both[: len(at)] - both[len(at) :]).T / 2e-4)
 
     def residuals(self, at: FloatArray, spectrum: Spectrum) -> FloatArray:
-        """(d, m) of parameters (d, k): shares after the release, forces before it, then what priors hold against."""
+        """(d, m) of parameters (d, k): shares after the release, forces before it, then the priors' penalties."""
         share, force = self.simulated(at, spectrum)
         parts = [(self._amplitude[self._released :] - share) / self.sd]
         if self._force is not None:
@@ -364,8 +364,8 @@ class _RecoveryLaw:
 def _driven(
     strength: FloatArray, retarded: FloatArray, gap_s: FloatArray, amplitude: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(d, T) what branches (d, b) take off the force under a displacement (d, T) that goes straight from frame to
-    frame, `gap_s` (T - 1,) apart, each step exact; and (d, b) the branches at its end."""
+    """(d, T) reduction of the force by branches (d, b) under a displacement (d, T) that is linear from frame to frame,
+    `gap_s` (T - 1,) apart, each step exact; and (d, b) the branches at its end."""
     rate, mode, push = relaxation_modes(strength, retarded)
     turn = -rate * gap_s[:, None, None]
     first = np.expm1(turn) / turn

@@ -1,4 +1,4 @@
-"""What a push and its recovery show: what relaxes, how fast, and what is kept."""
+"""Results of a push and its recovery: relaxing share, relaxation time, and permanent set."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deformscope.stages.fit.relaxation import ForceKept
 RecoveryBehaviour = Literal["elastic", "viscous", "plastic", "viscoplastic", "unidentified"]
 
 
-MOTION_ALONE = "unidentified: motion alone does not determine it; record a force beside the images"
+MOTION_ALONE = "unidentified: motion alone does not determine it; record a force with the images"
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +27,15 @@ class Number:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoveryEstimate(ReportedResult):
-    """What a push and its recovery show.
+    """Results of a push and its recovery.
 
-    share: of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighed by its share
-    share and time_s are lower bounds, relaxed an upper bound, where a reason says that the end was not seen
-    force_kept: share of the force at the end of the push that is left, held there, for times within what was recorded
-    set: share of the largest displacement that is kept for good
-    instant, relaxed: force over displacement of what was pressed, at once and when all has relaxed [N per unit]; None
-    without a force
-    verdict: "viscous" where more than 3 % relaxes, "plastic" where more is kept, both, neither (elastic), or not
-    known
+    share: of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share share and
+    time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded
+    force_kept: remaining share of the force at the end of the push, held there, for times within the record
+    set: permanent share of the largest displacement
+    instant, relaxed: force over displacement of the pressed particles, immediate and relaxed [N per unit]; None without
+    a force
+    verdict: "viscous" if more than 3 % relaxes, "plastic" if more is permanent, both, neither (elastic), or unknown
     reasons: to doubt it; explained: share of the motion after the release (squares) that one shape explains
     held_s: from the push to the release; watched_s: after it; released: first frame after it
     time: (T,) [s]; observed, simulated: (T,) share of the largest displacement, simulated from the release on
@@ -72,7 +71,7 @@ class RecoveryEstimate(ReportedResult):
     @property
     @derived()
     def permanent_set_m(self) -> Number | None:
-        """What is kept of the push [m]."""
+        """Permanent set of the push [m]."""
         metres = 1.0 if self.unit == "m" else self.metres_per_unit
         if metres is None:
             return None

@@ -1,4 +1,4 @@
-"""What a motion shows of yielding: the yield strain, what was found with it, and the evidence they rest on."""
+"""Results of yielding from a motion: the yield strain, parameters fitted with it, and their evidence."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YieldEstimate(ReportedResult):
-    """What a motion shows of yielding.
+    """Results of yielding from a motion.
 
-    yield_strain: |S - I|_2 above which it flows; where the verdict is `unidentified` its interval has no upper end:
-    no yield strain above the lower one contradicts the motion
+    yield_strain: |S - I|_2 above which it flows. If the verdict is `unidentified` its interval has no upper end: no
+    yield strain above the lower one contradicts the motion
     verdict: by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); reasons: to doubt it,
     which may lower its verdict
     explained: share of the motion beyond a rigid one that the model explains (sums of squares; free particles)

@@ -1,10 +1,10 @@
 """Random partitions of a surface into regions: a prior over maps, as curves that can be moved a little.
 
 A map is made of curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a blob (disc,
-ellipse, rectangle), a ring of those, or a level set of a random field, smooth or of finer shapes. One curve, or two
-that bound the same material (two patches, a strip), make two regions; two curves, the second within what the first
-leaves, make three: stripes, a T, a patch in a half, two patches. Of more regions each further curve divides any of
-those before it: quadrants, too.
+ellipse, rectangle), or a ring of those. A curve may also be a level set of a random field, smooth or of finer shapes.
+One curve, or two that bound the same material (two patches, a strip), make two regions. Two curves, the second within
+the first one's rest, make three: stripes, a T, a patch in a half, two patches. Of more regions each further curve
+divides any of those before it: quadrants, too.
 
 Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
 a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
@@ -27,7 +27,7 @@ LATENTS = 60
 """Normal numbers a curve; most families need few of them."""
 
 LEAST_AREA_M2 = 0.003
-"""What is smaller is no region: a patch about as wide as three contacts."""
+"""Smaller areas are no region: a patch about as wide as three contacts."""
 
 COARSE_M = 0.04
 """Cells in which areas are counted."""
@@ -46,7 +46,7 @@ OVERHANG = 0.2
 
 
 class Family(IntEnum):
-    """What kind of curve."""
+    """Kind of a curve."""
 
     SQUARE_LINE = 0
     LINE = 1
@@ -69,7 +69,7 @@ class Partitions:
 
     family: (n, c) `Family` of each curve, of which there are two, or one less than regions; latent: (n, c, LATENTS)
     standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region that each
-    curve divides: what lies outside of it is the next region; family_shares: of curves in each family, before any touch
+    curve divides: the area outside of it is the next region; family_shares: of curves in each family, before any touch
     """
 
     regions: int
@@ -124,7 +124,7 @@ class Partitions:
         return label
 
     def shares(self, xy_m: FloatArray, blur_m: float) -> FloatArray:
-        """(n, p, regions) how much of each region a contact at places (p, 2) feels: Gaussian of `blur_m` [m].
+        """(n, p, regions) share of each region in a contact at places (p, 2): Gaussian of `blur_m` [m].
 
         Each curve is taken as straight within the blur: the share on its one side is the normal distribution function
         of the distance.
@@ -187,8 +187,8 @@ def draw(
 
 
 def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
-    """A change of every map that is reversible under the prior without its least area: small ones of one or all
-    numbers of its curves, now and then a new curve, or another family of the same numbers: a ring has its blob's
+    """A change of every map that is reversible under the prior without its least area. It is a small one of one or all
+    numbers of its curves, and sometimes a new curve, or another family of the same numbers: a ring has its blob's
     middle and border, a zigzag its line's place and direction."""
     count = len(maps)
     fresh = _draw(rng, maps.regions, maps.size_m, count, maps.family_shares)
@@ -273,8 +273,8 @@ def _between(limits: tuple[float, float], latent: FloatArray) -> FloatArray:
 
 
 def _blob(latent: FloatArray, kind: Family, xy_m: FloatArray, size_m: tuple[float, float], exact: bool) -> FloatArray:
-    """(n, p) distance, along the ray from the middle, to discs, ellipses and rectangles with round corners; or to what
-    a hole of the same shape leaves of them."""
+    """(n, p) distance, along the ray from the middle, to discs, ellipses and rectangles with round corners; or to the
+    rest outside a hole of the same shape."""
     centre = ndtr(latent[:, :2]) * np.asarray(size_m)
     radius = _between(BLOB_RADIUS_M, latent[:, 2])
     stretch = np.exp(0.5 * np.maximum(np.abs(latent[:, 3]) - 0.5, 0.0) * np.sign(latent[:, 3]))

@@ -1,14 +1,15 @@
 """Which regions of equal stiffness a surface has, from a few touches: a posterior over maps (Bayes).
 
-A map divides the surface into one to five regions (`partitions`), each with one level of log stiffness. A touch feels
-the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter of touches
-the levels are integrated in closed form (what a contact feels is linear in them about where they roughly are), over the
-scatter is summed; the maps are particles that every touch reweights and, where few are left, that move under the prior
-(iterated batch importance sampling, Chopin 2002), so that their evidence comes out as well: it chooses the number of
-regions. Four are followed once three are the likeliest, five once four have some probability; until then they are taken
-to explain the touches as well as the most that are followed. Of their regions, beyond three, those count that touches
-met: a further one that is hardly felt would cost no evidence. A surface whose stiffness changes smoothly is the rival
-hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
+A map divides the surface into one to five regions (`partitions`), each with one level of log stiffness. A touch
+averages the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter
+of touches the levels are integrated in closed form (a contact's stiffness is linear in them about their approximate
+values), and summed over the scatter. The maps are particles that every touch reweights and that move under the prior
+when few are left (iterated batch importance sampling, Chopin 2002). So their evidence follows as well: it chooses the
+number of regions. Four are followed once three are the most likely, five once four have some probability; until then
+they count as explaining the touches as well as the most that are followed. Of their regions, beyond three, those count
+that touches
+met: a further one with hardly any effect would cost no evidence. A surface whose stiffness changes smoothly is the
+rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ SurfaceKind = Literal["uniform", "materials", "gradual"]
 """The same with one region by a name of its own."""
 
 MOST_REGIONS = 5
-"""That are told apart: it means as many or more."""
+"""Largest distinguished number: it means this number or more."""
 FIRST_REGIONS = 3
 """Maps of so many regions are followed from the first touch on."""
 MORE_SHARE = 0.5
@@ -42,7 +43,7 @@ MORE_SHARE = 0.5
 MORE_FROM = 0.2
 """Probability of four from which five are followed."""
 MET = 0.5
-"""Touches that feel a region, from which on they met it."""
+"""Number of touches in a region from which it counts as touched."""
 MOVES = 40
 TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
 """Factors on the variance of the newest touch, where it comes as a surprise."""
@@ -53,10 +54,10 @@ SMOOTH_SDS = (0.25, 0.6)
 SLOPES_PER_M = (1.0, 3.0)
 """Of log stiffness: how smooth fields may vary; each combination has the same prior probability."""
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
-"""Places on things of any size are taken as if they were so far apart, and so far from the border: the priors on shapes
-are of a surface of about 0.6 m."""
+"""Distances between places, and from the border, are scaled to this size: the priors on shapes are of a surface of
+about 0.6 m."""
 LINEARISED = 2
-"""Times that the levels are estimated before what a contact feels is taken as linear about them."""
+"""Number of estimates of the levels before a contact's stiffness is linearized about them."""
 SAME_M = 1e-3
 """Touches that are so near each other are of one place."""
 RIGID_SDS = 2.0
@@ -71,19 +72,19 @@ LEAST_WEIGHT = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class RegionPrior:
-    """What is taken for granted.
+    """Assumptions of a map.
 
-    one, two, three, four, five, gradual: prior probabilities; blur_m: deviation of the Gaussian that a contact feels;
+    one, two, three, four, five, gradual: prior probabilities; blur_m: standard deviation of a contact's Gaussian;
     error: of a touch; mixed_share: touches near a boundary are off by up to this share of all contrast; level_sd: of
     the regions' log stiffness about what they have in common, of which `common_sd` is the deviation about the touches'
-    mean: large, so that where the touches were made says nothing of it; least_contrast: between any two of them (0.13:
-    14 %; a sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds; forces_add: under a contact
-    that feels two regions, else their log stiffness has a mean; family_shares: of borders, in each family of curves
+    mean: large, so that the places of touches do not inform it; least_contrast: between any two of them (0.13: 14 %; a
+    sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds; forces_add: under a contact on two
+    regions, else their log stiffness has a mean; family_shares: of borders, in each family of curves
     (`partitions.Family`)
 
-    blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border: with forces that add, 0.0075
-    is within 3 % of what is felt where one side is 1.8 times the other, 6 % at 3.6 times, and within a factor of 1.5
-    beside what is rigid, but for the 4 mm next to it. A mean of logarithms needs 0.008 there and 0.0045 here, and a
+    blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border. With forces that add, 0.0075
+    is within 3 % of the true stiffness if one side is 1.8 times the other, 6 % at 3.6 times, and within a factor of 1.5
+    next to a rigid part, except for the nearest 4 mm. A mean of logarithms needs 0.008 there and 0.0045 here, and a
     border that is moved by 2 to 6 mm.
     """
 
@@ -118,17 +119,17 @@ class RegionPrior:
 
     @property
     def any_level_sd(self) -> float:
-        """Standard deviation of the level of one region by itself, in log stiffness."""
+        """Standard deviation of the level of one region alone, in log stiffness."""
         return float(np.hypot(self.level_sd, self.common_sd))
 
 
 @dataclass(frozen=True, slots=True)
 class RegionMap:
-    """What the touches say of the whole surface, arrays (rows, columns) of the grid.
+    """Posterior of the whole surface, arrays (rows, columns) of the grid.
 
     verdict: "gradual" where a smooth field explains the touches better than regions
     region_count: k, the most probable number of regions, 0 where the verdict is "gradual"
-    at_least: there may be more regions than `region_count`, the most that are told apart
+    at_least: there may be more regions than `region_count`, the largest number that is distinguished
     probability: of each number of regions and "gradual"
     labels: 0 (softest) to k - 1; -1 everywhere without regions
     label_probability: that the verdict is right, the number of regions too, and so is the cell's label
@@ -173,8 +174,7 @@ class RegionHypotheses:
     scatter: tuple[FloatArray, ...] = ()
 
     def predict(self, places_m: FloatArray, blur_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Mean and variance (h, p) of what a contact feels at places (p, 2) under each hypothesis, and its probability
-        (h,)."""
+        """Mean and variance (h, p) of contacts at places (p, 2) under each hypothesis, and its probability (h,)."""
         means: list[FloatArray] = []
         variances: list[FloatArray] = []
         weights: list[FloatArray] = []
@@ -300,7 +300,7 @@ class _Particles:
 class RegionPosterior:
     """The probability of every map after some touches; `with_touch` gives the next one. Same touches, same result.
 
-    particles: of 2, 3 and more regions; most_regions: that are told apart
+    particles: of 2, 3 and more regions; most_regions: largest number that is distinguished
     """
 
     grid: MapGrid
@@ -321,7 +321,8 @@ class RegionPosterior:
         seed: int = 0,
         most_regions: int = MOST_REGIONS,
     ) -> RegionPosterior:
-        """What is known at first. particle_count: maps kept for each number of regions; four times as many at first"""
+        """What is known at first. particle_count: maps stored for each number of regions; four times as many at
+        first"""
         if particle_count < 50:
             raise InputError("50 particles or more", f"{particle_count}")
         nothing = cls(grid, prior or RegionPrior(), (), (), particle_count, seed, most_regions)
@@ -385,7 +386,7 @@ class RegionPosterior:
         return [(at, np.maximum((shares >= MET).sum(axis=1), FIRST_REGIONS)) for at, shares in felt]
 
     def _kept_of(self, regions: int) -> int:
-        """Maps of so many regions that are kept."""
+        """Number of stored maps with this number of regions."""
         return self.particle_count if regions <= FIRST_REGIONS else int(MORE_SHARE * self.particle_count)
 
     @cached_property
@@ -404,7 +405,7 @@ class RegionPosterior:
 
     @property
     def _prior_shares(self) -> list[float]:
-        """Prior probability of each number of regions that is told apart, the last or more."""
+        """Prior probability of each distinguished number of regions, the last or more."""
         every = self.prior.regions
         return [*every[: self.most_regions - 1], sum(every[self.most_regions - 1 :])]
 
@@ -552,7 +553,7 @@ class RegionPosterior:
         return max((touch.log_stiffness for touch in self.touches if touch.rigid), default=np.inf)
 
     def rigid_probability(self, places_m: FloatArray) -> FloatArray:
-        """(p,) that places (p, 2) are as stiff as the rigid touches, whose level stands at the bound."""
+        """(p,) that places (p, 2) are as stiff as the rigid touches, whose level is at the bound."""
         if not np.isfinite(self._rigid_bound):
             return np.zeros(len(places_m))
         mean, variance, weight = self._some_hypotheses.predict(places_m, self.prior.blur_m)
@@ -564,8 +565,8 @@ class RegionPosterior:
         return self.hypotheses()
 
     def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
-        """(k,) regions with a rigid touch whose level stands at its bound: softer touches in them are those that a
-        boundary explains."""
+        """(k,) regions with a rigid touch whose level is at its bound: softer touches in them are those that a boundary
+        explains."""
         rows, columns = self.grid.shape
         rigid = np.zeros(len(level), dtype=bool)
         for touch in self.touches:
@@ -620,12 +621,12 @@ class RegionPosterior:
         return float(np.hypot(self.scatter, np.median(known))) if known else self.prior.error.touch_sd
 
     def repeats(self, places_m: FloatArray, within_m: float) -> Repeats:
-        """Of touches at places (p, 2) [m]; each counts as the nearest earlier touch's where that is so near along x and
+        """Of touches at places (p, 2) [m]; each counts as the nearest earlier touch's if that is this near along x and
         along y, and was of nothing rigid.
 
         Touches of one place share a part of their scatter (`touch_error`), so that a repeat is worth less than a touch
-        elsewhere: given the mean of m readings, of errors q s^2 + ((1 - q) s^2 + own^2) / m, the next is expected to be
-        off by its share q s^2 of that.
+        elsewhere: given the mean of m readings, of errors q s^2 + ((1 - q) s^2 + own^2) / m, the expected error of the
+        next is its share q s^2 of that.
         """
         sd = self.touch_sd
         at, value = np.array(places_m, np.float64), np.zeros(len(places_m))
@@ -724,7 +725,7 @@ def _prior_maps(
 
 
 def _readings(touches: Sequence[StiffnessSample], prior: RegionPrior) -> _Readings:
-    """Rigid touches all stand at the highest of their bounds: one material, as stiff as can be measured."""
+    """Rigid touches are all at the highest of their bounds: one material, as stiff as can be measured."""
     value = np.array([touch.log_stiffness for touch in touches])
     sd = np.array([touch.log_sd for touch in touches])
     arm = np.array([touch.arm_sd for touch in touches])
@@ -745,12 +746,12 @@ def _levels(
     scatter: FloatArray | float = 0.0,
     last_noise: float = 1.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of maps that are felt in shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance
-    (n, k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
+    """Of maps with contact shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance (n,
+    k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
 
     The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86), their errors
-    correlated by scatter that neighbours share and by the arm; what is left of the prior where levels differ enough is
-    counted afterwards, pair by pair.
+    correlated by scatter that neighbours share and by the arm. The remaining part of the prior, for levels that differ
+    enough, is counted afterwards, pair by pair.
     last_noise: factor on the variance of the last touch
     """
     count, touches, k = shares.shape
@@ -798,8 +799,8 @@ def _levels(
 
 
 def _felt(shares: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Log stiffness (n, t) that contacts feel in shares (n, t, k) of levels (n, k): their forces add; and by how much
-    it rises with each level (n, t, k)."""
+    """Log stiffness (n, t) of contacts with shares (n, t, k) of levels (n, k): their forces add; and its derivative by
+    each level (n, t, k)."""
     most = level.max(axis=1, keepdims=True)
     force = shares * np.exp(level - most)[:, None]
     total = force.sum(axis=-1)
@@ -809,8 +810,8 @@ def _felt(shares: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray
 def _linear(
     shares: FloatArray, readings: _Readings, prior: RegionPrior, own: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What is felt, linear in the levels about where they roughly are: its slopes (n, t, k) and the readings (t, n)
-    less what it is at levels of 0. own: (t, n) variance of the touches"""
+    """A contact's stiffness, linear in the levels about their approximate values: its slopes (n, t, k) and the readings
+    (t, n) less its value at levels of 0. own: (t, n) variance of the touches"""
     k = shares.shape[-1]
     precision = 1.0 / (own.T + prior.error.scatter_median**2)
     before = np.linalg.inv(prior.level_sd**2 * np.eye(k) + prior.common_sd**2)
@@ -896,8 +897,8 @@ def _update(
 
 
 def _effective(log_weight: FloatArray, maps: Partitions) -> float:
-    """The number of independent maps that weighted ones (n,) are worth, as a share (Kong 1992): family by family of the
-    first curve, as they are kept, in proportion to their weights."""
+    """The effective number of independent maps of weighted ones (n,), as a share (Kong 1992): family by family of the
+    first curve, as they are stored, in proportion to their weights."""
     weight, family = np.exp(log_weight - log_weight.max()), maps.family[:, 0]
     each, squares = (np.bincount(family, one) for one in (weight, weight**2))
     number = np.maximum(np.bincount(family) * squares, 1e-300)
@@ -908,8 +909,8 @@ def _kept(log_weight: FloatArray, family: IntArray, count: int, start: float) ->
     """About `count` indices (n,), and the log weight of each then: of each family in proportion to the cube root of its
     weight, and in it to its maps' weights.
 
-    What is improbable now may be what explains later touches; from the few maps that its weight is worth it would come
-    back as copies of one, with an evidence that is wrong by factors.
+    Maps that are improbable now may explain later touches. From the few maps that their weight is worth they would
+    return as copies of one, with an evidence that is wrong by factors.
     """
     weight = np.exp(log_weight)
     share = np.bincount(family, weight)
@@ -930,10 +931,10 @@ def _move(
     prior: RegionPrior,
     last_noise: float,
 ) -> tuple[Partitions, FloatArray]:
-    """Metropolis steps under the prior (`partitions.propose`), which leave the posterior as it is.
+    """Metropolis steps under the prior (`partitions.propose`), which do not change the posterior.
 
-    Most proposals fail already under the one scatter that is likeliest of all; the others are then judged under every
-    scatter, by what that adds (delayed acceptance, Christen and Fox 2005).
+    Most proposals fail already under the one scatter that is most likely of all. The others are then judged under every
+    scatter, by its addition (delayed acceptance, Christen and Fox 2005).
     """
     scatters, share = prior.error.scatters()
     logs = _by_scatter(maps.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
@@ -982,7 +983,7 @@ def _sorted(level: FloatArray, cov: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def _edges(labels: IntArray) -> float:
-    """How many sides of cells lie between two labels; a slanted boundary has sqrt(2) more than its length at most, 4/pi
-    on average, which is taken off."""
+    """Number of cell sides between two labels; a slanted boundary has sqrt(2) more than its length at most, 4/pi on
+    average, which is divided out."""
     sides = (labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum()
     return float(sides) * np.pi / 4.0

@@ -3,14 +3,15 @@
     log k_i = level(place_i) + own_i + scatter_i + gain + arm * arm_i
 
 own: of each touch alone, its deviation known from its fit (`StiffnessSample.log_sd`); scatter: from place to place
-within one material, a part of which neighbours share, and from touch to touch, its deviation *unknown*: it has a prior
-and is learned from the touches, so that few of them leave heavy tails; gain and arm: the same in all touches of a
-session. A gain moves all levels alike and no contrast; an arm that yields more or less than its calibration says moves
-touches in proportion to their stiffness (`StiffnessSample.arm_sd`: by how much for one deviation of the compliance).
+within one material, a part of which neighbours share, and from touch to touch. Its standard deviation is *unknown*: it
+has a prior and is estimated from the touches, so that few of them give heavy tails; gain and arm: the same in all
+touches of a session. A gain moves all levels alike and no contrast. An arm whose compliance differs from its
+calibration moves touches in proportion to their stiffness (`StiffnessSample.arm_sd`: the change for one standard
+deviation of the compliance).
 
-What is left out, and why: the thickness that is stated does not enter apparent stiffness (the modulus alone); a
-camera's tilt of 2 deg changes the force along the normal by 6e-4; a zero of the force that drifts is taken off in each
-approach; a gain that drifts within a session (1 %) is a part of the scatter.
+Not modelled, and why: the stated thickness does not enter apparent stiffness (the modulus alone); a camera's tilt of 2
+deg changes the force along the normal by 6e-4. A drifting zero of the force is subtracted in each approach; a gain that
+drifts within a session (1 %) is a part of the scatter.
 """
 
 from __future__ import annotations
@@ -29,30 +30,29 @@ a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
 SCATTER_MEDIAN, SCATTER_SPREAD = 0.05, 0.5
 """Of the scatter: log-normal, so that nine of ten materials lie between 2 and 11 %. Foam of one block varies by some
 2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows squared]. A
-wider spread holds more of the levels at 10 % (0.6: 0.89, this one 0.88, 0.4: 0.86; eight touches of regions that are
-known, simulated with seeds of `studies.seeds.TUNING`), but takes two foams for one that scatters."""
+wider spread holds more of the levels at 10 % (0.6: 0.89, this one 0.88, 0.4: 0.86; eight touches of known regions,
+simulated with seeds of `studies.seeds.TUNING`), but mistakes two foams for one that scatters."""
 
 SCATTER_SHARED, SCATTER_LENGTH_M = 0.7, 0.06
 """Share of the scatter's variance that neighbours share, with a squared exponential of this length: a foam's density
-varies over some centimetres, and the rest is from touch to touch. Chosen as above, so that intervals hold both where
-scatter is a field of 4 cm and where it is each touch's own: with none shared they held 0.83 and 0.84 at 10 %."""
+varies over some centimetres, and the rest is from touch to touch. Chosen as above, so that intervals hold both for a
+scatter that is a field of 4 cm and for one of each touch. With none shared they held 0.83 and 0.84 at 10 %."""
 
 SCATTER_VALUES = 6
 SCATTER_SDS = 1.9
-"""Scatters over which is summed, evenly in logarithms, over so many spreads either way: 2 to 13 %, each 1.5 times the
-one before; ten touches determine it to a factor of 1.3 at best."""
+"""Scatters of the sum, evenly in logarithms, over this number of spreads either way: 2 to 13 %, each 1.5 times the one
+before; ten touches determine it to a factor of 1.3 at best."""
 
 GAIN_SD = 0.03
-"""Of log stiffness, common to a session, where the rig file does not say how well the gain is known (`[tool]
-force_gain_sd`, from `deformscope calibrate force --weight`): a force sensor with its nominal sensitivity is off by some
-3 %, which moves the stiffness of a touch that ends by its depth, or of a flat tip, by as much, and that at a set force
-under a ball by 2 %."""
+"""Of log stiffness, common to a session, if the rig file has no accuracy of the gain (`[tool] force_gain_sd`, from
+`deformscope calibrate force --weight`). The error of a force sensor with its nominal sensitivity is about 3 %. It
+changes the stiffness of a touch that ends by its depth, or of a flat tip, equally, and that at a set force under a ball
+by 2 %."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchErrorModel:
-    """What is taken for granted of touches. scatter_median, scatter_spread: log-normal prior of the scatter's
-    deviation;
+    """Assumptions on touches. scatter_median, scatter_spread: log-normal prior of the scatter's standard deviation;
     gain_sd: common to all touches; all of log stiffness"""
 
     scatter_median: float = SCATTER_MEDIAN

@@ -12,14 +12,14 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class StiffnessSample:
-    """What one touch measured at a place.
+    """Measurement of one touch at a place.
 
     xy_m: (2,) in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force [N/mm];
-    log_sd: its standard deviation, of what is this touch's own; rigid: the dent was below what the arm resolves:
+    log_sd: its standard deviation, of this touch's own errors; rigid: the dent was below the arm's resolution:
     `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of
     its calibration, which all touches of a session share
-    exponent, exponent_sd: of the law of force over depth, where it was left free, and exponent_related: covariance of
-    what it and log_stiffness are off by; None where it was not
+    exponent, exponent_sd: of the law of force over depth, if it was free, and exponent_related: covariance of its error
+    and log_stiffness's; None if it was not
     """
 
     xy_m: FloatArray
