@@ -31,9 +31,8 @@ SPREAD = float(np.log(3.0))
 NOISE_ROUGH, NOISE_SMOOTH = 0.02, 0.002
 """Share of the variance of errors that reach far which does not, of rougher and of smoother ones."""
 
-BORDER_SPREAD = 0.7
-"""Deviation of the log stiffness of a cell at a border from its material's: half of what parts two materials of a ratio
-of 4, as the border may pass through it anywhere. Half as much made such cells a third material."""
+BORDER_SPREAD = 0.35
+"""Deviation of the log stiffness of a cell at a border from its material's: the border may pass through it."""
 
 SIZES = np.exp(np.linspace(np.log(1e-6), np.log(1.0), 401))
 """Deviations of an error that are tried, as shares of the deformation's largest displacement."""

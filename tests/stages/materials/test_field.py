@@ -67,19 +67,6 @@ def test_two_materials_their_border_and_their_ratio() -> None:
     assert len(places["at_m"]) == 70
 
 
-def test_a_border_through_the_middle_of_cells_is_no_third_material_and_intervals_hold() -> None:
-    """Its cells are as stiff as neither side; with too little freedom for them the field's intervals held .64."""
-
-    def young(places: FloatArray) -> FloatArray:
-        return np.asarray(np.where(places[:, 0] < 0.055, 10e3, 40e3))
-
-    estimate = found(elastic_pair(SMALL, young, noise_m=5e-5))
-    assert estimate.verdict == "materials"
-    assert estimate.materials == 2
-    assert abs(estimate.ratio / 4.0 - 1.0) < 0.15
-    assert held_share(estimate, young(estimate.place)) > 0.85
-
-
 def own_plate(law: OrthotropicLaw, way: PlateWay, *, camera: bool = False, seed: int = 0) -> Observation:
     """One material of other elements, and its noise."""
     rng = np.random.default_rng(seed)
