@@ -211,7 +211,7 @@ def test_the_same_reading_again_and_again_is_a_stuck_sensor(wire: PtyWire) -> No
         assert not device.health().stuck
         wire.double.stuck = True
         wait_until(lambda: device.health().stuck)
-        with pytest.raises(Stale, match="the same one"):
+        with pytest.raises(Stale, match="the same reading"):
             device.latest(1.0)
         wire.double.stuck = False
         wait_until(lambda: not device.health().stuck)

@@ -291,7 +291,7 @@ def test_a_place_without_a_way_is_left_out_before_it_is_tried(monkeypatch: pytes
     _, results = explored("two-60-150", budget=1)
     left_out = [one for one in of(StageFailure, results) if isinstance(one, StageFailure)]
     assert [(one.stage, one.touch) for one in left_out] == [("way", 0), ("way", 0)]
-    assert all("left out: expected a way" in one.reason and "out of the box" in one.reason for one in left_out)
+    assert all("left out: expected a path" in one.reason and "out of the box" in one.reason for one in left_out)
     assert len(of(TouchEstimate, results)) == 1
     assert len({x_m for x_m, _ in tried}) > 1, "the same place again"
 
@@ -537,7 +537,7 @@ def test_what_the_camera_has_not_seen_is_not_touched() -> None:
     stages = ExplorationStages(UnseenSurface((0.6, 0.4), options, ArmCompliance()), AsMeasured((0.6, 0.4), grid_left))
     places = np.random.default_rng(0).uniform((0.0, 0.0), (0.4, 0.4), (2000, 2))
     stages.look(SurfaceMeasurement(np.column_stack([places, np.full(2000, 0.05)]), np.full(2000, 1e-3)))
-    for place, reason in (((0.5, 0.2), "not seen"), ((0.35, 0.2), "cannot reach it")):
+    for place, reason in (((0.5, 0.2), "measured no surface"), ((0.35, 0.2), "cannot reach it")):
         refused = stages.aim(np.array(place))
         assert reason in refused.refused
         assert refused.touch is None

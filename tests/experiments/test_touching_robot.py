@@ -70,7 +70,7 @@ def test_the_arm_does_not_hide_what_it_touches(lab: SceneLab, place: tuple[float
 
 @pytest.mark.parametrize(
     ("set_n", "soft_n", "more_n", "told"),
-    [(3.0, 8.0, 5.0, "3 N, 5 N where"), (1.0, 2.0, 1.5, "1 N, 1.5 N where"), (3.0, 3.5, None, "3 N")],
+    [(3.0, 8.0, 5.0, "3 N, 5 N if"), (1.0, 2.0, 1.5, "1 N, 1.5 N if"), (3.0, 3.5, None, "3 N")],
 )
 def test_it_never_plans_to_press_up_to_the_soft_stop(
     set_n: float, soft_n: float, more_n: float | None, told: str

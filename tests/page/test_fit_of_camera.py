@@ -213,7 +213,7 @@ def test_pictures_that_cannot_be_kept_are_said(tmp_path: Path) -> None:
         shown = one.until(lambda fit: fit.problem)
         assert "cannot be stored" in shown.problem
         assert shown.following
-    with pytest.raises(InputError, match="that are kept"):
+    with pytest.raises(InputError, match="stored pictures"):
         _ = one.fitting.result_config
 
 
@@ -293,7 +293,7 @@ def test_a_camera_that_gives_nothing_is_said(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(page_fit, "StageProcesses", lambda *given, **also: nullcontext({"flow": Inline()}))
     monkeypatch.setattr(fit_command, "picture_of", lambda item, camera: None)
     rig = rig_of(tmp_path, folder_camera(tmp_path).replace("loop = true", "loop = false"))
-    with pytest.raises(InputError, match="come to its end"), set_on_page(BetaConfig((str(rig),)), print):
+    with pytest.raises(InputError, match="has ended"), set_on_page(BetaConfig((str(rig),)), print):
         pass
     monkeypatch.setattr(page_fit, "FIRST_S", 0.1)
     (tmp_path / "other").mkdir()

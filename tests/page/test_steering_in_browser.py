@@ -99,7 +99,7 @@ def test_confirms_and_places(shown: Any) -> None:
             case other:
                 raise AssertionError(other)
         page.session.remark("no touch there: the arm cannot reach it from above", bad=True)
-        until(shown, lambda: "cannot be led" in shown.inner_text("#place-words"))
+        until(shown, lambda: "cannot reach" in shown.inner_text("#place-words"))
 
         # what is expected, and what was felt
         curve = ForceCurve(0.3, 0.2, "2 touches", EXPECTED, EXPECTED, (0.0, 0.5, 1.0), (0.0, 2.0, 4.0))

@@ -52,7 +52,7 @@ def test_a_click_on_the_surface_becomes_one_touch(shown: Any, tmp_path: Path) ->
 
         # out of reach, at the edge; cancelled, and from another page: nothing moves, and the page says why
         type_place(shown, 90.0, 20.0)
-        until(shown, lambda: "beside the surface" in shown.inner_text("#place-words"))
+        until(shown, lambda: "outside the surface" in shown.inner_text("#place-words"))
         type_place(shown, 30.0, 1.0)
         until(shown, lambda: "2 cm of the surface's edge" in shown.inner_text("#place-words"))
         type_place(shown, 30.0, 20.0)

@@ -131,7 +131,7 @@ def test_a_processor_that_is_too_slow_is_named_and_what_there_is_is_ended(
         finally:
             free.set()
     assert "disk" not in str(told.value).split("try:")[1]
-    assert f"is kept: deformscope recover {path}" in caplog.text
+    assert f"are stored: deformscope recover {path}" in caplog.text
     assert main(["recover", str(path)]) == 0
 
 
@@ -167,7 +167,7 @@ def test_what_cannot_be_read_is_not_called_kept(
         monkeypatch.setattr("deformscope.recording.recorder.Recorder._write_last", lambda made: None)
     part = tmp_path / "run.part.rrd"
     recovered = main(["recover", str(part)]) == 0
-    assert ("is kept" in caplog.text) == recovered
+    assert ("are stored" in caplog.text) == recovered
     assert ("no data recorded before the error" in caplog.text) == (not recovered)
 
 

@@ -251,7 +251,7 @@ def test_killed_outright(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
     assert status == -signal.SIGKILL
     assert not (tmp_path / "run.rrd").exists()
     replay = Replay(tmp_path / "run.part.rrd")
-    assert "of a run that was cut short" in caplog.text  # its ledger answers for what was there at the last look
+    assert "of an interrupted run" in caplog.text  # its ledger answers for what was there at the last look
     frames = list(replay.frames())
     assert len(frames) >= 30
     for frame, original in zip(frames, synthetic.frames(len(frames)), strict=True):
@@ -286,7 +286,7 @@ def test_full_disk_ends_the_run(tmp_path: Path) -> None:
     assert status == 3, said
     assert "its quota is full" in said
     assert "kept run.part.rrd True" in said
-    assert f"is kept: deformscope recover {tmp_path / 'run.part.rrd'}" in said
+    assert f"are stored: deformscope recover {tmp_path / 'run.part.rrd'}" in said
     assert main(["recover", str(tmp_path / "run.part.rrd")]) == 0
     assert not (tmp_path / "run.rrd").exists()
 
@@ -305,7 +305,7 @@ def test_what_was_ended_is_called_kept_however_long_it_is(
         monkeypatch.setattr(recording_file, "BEAT_S", 0.0)
         for frame in synthetic.frames(3):
             made.write(frame)
-    assert f"is kept: deformscope recover {tmp_path / 'run.part.rrd'}" in caplog.text
+    assert f"are stored: deformscope recover {tmp_path / 'run.part.rrd'}" in caplog.text
     assert main(["recover", str(tmp_path / "run.part.rrd")]) == 0
 
 

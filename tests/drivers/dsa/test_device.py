@@ -279,7 +279,7 @@ def test_pressed_texels_that_never_change_are_stuck() -> None:
         desk.run(2.0)
 
         assert device.health().stuck
-        with pytest.raises(Stale, match="same one"):
+        with pytest.raises(Stale, match="same reading"):
             device.latest(1.0)
 
 
