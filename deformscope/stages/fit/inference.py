@@ -8,8 +8,8 @@ it is.
 All residuals together identify their causes (noise, its reach, its level, misfit, a displaced tool or camera) and the
 parameter. The part that the parameter does not change shows the size of the errors that resemble it.
 
-Where misfit or what neighbours share outweighs white noise, the few projections of the residuals that the parameter
-can change identify it, with the noise of the first step. So an estimate is as sharp as least squares there, no sharper.
+Where misfit outweighs the noise, the few projections of the residuals that the parameter can change identify it, with
+the noise of the first step. So an estimate is as sharp as least squares there, no sharper.
 Weighting every detail by a guessed covariance (as generalised least squares does) would treat the finest part of a
 misfit as information. Fits of versions 1 and 2 took these projections always.
 """
@@ -25,6 +25,7 @@ from scipy.special import logsumexp
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.doubts import NOISE_NAMED
 from deformscope.stages.fit.estimate import Posterior
 from deformscope.stages.fit.noise import Evidence, few
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
@@ -93,7 +94,7 @@ class Inference:
         for part, found in zip(self.parts, self._found, strict=True):
             density = np.exp(total - total.max()) * np.gradient(search.shrink(fine))
             part.weigh(found.log_likelihood, found.log_scale, density / density.sum())
-        if search.model.version < 3 or smooth_outweighs(self.parts):
+        if search.model.version < 3 or misfit_outweighs(self.parts):
             fine, total, rise = self._narrowed(low, high, self._summarise, progress)
         grid = search.shrink(fine)
         density = np.exp(total - total.max())
@@ -178,14 +179,19 @@ class Inference:
         )
 
 
-def smooth_outweighs(parts: Sequence[Residuals]) -> bool:
-    """Whether misfit and what neighbours share outweigh white noise, by how likely each explanation is."""
-    smooth, white = 0.0, 0.0
+def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
+    """Whether the residuals are misfit of the model rather than noise, by how likely each explanation is.
+
+    What neighbours share is no noise where it contradicts the one that was stated, or where none was.
+    """
+    misfit, white = 0.0, 0.0
     for part in parts:
-        one = part.explanation
-        smooth += float(one.likely @ one.field**2)
-        white += float(one.likely @ one.white**2 * np.mean(part.errors.noise**2))
-    return smooth > white
+        one, noise = part.explanation, float(np.mean(part.errors.noise**2))
+        stated = 0.0 if part.measured.noise is None else noise
+        shared = float(one.likely @ one.field**2) < NOISE_NAMED**2 * stated
+        misfit += float(one.likely @ np.where(one.shared & shared, 0.0, one.field**2))
+        white += float(one.likely @ one.white**2) * noise
+    return misfit > white
 
 
 def _nodes(width: float) -> IntArray:

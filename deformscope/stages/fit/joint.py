@@ -40,7 +40,7 @@ from deformscope.stages.fit.estimate import (
     verdict,
 )
 from deformscope.stages.fit.force import contact_stiffness, stiffness_interval
-from deformscope.stages.fit.inference import Inferred, smooth_outweighs, white_noise
+from deformscope.stages.fit.inference import Inferred, misfit_outweighs, white_noise
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.noise import few
 from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
@@ -221,7 +221,7 @@ class _Joint:
         over = (np.exp(total - total.max()) * np.gradient(self.shrink(b))[:, None] * np.gradient(t)).ravel()
         for part, (likelihood, scale) in zip(self.parts, self.evidence, strict=True):
             part.weigh(likelihood, scale, over / over.sum())
-        if self.options.model.version < 3 or smooth_outweighs(self.parts):
+        if self.options.model.version < 3 or misfit_outweighs(self.parts):
             b, t, total, rise = self.narrowed(progress, explain=False)
         beta, theta, aee = self.best()
         grid = self.shrink(b)
