@@ -138,8 +138,8 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def region_count_at_least(self) -> bool:
-        """Whether there may be more: the number is the largest that is distinguished."""
-        return self.estimate is not None and self.estimate.at_least
+        """Whether there may be more: numbers above three are not distinguished reliably."""
+        return self.estimate is not None and self.estimate.more_possible
 
     @property
     @derived()

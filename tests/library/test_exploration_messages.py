@@ -170,3 +170,10 @@ def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() 
     assert "peak force rate 6 N/s (5.5 to 6.5)" in next(_remarks(measured, 1, 3, 1.0))
     assert "peak rate 6 N/s (5.5 to 6.5)" in to_line(measured, "caption")
     assert "rate" not in next(_remarks(without, 1, 3, 1.0)) + to_line(without, "caption")
+
+
+@pytest.mark.parametrize(("count", "says"), [(1, "1 region"), (3, "3 regions"), (4, "4 regions or more")])
+def test_more_than_three_regions_may_be_more(count: int, says: str) -> None:
+    maps = dataclasses.replace(maps_after(3), region_count=count, verdict="regions")
+
+    assert format_verdict(maps) == says

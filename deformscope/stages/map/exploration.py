@@ -17,6 +17,7 @@ from deformscope.errors import InputError
 from deformscope.results.declared import LATER, derived, reported
 from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
+from deformscope.stages.regions.posterior import FIRST_REGIONS
 
 NOT_ASKED = "not asked for"
 """A verdict on beta that need not be shown."""
@@ -300,6 +301,11 @@ class MapEstimate:
             )
             for one in range(self.region_count)
         )
+
+    @property
+    def more_possible(self) -> bool:
+        """Whether there may be more regions: numbers above three are not distinguished reliably (`studies regions`)."""
+        return self.at_least or self.region_count > FIRST_REGIONS
 
     @property
     def claimed(self) -> float | None:
