@@ -38,8 +38,9 @@ def page_name(path: Path) -> str:
 
 
 def words(page: Path) -> int:
-    """Those with a letter: numbers and lines of tables are none."""
-    return sum(bool(re.search("[A-Za-z]", one)) for one in page.read_text(encoding="utf-8").split())
+    """Those with a letter, of what is written by hand: neither numbers nor the list that `tools/layers.py` writes."""
+    text = re.sub(r"<!-- layers -->.*<!-- end of layers -->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return sum(bool(re.search("[A-Za-z]", one)) for one in text.split())
 
 
 def environment() -> dict[str, str]:
