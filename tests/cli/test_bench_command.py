@@ -157,6 +157,7 @@ def test_a_time_that_no_clock_gives_fails(monkeypatch: pytest.MonkeyPatch, capsy
     assert "-0.04 ms/step" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_memory_is_told_of_bodies_that_take_some() -> None:
     assert main([*SHORT[:-3], "13824", "--only", "memory", "--json", "bench.json"]) == 0
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]

@@ -152,6 +152,7 @@ def test_each_place_of_the_plan_is_asked_for(
 # Before the first touch ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

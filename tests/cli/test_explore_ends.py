@@ -208,7 +208,8 @@ def ends_well(
         assert status == 0
         return False
     (robot,) = bench.robots
-    assert status == (130 if isinstance(error, KeyboardInterrupt) else 2 if isinstance(error, InputError) else 1)
+    refused = isinstance(error, InputError | OSError)
+    assert status == (130 if isinstance(error, KeyboardInterrupt) else 2 if refused else 1)
     assert robot.halts
     assert not robot.moving
     if told.exists():  # it could move, so that it is told what came of it
@@ -394,6 +395,7 @@ def test_terminal_json_panel_and_map_file_give_the_same_numbers(
     assert found["units"]["travel_m"] == "m"
 
 
+@pytest.mark.slow
 def test_a_gradual_surface_has_no_regions_anywhere(
     bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,7 +103,7 @@ def test_a_device_later_than_it_may_be_silent_is_refused(rig: Path) -> None:
     rig.write_text(RIG + late.format(0.4))
     RigParts.of(load_rig(rig))
     rig.write_text(RIG.replace("force_silent_s = 0.5", "force_silent_s = 0.4") + late.format(0.4))
-    with pytest.raises(InputError, match="tip late by less than"):
+    with pytest.raises(InputError, match="tip with a delay below its limit on silence"):
         RigParts.of(load_rig(rig))
 
 

@@ -321,7 +321,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
 
     assert found["losses"]["tip"]["silent_s"] > 0.5
     assert found["devices"]["tip"]["lost"] > 300
-    assert found["ended"].endswith("as asked for")
+    assert found["ended"].endswith("as requested")
     assert "with losses: tip: " in said.err
     assert "without any" in said.out
     assert "got none" in said.out

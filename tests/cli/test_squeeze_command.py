@@ -227,6 +227,7 @@ def seeing_model() -> ContentModel:
     return fit_model(LabelledTable(label, None, named, series=series), by_group=False)
 
 
+@pytest.mark.slow
 def test_the_container_is_tracked_and_seen_while_it_is_squeezed_and_replayed(
     tmp_path: Path, toy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

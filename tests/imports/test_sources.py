@@ -55,7 +55,7 @@ def test_what_may_not_be_read_is_said_to_be_that(name: str, tmp_path: Path, capf
         source.chmod(0)
         error = refused(source, map_of(AXES), folder / "r.rrd", capfd)
         assert main(["import", "--inspect", str(source)]) == 2
-    assert f"expected a source that can be read; got permission denied | {source}" in error
+    assert f"expected a readable source; got permission denied | {source}" in error
 
 
 @pytest.mark.parametrize("command", ["export", "verify", "discard", "replay"])

@@ -99,7 +99,7 @@ def test_a_posterior_that_peaks_elsewhere_than_the_lowest_error_says_so() -> Non
         legend = axes.get_legend()
         said.append([] if legend is None else [text.get_text() for text in legend.get_texts()])
     assert said[0] == []
-    assert any("likeliest" in one and "0.25" in one for one in said[1])
+    assert any("most likely" in one and "0.25" in one for one in said[1])
     assert any(f"lowest error: {estimate().value:.3g}" in one for one in said[1])
 
 

@@ -94,7 +94,7 @@ def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="lab:bench"):
         load_rig("lab:beach")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="no text"):
+    with pytest.raises(InputError, match="without text"):
         load_rig(tmp_path / "binary.toml")
 
 

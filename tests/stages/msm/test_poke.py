@@ -167,7 +167,7 @@ def test_tips_and_pokes_that_cannot_be_are_refused(make: object, said: str) -> N
 
 
 def test_a_poke_beside_the_body_and_a_force_without_a_stiffness_are_refused(scene: PokeSetup) -> None:
-    with pytest.raises(InputError, match="beside it"):
+    with pytest.raises(InputError, match="outside it"):
         press(scene, LAW, Poke(np.array([0.5, 0.5, 0.03]), Tip("flat", (0.02,)), depth=0.001))
     with pytest.raises(InputError, match="stiffness"):
         press(scene, LAW, Poke(AT, Tip("flat", (0.02,)), force=1.0))
