@@ -73,7 +73,7 @@ PLACE = (0.12, 0.12, 0.7, 0.69)
 """Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
 UNIT_LETTERS = 8
-"""A longer label of a colour bar ends at the right edge of the picture."""
+"""A longer label of a colour bar is part of the label of x."""
 LEAST_SURE = 0.25
 """Probability of a label at which its colour is as pale as it gets."""
 
@@ -466,9 +466,10 @@ def _draw_map(
     if norm is None:  # whole numbers, not differences from one, and as short as there is room
         bar.locator, bar.formatter = MaxNLocator(4), FuncFormatter(lambda value, _: f"{value:.3g}")
         bar.update_ticks()
-    edge = 4.6 if values.shape[1] > 1.2 * values.shape[0] else 5.6  # the bar of a square map is narrower
-    x, y, side = (0.55, -0.035, "left") if len(label) <= UNIT_LETTERS else (edge, -0.12, "right")
-    bar.ax.text(x, y, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha=side)
+    if len(label) <= UNIT_LETTERS:
+        bar.ax.text(0.55, -0.035, label, transform=bar.ax.transAxes, fontsize=10, va="top", ha="left")
+    else:
+        axes.set_xlabel(f"{axes.get_xlabel()}; colour: {label}")
     if norm is not None:
         _number_log_bar(bar, norm.vmin, norm.vmax)
 
