@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from deformscope.cli.common import check_writable, say, show, write_file, write_json
 from deformscope.config import ReportConfig
+from deformscope.pictures.messages import counted
 from deformscope.runs.recording_report import report_recording
 
 
@@ -19,5 +20,5 @@ def run(config: ReportConfig) -> None:
     write_file(out, found.page().encode())
     show(found)
     say(f"stages missing: {', '.join(found.lacks) or 'none'}")
-    say(f"report: {out} ({len(found.figures())} figures)")
+    say(f"report: {out} ({counted(len(found.figures()), 'figure')})")
     write_json({**found.to_dict(), "report": out}, config.json)

@@ -59,7 +59,7 @@ def fit_beta(
     if options.beta_model == "thesis":
         return _swept(touched, ball, surface, None, options)
     if thickness_m is None:
-        return BetaEstimate("not fitted: the foam's thickness is unknown")
+        return BetaEstimate("not fitted: the foam's thickness is not known")
     if options.beta_model == "layers":
         return _swept(touched, ball, surface, thickness_m, options)
     found = fit_touch(surface.process, touched.after_m, ball, thickness_m=thickness_m)

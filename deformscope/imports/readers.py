@@ -234,16 +234,23 @@ class FolderReader:
     @cached_property
     def topics(self) -> dict[str, Topic]:
         found = {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
-        for name, path in self._tables.items():
-            with self._opened(name) as (schema, count, _):
-                metadata = schema.metadata or {}
-                units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
-                units |= {one.name: "ns" for one in schema if _has_ns(one.type)}
-                own = self._own(name)
-                units |= {one.name: one.unit for one in own.columns if one.name in units}
-                kinds = metadata.get(b"deformscope.kinds", b"").decode().split() or [own.kind]
-            found[name] = Topic(name, path.suffix.lower()[1:], count, units, kinds[-1])
+        for name in self._tables:
+            try:
+                found[name] = self._table(name)
+            except InputError:  # notes beside images need not be a table
+                if not self._files:
+                    raise
         return found
+
+    def _table(self, name: str) -> Topic:
+        with self._opened(name) as (schema, count, _):
+            metadata = schema.metadata or {}
+            units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
+            units |= {one.name: "ns" for one in schema if _has_ns(one.type)}
+            own = self._own(name)
+            units |= {one.name: one.unit for one in own.columns if one.name in units}
+            kinds = metadata.get(b"deformscope.kinds", b"").decode().split() or [own.kind]
+        return Topic(name, self._tables[name].suffix.lower()[1:], count, units, kinds[-1])
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         for name in topics:

@@ -91,6 +91,7 @@ class RecordingFile:
         self.write_properties("session", properties)
         if name:
             self._log(lambda rec: rec.send_recording_name(printable(name)))
+        self._flush_merged(self._merged_stream)  # first in the file: without its properties the rest cannot be read
         try:
             self.flush()
         except RecordingError:

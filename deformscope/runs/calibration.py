@@ -147,7 +147,7 @@ class CalibrationResult(SourceResult):
     def tables(self) -> tuple[Table, ...]:
         parameter, rows = self.estimate.parameter, self.source_rows()
         if self.recording is not None and self.recording.path is not None:
-            rows.append(("to show it", f"{rerun_command()} {self.recording.path}"))
+            rows.append(("to show it", f"{rerun_command()} --bind 127.0.0.1 {self.recording.path}"))
         title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
         first, *others = estimate_tables(self.estimate, title)
         tables = [Table([*first.rows, *rows], caption=first.caption), *others]

@@ -44,7 +44,9 @@ def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
 
 def _check(path: Path, out: Path) -> None:
     if not path.is_file():
-        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", where=path)
+        part = path.with_suffix(".part.rrd")
+        hint = f"deformscope recover {part}" if part.is_file() else ""
+        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
     check_magic(path)
     if is_being_written(path):
         raise InputError("a finished recording", "one that a run is writing", "again after the run", path)

@@ -126,7 +126,11 @@ def test_images_beside_tables_are_both_there(tmp_path: Path, capfd: pytest.Captu
     for at in range(3):
         cv2.imwrite(str(source / "depth" / f"{at}.png"), np.full((4, 4), 500 + at, np.uint16))
     csv(source / "t.csv")
+    (source / "notes.csv").write_text("Notes of 3 May\nsubject, foam, 2 cm\n")  # no table
+    (source / "empty.csv").touch()
     text = inspected(source)
+    assert "notes" not in text
+    assert "empty" not in text
     assert {"depth/*.png: files", "t.csv: csv"} <= {line[2:].split(",")[0] for line in text.splitlines()}
     depth = '[[streams]]\ndevice = "cam"\nkind = "depth"\ntopics = ["depth/*.png"]\nrate_hz = 100\nunit_m = 0.001\n'
     frames: dict[str, list[Any]] = frames_of(imported(source, map_of(AXES) + depth, tmp_path / "r.rrd"))  # type: ignore[assignment]

@@ -13,7 +13,10 @@ import deformscope as ds
 from deformscope.cli import main
 from deformscope.recording.items import read_estimates
 from deformscope.recording.reader import Replay
+from deformscope.runs.replay_result import compare
+from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.msm import reference
+from tests.log.synthetic import estimate
 from tests.stages import reference_states
 from tests.stages.bodies import pushed
 
@@ -51,6 +54,16 @@ def test_numbers_that_differ_are_an_error(recorded: Path, monkeypatch: pytest.Mo
 
     with pytest.raises(ds.InputError, match="numbers that differ by"):
         ds.replay(recorded)
+
+
+def test_a_reason_in_other_words_is_the_same_reason() -> None:
+    before = dataclasses.replace(estimate(), reasons=(Doubt("two-materials", "two foams", "weak"),))
+    now = dataclasses.replace(before, reasons=(Doubt("two-materials", "two materials", "weak"),))
+    other = dataclasses.replace(before, reasons=(Doubt("held-off", "two foams", "weak"),))
+
+    assert compare([before], [now], Path("run.rrd")) is None
+    with pytest.raises(ds.InputError, match="another reasons of Estimate"):
+        compare([before], [other], Path("run.rrd"))
 
 
 def test_other_settings_belong_to_an_exploration(recorded: Path) -> None:

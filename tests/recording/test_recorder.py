@@ -38,6 +38,7 @@ from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rows import FORMAT
+from deformscope.runs.recovery import recover_recording
 from deformscope.session import Step, run
 from tests.log import synthetic
 from tests.log import synthetic_rig as rig
@@ -465,6 +466,22 @@ def test_a_recording_of_devices_has_few_portions(tmp_path: Path) -> None:
     assert len(portions) == 11  # the hand's numbers, and how the devices do
     assert max(portions.values()) <= 4  # a third of a minute each
     assert_same(read_in_order(tmp_path / "run.rrd"), items)
+
+
+def test_of_a_recording_that_was_cut_off_the_rest_is_recovered(tmp_path: Path) -> None:
+    """Its properties lie at its begin: without them nothing that is left can be read."""
+    whole, cut = tmp_path / "run.rrd", tmp_path / "cut.rrd"
+    items: list[Item] = sorted([*map(rig.hand, range(600)), *map(rig.health, range(60))], key=order)
+    with Recorder(whole, "none", {}, application=RIG) as made:
+        made.start(RigLayout(rig.STREAMS), rig.START_NS)
+        for batch in rig.batches(items):
+            made.write(batch)
+    cut.write_bytes(whole.read_bytes()[: int(0.4 * whole.stat().st_size)])
+
+    recover_recording(cut)
+
+    left = read_in_order(tmp_path / "cut.recovered.rrd")
+    assert 0 < len(left) < len(items)
 
 
 def test_two_deterministic_runs_of_devices_compare_equal(tmp_path: Path) -> None:
