@@ -99,6 +99,7 @@ def shoot(
     else:
         viewer.set_time("frame", sequence=last_frame(recording) if frame is None else frame, play_state="paused")
     time.sleep(1.0)  # the first picture of a view may still lack its images
+    viewer.save_screenshot(str(out / f"{prefix}window.png"))  # before a hidden view has a notice over the window
     complaints = []
     for view in viewer.get_state().views:
         name = "".join(letter if letter.isalnum() else "_" for letter in view.name)[:40]
@@ -106,8 +107,6 @@ def shoot(
             viewer.save_screenshot(str(out / f"{prefix}{name}.png"), view_id=view.view_id)
         except ConnectionError:  # not found: it is behind another tab; until the viewer's notice of that is gone
             time.sleep(NOTICES_S)
-    time.sleep(NOTICES_S)  # until the notices over the window are gone
-    viewer.save_screenshot(str(out / f"{prefix}window.png"))
     for view in viewer.get_state().views:
         complaints += [f"{view.name}: {report.severity}: {report.summary}" for report in view.reports]
     for entry in viewer.get_logs():

@@ -121,8 +121,8 @@ def _work(pipe: Connection) -> None:
         try:
             function, arguments = pipe.recv()
             answer = True, function(*arguments)
-        except Exception as error:
-            answer = False, error
+        except (Exception, SystemExit) as error:  # a function that exits is no lost process
+            answer = False, error if isinstance(error, Exception) else RuntimeError(f"it exited: {error}")
         try:
             pipe.send(answer)
         except OSError:

@@ -50,6 +50,8 @@ def _check(path: Path, out: Path) -> None:
     check_magic(path)
     if is_being_written(path):
         raise InputError("a finished recording", "one that a run is writing", "again after the run", path)
+    if not out.parent.is_dir():
+        raise InputError("a new file in a folder that exists", "no such folder", "make it first", out.parent)
     _refuse_existing(out)
     if not run_rrd("verify", path) and (facts := read_facts(path)).outcome.get("complete") and not facts.damage:
         raise InputError("a truncated recording", "a finished one", f"deformscope verify {path}", path)

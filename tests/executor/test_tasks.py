@@ -148,6 +148,13 @@ def environment(item: int) -> list[str | None]:
     return [os.getenv(name) for name in BLAS_THREADS]
 
 
+def test_a_task_that_exits_is_a_reason_and_is_not_tried_again(two: LocalWorkers) -> None:
+    (outcome,) = compute(two, sys.exit, ["no data in it"])
+
+    assert str(outcome.error) == "it exited: no data in it"
+    assert outcome.reasons == ("RuntimeError: it exited: no data in it",)
+
+
 def test_each_has_one_thread(two: LocalWorkers) -> None:
     assert [one.value for one in compute(two, environment, [0, 1])] == [["1", "1", "1"]] * 2
 
