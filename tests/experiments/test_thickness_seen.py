@@ -69,5 +69,5 @@ def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_
     assert known.modulus_interval_pa is not None
     assert (unknown.modulus_pa, unknown.modulus_interval_pa) == (None, None)
     assert unknown.beta is None
-    assert "thickness is unknown" in unknown.beta_verdict
+    assert "thickness is not known" in unknown.beta_verdict
     assert [one.maps is not None and one.maps.level_modulus_pa is None for one in after] == [False, True]
