@@ -39,6 +39,14 @@ SESSION, OUTCOME = "/__properties/session", "/__properties/outcome"
 _logger = logging.getLogger(__name__)
 
 
+def check_exists(path: Path) -> None:
+    """Raises InputError for a path without a file; it names the unfinished recording of this name, if there is one."""
+    if not path.is_file():
+        part = next(iter(sorted(path.parent.glob(f"{path.stem}.part*{path.suffix}"))), None)
+        hint = f"the unfinished one: {part}" if part is not None else ""
+        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
+
+
 def check_magic(path: Path) -> None:
     """Raises InputError for a file that does not begin as rerun's recordings do."""
     with path.open("rb") as file:

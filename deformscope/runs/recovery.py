@@ -13,7 +13,7 @@ from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
 from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import to_text
-from deformscope.recording.reader import check_magic
+from deformscope.recording.reader import check_exists, check_magic
 from deformscope.recording.rrd_file import write_outcome
 from deformscope.recording.target import remove_strays
 from deformscope.runs.result import FoundResult
@@ -43,10 +43,7 @@ def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
 
 
 def _check(path: Path, out: Path) -> None:
-    if not path.is_file():
-        part = path.with_suffix(".part.rrd")
-        hint = f"deformscope recover {part}" if part.is_file() else ""
-        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
+    check_exists(path)
     check_magic(path)
     if is_being_written(path):
         raise InputError("a finished recording", "one that a run is writing", "again after the run", path)

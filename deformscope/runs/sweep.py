@@ -21,7 +21,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -390,6 +389,8 @@ def function_variations(
 
 def one_thread() -> None:
     """First call in a worker: one thread."""
+    import cv2
+
     cv2.setNumThreads(1)
 
 

@@ -15,7 +15,7 @@ from deformscope.recording.ledger import LedgerCheck, check_recording, read_coun
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text
 from deformscope.recording.provenance import left_out
-from deformscope.recording.reader import Replay, check_magic
+from deformscope.recording.reader import Replay, check_exists, check_magic
 from deformscope.runs.result import FoundResult
 
 if TYPE_CHECKING:
@@ -49,10 +49,7 @@ class VerifyResult(FoundResult):
 def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False) -> VerifyResult:
     """Check bytes, structure and completeness; stages, privacy: list those too. Raises InputError for what is no
     recording, or one that a run is writing."""
-    if not path.is_file():
-        part = next(iter(sorted(path.parent.glob(f"{path.stem}.part*{path.suffix}"))), None)
-        hint = f"the unfinished one: {part}" if part is not None else ""
-        raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
+    check_exists(path)
     if is_being_written(path):
         raise InputError("a finished recording", "one that a run is writing", "again after the run", path)
     check = _check(path)
