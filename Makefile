@@ -102,7 +102,7 @@ test-realtime: setup
 	$(PYTEST) -m 'realtime and not hardware'
 
 docs: setup
-	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --quiet
+	@NO_MKDOCS_2_WARNING=1 DISABLE_MKDOCS_2_WARNING=true $(PY) -m mkdocs build --quiet
 	@echo 'read it: $(PY) -m http.server --bind 127.0.0.1 --directory build/site, at http://127.0.0.1:8000'
 
 gallery: setup

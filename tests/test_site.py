@@ -45,7 +45,7 @@ def words(page: Path) -> int:
 
 def environment() -> dict[str, str]:
     programs = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    return paths_of_tests() | {"PATH": programs, "NO_MKDOCS_2_WARNING": "1"}
+    return paths_of_tests() | {"PATH": programs, "NO_MKDOCS_2_WARNING": "1", "DISABLE_MKDOCS_2_WARNING": "true"}
 
 
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
