@@ -320,19 +320,38 @@ class ErrorModel:
             found, log_det[places] = (one[which] for one in self._quadratic(both, response, key, sizes))
             cameras = np.arange(len(both) - r) < self.dim**2
             off = np.where(cameras, every.camera[rows[places], None], every.tool[rows[places], None])
-            product[places], across = found[:, :r, :r], found[:, :r, r:] * off[:, None]
-            settles = settle and not self._trusted(float(np.sum(white**2, axis=1).min()) / count)
-            inner = np.eye(len(both) - r)[None]
-            for _ in range(SCALE_ROUNDS if settles and self.measured.version > 2 else 1):
-                if settles:
-                    least = np.maximum(np.einsum("hii->hi", product[places]).min(axis=1), 0.0)
-                    self.log_scale[rows[places]] = 0.5 * np.log(least / count + self._least**2)
-                variance = np.exp(-2.0 * self.log_scale[rows[places]])[:, None, None]
-                inner = variance * off[:, :, None] * found[:, r:, r:] * off[:, None] + np.eye(len(both) - r)
-                by_modes = np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
-                product[places] = found[:, :r, :r] - across @ by_modes
+            across, between = found[:, :r, r:] * off[:, None], off[:, :, None] * found[:, r:, r:] * off[:, None]
+            if settle and not self._trusted(float(np.sum(white**2, axis=1).min()) / count):
+                alone = np.einsum("hii->hi", found[:, :r, :r])
+                self.log_scale[rows[places]] = self._settled(alone, across, between, count)
+            variance = np.exp(-2.0 * self.log_scale[rows[places]])[:, None, None]
+            inner = variance * between + np.eye(len(both) - r)
+            by_modes = np.linalg.solve(inner, variance * across.transpose(0, 2, 1))
+            product[places] = found[:, :r, :r] - across @ by_modes
             log_det[places] += np.linalg.slogdet(inner)[1]
         return Products(rows, product, log_det + 2.0 * self.log_noise, white @ white.T, count)
+
+    def _settled(self, alone: FloatArray, across: FloatArray, between: FloatArray, count: int) -> FloatArray:
+        """Logarithm (h,) of the noise's scale by the best of some residuals, of what tool and camera leave of it, which
+        depends on the scale.
+
+        alone: (h, r) chi2 without tool and camera; across, between: (h, r, q), (h, q, q) products with their effects
+        """
+        rounds = SCALE_ROUNDS if self.measured.version > 2 else 1
+        left, log_scale = alone, np.zeros(len(alone))
+        for again in range(rounds):
+            least = np.maximum(left.min(axis=1), 0.0)
+            log_scale = 0.5 * np.log(least / count + self._least**2)
+            if again < rounds - 1:
+                variance = np.exp(-2.0 * log_scale)[:, None, None]
+                by_modes = np.linalg.solve(
+                    variance * between + np.eye(between.shape[1]), variance * across.transpose(0, 2, 1)
+                )
+                left = alone - np.einsum("hrq,hqr->hr", across, by_modes)
+                if not again:  # the same residual stays the best
+                    best = left.argmin(axis=1)[:, None]
+                    alone, across = np.take_along_axis(alone, best, 1), np.take_along_axis(across, best[..., None], 1)
+        return log_scale
 
     def judged(self, found: Products, mix: FloatArray) -> Evidence:
         """How likely sums of residuals are, mix (g, r)."""
