@@ -16,53 +16,53 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deformscope.errors import InputError
-    from deformscope.library import (
-        calibrate_axes,
-        calibrate_beta,
-        calibrate_both,
-        calibrate_field,
-        calibrate_theta,
-        calibrate_viscous,
-        calibrate_yield,
-        catalog,
-        classify,
-        compare_recordings,
-        discard,
-        explore,
-        export,
-        import_recording,
-        load_classifier,
-        open_dataset,
-        open_recording,
-        predict,
-        record,
-        recover,
-        replay,
-        report,
-        squeeze,
-        sweep,
-        verify,
-    )
-    from deformscope.runs.calibration import CalibrationResult
-    from deformscope.runs.catalog import CatalogResult, ComparedRecordings
-    from deformscope.runs.classification import ClassificationResult
-    from deformscope.runs.datasets import OpenDataset
-    from deformscope.runs.exploration_result import ExplorationResult
-    from deformscope.runs.exporting import ExportResult
-    from deformscope.runs.joint_calibration import JointResult
-    from deformscope.runs.materials import MaterialResult
-    from deformscope.runs.prediction import PredictionResult
-    from deformscope.runs.recording_report import RecordingReport
-    from deformscope.runs.recordings import OpenRecording, RecordResult
-    from deformscope.runs.replay_result import ReplayResult
-    from deformscope.runs.result import FoundResult
-    from deformscope.runs.squeeze_result import SqueezeResult
-    from deformscope.runs.sweep import SweepResult
-    from deformscope.runs.verification import VerifyResult
-    from deformscope.stages.msm.solver import Msm
-    from deformscope.stages.see.flow import dense_flow
-    from deformscope.version import __version__
+    from deformscope.errors import InputError as InputError
+    from deformscope.library import calibrate_axes as calibrate_axes
+    from deformscope.library import calibrate_beta as calibrate_beta
+    from deformscope.library import calibrate_both as calibrate_both
+    from deformscope.library import calibrate_field as calibrate_field
+    from deformscope.library import calibrate_theta as calibrate_theta
+    from deformscope.library import calibrate_viscous as calibrate_viscous
+    from deformscope.library import calibrate_yield as calibrate_yield
+    from deformscope.library import catalog as catalog
+    from deformscope.library import classify as classify
+    from deformscope.library import compare_recordings as compare_recordings
+    from deformscope.library import discard as discard
+    from deformscope.library import explore as explore
+    from deformscope.library import export as export
+    from deformscope.library import import_recording as import_recording
+    from deformscope.library import load_classifier as load_classifier
+    from deformscope.library import open_dataset as open_dataset
+    from deformscope.library import open_recording as open_recording
+    from deformscope.library import predict as predict
+    from deformscope.library import record as record
+    from deformscope.library import recover as recover
+    from deformscope.library import replay as replay
+    from deformscope.library import report as report
+    from deformscope.library import squeeze as squeeze
+    from deformscope.library import sweep as sweep
+    from deformscope.library import verify as verify
+    from deformscope.runs.calibration import CalibrationResult as CalibrationResult
+    from deformscope.runs.catalog import CatalogResult as CatalogResult
+    from deformscope.runs.catalog import ComparedRecordings as ComparedRecordings
+    from deformscope.runs.classification import ClassificationResult as ClassificationResult
+    from deformscope.runs.datasets import OpenDataset as OpenDataset
+    from deformscope.runs.exploration_result import ExplorationResult as ExplorationResult
+    from deformscope.runs.exporting import ExportResult as ExportResult
+    from deformscope.runs.joint_calibration import JointResult as JointResult
+    from deformscope.runs.materials import MaterialResult as MaterialResult
+    from deformscope.runs.prediction import PredictionResult as PredictionResult
+    from deformscope.runs.recording_report import RecordingReport as RecordingReport
+    from deformscope.runs.recordings import OpenRecording as OpenRecording
+    from deformscope.runs.recordings import RecordResult as RecordResult
+    from deformscope.runs.replay_result import ReplayResult as ReplayResult
+    from deformscope.runs.result import FoundResult as FoundResult
+    from deformscope.runs.squeeze_result import SqueezeResult as SqueezeResult
+    from deformscope.runs.sweep import SweepResult as SweepResult
+    from deformscope.runs.verification import VerifyResult as VerifyResult
+    from deformscope.stages.msm.solver import Msm as Msm
+    from deformscope.stages.see.flow import dense_flow as dense_flow
+    from deformscope.version import __version__ as __version__
 
 _NAMES = {
     "runs.classification": "ClassificationResult",
@@ -93,55 +93,7 @@ _NAMES = {
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 """The module of each name, imported at the first use of the name."""
 
-__all__ = [
-    "CalibrationResult",
-    "CatalogResult",
-    "ClassificationResult",
-    "ComparedRecordings",
-    "ExplorationResult",
-    "ExportResult",
-    "FoundResult",
-    "InputError",
-    "JointResult",
-    "MaterialResult",
-    "Msm",
-    "OpenDataset",
-    "OpenRecording",
-    "PredictionResult",
-    "RecordResult",
-    "RecordingReport",
-    "ReplayResult",
-    "SqueezeResult",
-    "SweepResult",
-    "VerifyResult",
-    "__version__",
-    "calibrate_axes",
-    "calibrate_beta",
-    "calibrate_both",
-    "calibrate_field",
-    "calibrate_theta",
-    "calibrate_viscous",
-    "calibrate_yield",
-    "catalog",
-    "classify",
-    "compare_recordings",
-    "dense_flow",
-    "discard",
-    "explore",
-    "export",
-    "import_recording",
-    "load_classifier",
-    "open_dataset",
-    "open_recording",
-    "predict",
-    "record",
-    "recover",
-    "replay",
-    "report",
-    "squeeze",
-    "sweep",
-    "verify",
-]
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> object:

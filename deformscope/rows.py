@@ -54,7 +54,7 @@ from deformscope.stages.map.exploration import (
 )
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement
-from deformscope.stages.map.perception import LookPerception, Perception, TouchPerception
+from deformscope.stages.map.perception import LookPerception, TouchPerception
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
@@ -72,36 +72,6 @@ FORMAT = 2
 would misread makes the next number."""
 READABLE = (1, FORMAT)
 """Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
-
-Input = LookFrames | TouchFrames | SurfaceMeasurement | TouchMeasurement
-"""Inputs of an exploration."""
-Result = (
-    SurfaceEstimate
-    | TouchEstimate
-    | MapEstimate
-    | InclusionsResult
-    | PlannedTouch
-    | TouchForecast
-    | SteeringDecision
-    | StageFailure
-    | PhaseStart
-    | ExplorationStop
-    | Perception
-    | Input
-)
-SqueezeResult = (
-    SqueezePhase
-    | SqueezeStop
-    | SqueezeEvents
-    | SqueezeFeatures
-    | FingertipPressure
-    | TrackedContainer
-    | ContainerChange
-    | ContentPosterior
-    | ContainerSighting
-    | HandPlacement
-)
-"""Results of a squeeze."""
 
 ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",

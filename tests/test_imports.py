@@ -160,13 +160,28 @@ def parsed(path: Path) -> ast.Module:
 
 
 @cache
+def import_statements(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """All of a file, inside functions and for type checking too. Expressions, which hold none, are passed over."""
+    found: list[ast.Import | ast.ImportFrom] = []
+    left: list[ast.AST] = [parsed(path)]
+    while left:
+        node = left.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append(node)
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            inner = getattr(node, part, ())
+            left += inner if isinstance(inner, list) else ()
+    return tuple(found)
+
+
+@cache
 def imported(path: Path) -> frozenset[str]:
     """The modules that a file imports anywhere, inside functions and for type checking too."""
     names: set[str] = set()
-    for node in ast.walk(parsed(path)):
+    for node in import_statements(path):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+        elif node.module is not None:
             names.add(node.module)
             names.update(f"{node.module}.{alias.name}" for alias in node.names)
     return frozenset(names)
@@ -178,10 +193,10 @@ def module_graph() -> dict[str, frozenset[str]]:
     known, graph = modules(), {}
     for name, path in known.items():
         targets: set[str] = set()
-        for node in ast.walk(parsed(path)):
+        for node in import_statements(path):
             if isinstance(node, ast.Import):
                 targets.update(alias.name for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            elif node.module is not None:
                 full = [f"{node.module}.{alias.name}" for alias in node.names]
                 targets.update(one if one in known else node.module for one in full)
         graph[name] = frozenset(targets & known.keys() - {name})

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import textwrap
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,12 +36,19 @@ def drawing() -> str:
     from tests.test_imports import layer_imports
 
     layers = layer_imports()
+    below = {name: _below(name, layers) for name in layers}
+
+    @cache
+    def level(name: str) -> int:
+        """How many layers stand below it; layers that import each other stand in one row."""
+        return 1 + max((level(one) for one in below[name] if name not in below[one]), default=-1)
+
     levels: dict[int, list[str]] = {}
     for name in layers:
-        levels.setdefault(_level(name, layers), []).append(name)
+        levels.setdefault(level(name), []).append(name)
     rows = []
-    for level in sorted(levels, reverse=True):
-        names = "   ".join(f"[ {name} ]" for name in sorted(levels[level]))
+    for number in sorted(levels, reverse=True):
+        names = "   ".join(f"[ {name} ]" for name in sorted(levels[number]))
         rows.append(names.center(WIDTH).rstrip())
     return (
         "\n\n".join(rows) + "\n\n" + "\n".join(_imports(name, layers[name], stages) for name in sorted(layers)) + "\n"
@@ -53,12 +61,6 @@ def _imports(name: str, imports: set[str], stages: tuple[str, ...]) -> str:
     short = ["stages", *imports.difference(stages)] if many else imports
     listed = ", ".join(sorted(short)) or "nothing of ours"
     return textwrap.fill(listed, WIDTH, initial_indent=f"{name:<16} <- ", subsequent_indent=" " * 20)
-
-
-def _level(name: str, layers: dict[str, set[str]]) -> int:
-    """How many layers stand below it; layers that import each other stand in one row."""
-    below = [one for one in _below(name, layers) if name not in _below(one, layers)]
-    return 1 + max((_level(one, layers) for one in below), default=-1)
 
 
 def _below(name: str, layers: dict[str, set[str]]) -> set[str]:

@@ -32,7 +32,7 @@ from deformscope.robot.readings import ArmSample
 from deformscope.robot.robot import Robot, RobotStopped, Watch
 from deformscope.robot.setup import Setup
 from deformscope.robot.supervisor import Fault
-from deformscope.robot.touch import Phase, PhaseSpan, TouchEnding, TouchPlan, TouchRecord, run_touch
+from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchRecord, run_touch
 from deformscope.session import Inline, Moment, Step
 from deformscope.stages.map.exploration import ExplorationStop, PhaseStart
 from deformscope.stages.map.measured import LookFrames, TouchFrames
@@ -359,7 +359,7 @@ class TouchingRobot:
     def _touched(
         self, record: TouchRecord, dents: list[tuple[DepthImage, ArmSample]], xy_m: FloatArray, end: ArmSample
     ) -> Touched:
-        dwells = _dwells(record)
+        dwells = [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
         seen = [
             (picture, pose)
             for picture, pose in dents
@@ -506,11 +506,6 @@ def _times_ns(pictures: list[DepthImage]) -> IntArray:
 
 def _depths_m(pictures: list[DepthImage]) -> dict[int, Any]:
     return {picture.stamp.host_ns: picture.depth_m() for picture in pictures}
-
-
-def _dwells(record: TouchRecord) -> list[PhaseSpan]:
-    """Times of its dwells: one, or one with the set force and one with more."""
-    return [span for span in record.phases if span.phase in (Phase.DWELL, Phase.DWELL_MORE)]
 
 
 def _give(future: Future[Any], answer: Callable[[], Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from deformscope.arrays import IntArray
-from deformscope.log.rig.columns import Batch, Columns, moments, recorded, scalars
+from deformscope.log.rig.columns import Batch, Columns, moments, recorded, scalars, states
+from deformscope.pictures.palette import BAD, Rgb
 from deformscope.pictures.render_process import render
 from deformscope.rows import ENTITIES, SERIES
 
@@ -47,6 +48,22 @@ class ResultBatch:
     def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:
         """The PNG that `draw`, a function of a module, makes from its arguments."""
         self.show(path, rr.EncodedImage(contents=render(draw, *given, **named), media_type="image/png"))
+
+    def show_text(self, path: str, markdown: str) -> None:
+        """A document."""
+        self.show(path, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def show_words(self, path: str, text: str, level: str) -> None:
+        """A line of a log."""
+        self.show(path, rr.TextLog(text, level=level))
+
+    def show_phase(self, phase: Any, known: Mapping[str, Rgb]) -> None:
+        """On a lane over time. known: colours logged before; the phase of a stop, whose name says why, is none of
+        them"""
+        path = ENTITIES[type(phase)]
+        if phase.name not in known:
+            self.log_static(path, states({**known, phase.name: BAD}))
+        self.show(path, rr.StateChange(state=phase.name))
 
     def show_points(
         self, path: str, points: npt.ArrayLike, colors: npt.ArrayLike, radius: float, labels: list[str] | None = None

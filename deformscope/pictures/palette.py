@@ -37,6 +37,11 @@ BAD: Rgb = (200, 40, 40)
 IDLE: Rgb = (110, 115, 125)
 
 
+def tints_of(count: int) -> list[Rgb]:
+    """The colours of lines of a plot, in their order."""
+    return [JOINTS[at % len(JOINTS)] for at in range(count)]
+
+
 def colors(share: FloatArray) -> ColorArray:
     """(n, 3) RGB for (n,) shares of the scale, 0 to 1, dark violet to yellow."""
     level = np.clip(np.nan_to_num(share) * 255, 0, 255).astype(np.uint8).reshape(-1, 1)

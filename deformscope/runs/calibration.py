@@ -6,15 +6,15 @@ import dataclasses
 import io
 import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from deformscope.arrays import FloatArray, ImageArray
+from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
 from deformscope.config.calibrate import check_arrays
 from deformscope.config.flags import Selectable
@@ -52,6 +52,7 @@ from deformscope.runs.result import (
 from deformscope.session import run
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation
 from deformscope.stages.fit.estimate import Comparison, Doubt, Estimate, Verdict
+from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.plausible import size_note
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.msm.clusters import rank
@@ -64,6 +65,7 @@ from deformscope.stages.see.particles import clean_mask
 from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
 
+BodyT = TypeVar("BodyT", bound=Observation | Motion)
 PairArrays: TypeAlias = Mapping[str, Any]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and a pair file's other
 arrays."""
@@ -191,11 +193,13 @@ def calibrate(
     if isinstance(config, BetaConfig) and config.motion.whole_motion:
         select = config.motion.select or ()
     if given and isinstance(given[0], Mapping):
-        raws = [(name, _pair_bytes(one)) for name, one in zip(sources, given, strict=True)]  # type: ignore[arg-type]
+        raws = [(name, arrays_bytes(**one)) for name, one in zip(sources, given, strict=True)]  # type: ignore[arg-type]
     elif ending_of(sources[0]) == ".npz":
         raws = [(path, read_file(path, "a pair file (.npz)")) for path in sources]
+    elif given or len(sources) > 1 or Path(sources[0]).suffix.lower() != ".rrd":
+        raws = []
     else:
-        raws = [] if given or len(sources) > 1 else _recorded_pairs(sources[0])
+        raws = recorded_pairs(Replay(Path(sources[0])))
     if raws and select is not None:
         raise InputError("images with --whole-motion", "pair files", "--joint fits one value to all pairs")
     if raws:
@@ -251,17 +255,11 @@ def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
     return LayersOptions(**config.layers.shared(LayersOptions) | own)
 
 
-def _pair_bytes(pair: PairArrays) -> bytes:
-    """As in a pair file, so that the recording can be replayed."""
+def arrays_bytes(**arrays: object) -> bytes:
+    """As in a file of arrays, so that the recording can be replayed."""
     file = io.BytesIO()
-    np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in pair.items()})
+    np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in arrays.items()})
     return file.getvalue()
-
-
-def _recorded_pairs(source: str) -> list[tuple[str, bytes]]:
-    if Path(source).suffix.lower() != ".rrd":
-        return []
-    return [(f"{source}, pair {index}", raw) for index, raw in enumerate(Replay(Path(source)).read_pair_bytes())]
 
 
 # Images --------------------------------------------------------------------------------------------------------------
@@ -359,9 +357,20 @@ def images_recorder(
 # Pairs ---------------------------------------------------------------------------------------------------------------
 
 
-def size_notes(rest: Sequence[FloatArray]) -> list[str]:
-    """Remarks on bodies (K, d) that are unusually large, if their positions are metres."""
-    return [one for one in dict.fromkeys(map(size_note, rest)) if one is not None]
+def recorded_pairs(recording: Replay) -> list[tuple[str, bytes]]:
+    """The pair files that a recording keeps, by name and content."""
+    return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(recording.read_pair_bytes())]
+
+
+def parse_files(
+    parse: Callable[..., BodyT], raws: Sequence[tuple[str, bytes]], noise_m: float | None, note: Note
+) -> list[BodyT]:
+    """Pairs or motions of files given by name and content. Bodies that are unusually large, if their positions are
+    metres, are noted."""
+    seen = [parse(raw, name, noise_m=noise_m) for name, raw in raws]
+    for remark in filter(None, dict.fromkeys(size_note(one.rest) for one in seen)):
+        note(remark)
+    return seen
 
 
 def calibrate_pair_bytes(
@@ -379,9 +388,7 @@ def calibrate_pair_bytes(
 
     layers: all are pokes of one surface, fitted together with the material below it
     """
-    seen = [parse_pair(raw, name, noise_m=noise_m) for name, raw in raws]
-    for remark in size_notes([one.rest for one in seen]):
-        note(remark)
+    seen = parse_files(parse_pair, raws, noise_m, note)
     if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
         note(FLAT_SURFACE)
 
@@ -428,16 +435,16 @@ def calibrate_pair_bytes(
 
 @contextmanager
 def pair_recorder(
-    seen: Sequence[Observation],
+    seen: Sequence[Observation | Motion],
     raws: Sequence[tuple[str, bytes]],
     settings: Mapping[str, object],
     output: OutputOptions,
 ) -> Iterator[Recorder]:
-    """Records pairs, their files as they were among them."""
+    """Records pairs, or a motion, their files as they were among them."""
     planes = {one.rest.shape[1] for one in seen}
     with open_recorder(output, settings, PAIR if planes == {2} else PAIR_3D) as recorder:
         if recorder.active and len(planes) > 1:
             raise InputError("pairs all in the plane, or all in space, in one recording", "both", "two commands")
         for index, (_, raw) in enumerate(raws):
-            recorder.write(InputFile(f"pair/{index}", raw))
+            recorder.write(InputFile("motion" if isinstance(seen[index], Motion) else f"pair/{index}", raw))
         yield recorder

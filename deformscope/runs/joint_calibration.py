@@ -12,7 +12,7 @@ from deformscope.pictures.material_figures import joint_png
 from deformscope.pictures.messages import value_rows
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import plain
-from deformscope.runs.calibration import pair_recorder, size_notes
+from deformscope.runs.calibration import pair_recorder, parse_files
 from deformscope.runs.result import LibraryResult, Note, log_note
 from deformscope.session import Step
 from deformscope.stages.fit.estimate import converged_text, explained_text
@@ -56,9 +56,7 @@ def calibrate_jointly(
     model = Model(basis=config.mode, cluster_size=config.cluster_size or None, volume="project", device=device)
     options = JointOptions(model, config.beta_range, config.theta_range, config.fit.level, config.output.seed)
     raws = [(one, read_file(one, "a pair file (.npz)")) for one in config.sources]
-    seen = [parse_pair(raw, name, noise_m=config.fit.noise_m) for name, raw in raws]
-    for remark in size_notes([one.rest for one in seen]):
-        note(remark)
+    seen = parse_files(parse_pair, raws, config.fit.noise_m, note)
     sets = [seen] if config.joint else [[one] for one in seen]
     names = ["all pairs"] if config.joint else list(config.sources)
     every: list[JointResult] = []

@@ -38,19 +38,24 @@ from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import Source
 from deformscope.frames import InputFile, WrenchFrame
-from deformscope.log.application import PAIR, PAIR_3D
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
-from deformscope.runs.calibration import frames_of, images_recorder, pair_recorder, size_notes
+from deformscope.runs.calibration import (
+    arrays_bytes,
+    frames_of,
+    images_recorder,
+    pair_recorder,
+    parse_files,
+    recorded_pairs,
+)
 from deformscope.runs.calibration_report import provenance_sections, settings_section
 from deformscope.runs.material_report import material_bodies, material_figure, material_table
-from deformscope.runs.result import Note, SourceResult, log_note, open_recorder
+from deformscope.runs.result import Note, SourceResult, log_note
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import NEWEST_FIT, Model, Observation
-from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
@@ -216,7 +221,8 @@ def run_material_images(
     unloading = UnloadingOptions(job.released, job.at, force)
     with images_recorder(source, mask, used, output) as recorder:
         if force is not None:
-            recorder.write(InputFile(FORCE_FILE, _force_bytes(force)))
+            arrays = arrays_bytes(time_s=force.time_s, force_n=force.force_n, zero_sd_n=force.zero_sd_n)
+            recorder.write(InputFile(FORCE_FILE, arrays))
         find = _finder(job, job.particles, unloading, progress)
         experiment = material_video(job.particles, find, None if mask is None else clean_mask(mask))
         found = run(frames_of(source, progress), experiment, recorder)
@@ -238,28 +244,15 @@ def run_material_files(
 ) -> MaterialResult:
     """Pairs, all in one fit, or one motion, given by name and content: the same for files and recordings."""
     used = {**settings, "material": dataclasses.asdict(job)}
-    if job.find == "field" and len(raws) > 1:
-        raise InputError("one pair file", str(len(raws)), "give them in several commands")
-    if job.find in ("axes", "field"):
-        seen = [parse_pair(raw, name, noise_m=job.noise_m) for name, raw in raws]
-        for remark in size_notes([one.rest for one in seen]):
-            note(remark)
-        with pair_recorder(seen, raws, used, output) as recorder:
-            experiment = material_files(lambda: _of_pairs(seen, job, progress))
-            name = ", ".join(name for name, _ in raws)
-            result = MaterialResult(run((), experiment, recorder), name=name, settings=used, seed=job.seed)
-            recorder.write(Step((result.findings(),), frame=0))
-        return dataclasses.replace(result, recording=recorder.summary())
-    if len(raws) > 1:
-        raise InputError("one motion file", str(len(raws)), "give them in several commands")
-    (name, raw), *_ = raws
-    motion = parse_motion(raw, name, noise_m=job.noise_m)
-    for remark in size_notes([motion.rest]):
-        note(remark)
-    with open_recorder(output, used, PAIR if motion.rest.shape[1] == 2 else PAIR_3D) as recorder:
-        recorder.write(InputFile("motion", raw))
-        experiment = material_files(lambda: _of_motion(motion, job, progress))
-        result = MaterialResult(run((), experiment, recorder), name=name, settings=used, seed=job.seed)
+    kind = RAW_FILES[job.find][0]
+    if job.find != "axes" and len(raws) > 1:
+        raise InputError(f"one {kind} file", str(len(raws)), "give them in several commands")
+    parse: Callable[..., Any] = parse_pair if kind == "pair" else parse_motion
+    seen = parse_files(parse, raws, job.noise_m, note)
+    with pair_recorder(seen, raws, used, output) as recorder:
+        found = run((), material_files(lambda: _of_files(seen, job, progress)), recorder)
+        name = ", ".join(name for name, _ in raws)
+        result = MaterialResult(found, name=name, settings=used, seed=job.seed)
         recorder.write(Step((result.findings(),), frame=0))
     return dataclasses.replace(result, recording=recorder.summary())
 
@@ -271,10 +264,13 @@ def _of_pairs(seen: Sequence[Observation], job: MaterialJob, progress: Progress 
     return axes_of_pairs(seen, job.model(), job.directions(seen[0].rest.shape[1]), job.level, job.seed, progress)
 
 
-def _of_motion(motion: Motion, job: MaterialJob, progress: Progress | None) -> MaterialFit:
+def _of_files(seen: Sequence[Any], job: MaterialJob, progress: Progress | None) -> MaterialFit:
+    """seen: pairs, or one motion"""
     if job.find == "yield":
-        return yield_of_motion(motion, job.yield_options(), progress)
-    return recovery_of_motion(motion, job.level, job.seed)
+        return yield_of_motion(seen[0], job.yield_options(), progress)
+    if job.find == "viscous":
+        return recovery_of_motion(seen[0], job.level, job.seed)
+    return _of_pairs(seen, job, progress)
 
 
 def _finder(
@@ -313,8 +309,7 @@ def _raw_files(job: MaterialJob, sources: Sequence[str]) -> list[tuple[str, byte
 def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
     """The pair files or the motion file that a recording keeps, by name and content."""
     if name == "pair":
-        pairs = recording.read_pair_bytes()
-        return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(pairs)]
+        return recorded_pairs(recording)
     found = recording.read_inputs()
     return [(str(recording.path), found[name])] if name in found else []
 
@@ -348,12 +343,6 @@ def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce 
     zeroed = read - np.median(read[:free], axis=0)
     force_n = np.linalg.norm(zeroed, axis=2).sum(axis=1)
     return PressForce(time_s, force_n, float(np.std(force_n[:free])))
-
-
-def _force_bytes(force: PressForce) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, allow_pickle=False, time_s=force.time_s, force_n=force.force_n, zero_sd_n=force.zero_sd_n)
-    return file.getvalue()
 
 
 def kept_force(recording: Replay) -> PressForce | None:

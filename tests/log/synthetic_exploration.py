@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.rows import Result
 from deformscope.stages.map.exploration import (
     DetectionLimit,
     ExplorationStop,
@@ -261,7 +260,7 @@ def bare_touch() -> TouchEstimate:
     )
 
 
-def small_results() -> tuple[Result, ...]:
+def small_results() -> tuple[object, ...]:
     """One of each kind."""
     field, at = np.ones((4, 6)), np.zeros(3)
     labels = np.zeros((4, 6), np.int64)

@@ -71,7 +71,7 @@ def log_inclusions(now: ResultBatch, found: InclusionsResult) -> None:
     now.show_png(MISSED, pictures.miss_probability_png, found)
     text = "\n\n".join(f"**{name}**: {words}" for name, words in found.rows)
     title = f"# {format_inclusions(found)} after {counted(len(found.contacts_m), 'touch')}"
-    now.show(INCLUSIONS_SUMMARY, rr.TextDocument(f"{title}\n\n{text}", media_type=rr.MediaType.MARKDOWN))
+    now.show_text(INCLUSIONS_SUMMARY, f"{title}\n\n{text}")
 
 
 def log_gain(now: ResultBatch, plan: PlannedTouch, cell_m: float, contacts_m: FloatArray | None) -> None:
@@ -88,19 +88,13 @@ def log_phase_colors(rec: Sink) -> None:
 
 
 def log_phase(now: ResultBatch, phase: PhaseStart) -> None:
-    if phase.name.startswith("stopped"):  # its name says why, so that its colour is not among those known before
-        now.log_static(ENTITIES[PhaseStart], states(PHASES | {phase.name: BAD}))
-    now.show(ENTITIES[PhaseStart], rr.StateChange(state=phase.name))
+    now.show_phase(phase, PHASES)
 
 
 def log_failed(now: ResultBatch, failed: StageFailure) -> None:
     """Failures on a touch, with their place in the code."""
-    _error(now, StageFailure, f"{format_failure(failed)}\n{failed.trace}".strip())
+    now.show_words(ENTITIES[StageFailure], f"{format_failure(failed)}\n{failed.trace}".strip(), "ERROR")
 
 
 def log_stopped(now: ResultBatch, stop: ExplorationStop) -> None:
-    _error(now, ExplorationStop, f"{stop.kind}: {stop.reason}")
-
-
-def _error(now: ResultBatch, kind: type, text: str) -> None:
-    now.show(ENTITIES[kind], rr.TextLog(text, level="ERROR"))
+    now.show_words(ENTITIES[ExplorationStop], f"{stop.kind}: {stop.reason}", "ERROR")

@@ -53,7 +53,7 @@ from deformscope.log.exploration.scene import (
     log_surface,
     log_target,
 )
-from deformscope.log.exploration.summary import log_no_summary, log_summary
+from deformscope.log.exploration.summary import SUMMARY, log_summary
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, Place
 from deformscope.log.rig.numbers import plotted
@@ -140,7 +140,7 @@ def log_exploration_start(
     start = ResultBatch(batch, 0)
     log_nothing_known(start)
     log_no_dent(start)
-    log_no_summary(start)
+    start.show_text(SUMMARY, "# No touch yet")
     if full:
         log_no_touch(start)
     batch.send(rec)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
 from deformscope.pictures.messages import (
@@ -21,15 +20,7 @@ SURE = 0.9
 
 
 def log_summary(now: ResultBatch, maps: MapEstimate) -> None:
-    _show(now, summary(maps))
-
-
-def log_no_summary(now: ResultBatch) -> None:
-    _show(now, "# No touch yet")
-
-
-def _show(now: ResultBatch, text: str) -> None:
-    now.show(SUMMARY, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    now.show_text(SUMMARY, summary(maps))
 
 
 def summary(maps: MapEstimate) -> str:

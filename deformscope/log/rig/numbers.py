@@ -22,7 +22,7 @@ QUANTITIES: dict[str, tuple[str, ...]] = {
 def log_numbers_stream(rec: rr.RecordingStream, stream: Stream) -> None:
     """Names and colours of a device's series."""
     for quantity, names, tints in _series(stream):
-        for channel in _channels(stream):
+        for channel in [(str(channel),) for channel in range(stream.channels)] if stream.kind == "wrench" else [()]:
             log_series(rec, root(stream.kind, stream.device, quantity, *channel), names, tints)
 
 
@@ -39,11 +39,6 @@ def _series(stream: Stream) -> Iterator[tuple[str, list[str], Sequence[Rgb]]]:
     elif stream.kind == "hand":
         for quantity, count in zip(QUANTITIES["hand"], (7, 7, 9), strict=True):
             yield quantity, [f"axis {axis}" for axis in range(count)], JOINTS[:count]
-
-
-def _channels(stream: Stream) -> list[tuple[str, ...]]:
-    """Suffix of a quantity in the path: a force sensor has one series per channel."""
-    return [(str(channel),) for channel in range(stream.channels)] if stream.kind == "wrench" else [()]
 
 
 def log_numbers(

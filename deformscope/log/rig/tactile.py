@@ -23,7 +23,7 @@ from deformscope.log.rig.columns import (
     root,
     scalars,
 )
-from deformscope.pictures.palette import BACKGROUND, JOINTS, colors, round_up
+from deformscope.pictures.palette import BACKGROUND, colors, round_up, tints_of
 
 FINGER_GAP, PART_GAP = 8, 4
 """Texels between the pads of two fingers, and between those of one: room for labels."""
@@ -171,8 +171,7 @@ def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
     """Log the constants of a hand's pads: names, places, sizes."""
     path = root("display/tactile", device)
     names = [pad.name for pad in hand.pads]
-    tints = [JOINTS[at % len(JOINTS)] for at in range(len(names))]
-    log_series(rec, root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], tints)
+    log_series(rec, root("tactile", device, "peak_kpa"), [f"{name} [kPa]" for name in names], tints_of(len(names)))
     sharp = rr.components.MagnificationFilter.Nearest
     shape = rr.components.ImageFormat(
         width=hand.columns, height=hand.rows, color_model=rr.ColorModel.RGB, channel_datatype=rr.ChannelDatatype.U8

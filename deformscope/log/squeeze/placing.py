@@ -37,7 +37,7 @@ def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
     changed = seen.change is not None and seen.change.changed
     color = BAD if changed else LOOKS[seen.when]
     level = "WARN" if changed or seen.fit is None else "INFO"
-    now.show(f"{WORDS}/{seen.when}", rr.TextLog(f"container {seen.when}: {seen.words}", level=level))
+    now.show_words(f"{WORDS}/{seen.when}", f"container {seen.when}: {seen.words}", level)
     if seen.fit is None:
         return
     now.show(f"{PLACE}/container/{seen.when}", _solid(seen.fit, color))
@@ -59,7 +59,7 @@ def log_placement(now: ResultBatch, placed: HandPlacement) -> None:
     why = ", ".join(placed.reasons) or "none refused"
     at = f"along {1e3 * placed.along_m:.0f} mm, tilt {placed.tilt_deg:.0f} deg, turn {placed.turn_deg:.0f} deg"
     words = f"{placed.by} came to: {placed.reached or 'planned'}; {len(placed.refused)} drawn, {why}; {at}"
-    now.show(f"{WORDS}/grasp", rr.TextLog(words, level="INFO"))
+    now.show_words(f"{WORDS}/grasp", words, "INFO")
 
 
 def place_views(streams: Sequence[Stream], camera: str) -> rrb.Container:

@@ -21,15 +21,21 @@ import rerun as rr
 
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Batch, log_series
-from deformscope.log.squeeze.change import log_change, log_container_change
-from deformscope.log.squeeze.container import log_container
-from deformscope.log.squeeze.content import log_content, log_not_named
+from deformscope.log.squeeze.display import (
+    log_change,
+    log_container,
+    log_container_change,
+    log_content,
+    log_measured,
+    log_nothing_known,
+    log_squeeze_phase,
+    log_squeeze_phases,
+    log_squeeze_stop,
+)
 from deformscope.log.squeeze.fingertips import FORCE, Fingertips, log_fingertips
-from deformscope.log.squeeze.phases import log_squeeze_phase, log_squeeze_phases, log_squeeze_stop
 from deformscope.log.squeeze.placing import log_placement, log_sighting
-from deformscope.log.squeeze.summary import log_measured, log_not_measured
 from deformscope.log.views import SOMETIMES, ShownStage, Views, views_of
-from deformscope.pictures.palette import JOINTS
+from deformscope.pictures.palette import tints_of
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
 from deformscope.stages.squeeze.trial import (
@@ -59,10 +65,9 @@ def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) ->
     log_squeeze_phases(rec)
     if fingertips is not None:
         names = [f"{fingertips.stream.pads[place].name} [N]" for place in fingertips.pads]
-        log_series(rec, FORCE, names, [JOINTS[at % len(JOINTS)] for at in range(len(names))])
+        log_series(rec, FORCE, names, tints_of(len(names)))
     batch = Batch()
-    for nothing in (log_not_measured, log_not_named):
-        nothing(ResultBatch(batch, 0))
+    log_nothing_known(ResultBatch(batch, 0))
     batch.send(rec)
 
 

@@ -10,7 +10,7 @@ from deformscope.log.rig.columns import Batch, log_series, moments, root, scalar
 from deformscope.log.rig.tactile import Hand
 from deformscope.log.stages.group import StageGroup
 from deformscope.log.stages.views import PLOTS
-from deformscope.pictures.palette import JOINTS
+from deformscope.pictures.palette import tints_of
 
 MARK_MM = 1.6
 CENTER = (0, 255, 220)
@@ -19,8 +19,7 @@ CENTER = (0, 255, 220)
 def log_pads_stream(rec: rr.RecordingStream, stream: Stream) -> None:
     for quantity, unit in (("force", "N"), ("area", "cm2")):
         names = [f"{pad.name} [{unit}]" for pad in stream.pads]
-        tints = [JOINTS[at % len(JOINTS)] for at in range(len(names))]
-        log_series(rec, f"{PLOTS}/{quantity}/{stream.device}", names, tints)
+        log_series(rec, f"{PLOTS}/{quantity}/{stream.device}", names, tints_of(len(names)))
 
 
 def log_pads(batch: Batch, group: StageGroup) -> None:

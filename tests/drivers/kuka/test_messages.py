@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
-from deformscope_drivers.arm.shapes import urdf_of
 from deformscope_drivers.errors import ProtocolViolation
 from deformscope_drivers.kuka import Kuka, KukaConfig
 from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.kuka.messages import RobMessage, SenMessage, decode_rob, decode_sen, encode_rob, encode_sen
+from tools.arm_shapes import urdf_of
 
 ROB = (
     b'<Rob TYPE="KUKA">  <RIst X="1.0" Y="2.0" Z="3.0" A="0.5" B="1.0" C="1.5" />'

@@ -1,4 +1,4 @@
-"""A URDF of simple shapes for a chain of joints: `python -m deformscope_drivers.arm.shapes kr6r900sixx > FILE`."""
+"""A URDF of simple shapes for a chain of joints: `python tools/arm_shapes.py kr6r900sixx > FILE`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def urdf_of(chain: Chain) -> str:
     name = chain.name
     lines = [
         '<?xml version="1.0"?>',
-        f"<!-- {name} in simple shapes, made of its chain of joints by deformscope_drivers.arm.shapes: visual only -->",
+        f"<!-- {name} in simple shapes, made of its chain of joints by tools/arm_shapes.py: visual only -->",
         f'<robot name="{name}">',
         '  <material name="orange"><color rgba="0.85 0.42 0.12 1"/></material>',
         *_link(f"{name}_link_base", chain.joints[0].xyz_m, RADIUS_M),

@@ -1,0 +1,159 @@
+"""Results of a squeeze as lanes over time, pictures and text: phases, measurements, content, depth change (Thesis fig.
+2.6), and the tracked container over the depth image (fig. 2.8)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from deformscope.arrays import FloatArray
+from deformscope.log.canvas import TEXT
+from deformscope.log.result_batch import ResultBatch
+from deformscope.log.rig.columns import Sink, states
+from deformscope.pictures.depth_change import depth_change_png
+from deformscope.pictures.palette import BAD, REST, SIMULATED, Rgb, tints_of
+from deformscope.rows import ENTITIES
+from deformscope.stages.squeeze.events import SqueezeEvents
+from deformscope.stages.squeeze.trial import (
+    ContainerChange,
+    ContentPosterior,
+    SqueezeFeatures,
+    SqueezePhase,
+    SqueezeStop,
+    TrackedContainer,
+)
+
+MEASURED, CONTENT, NAMED, CHANGE, CONTAINER = (
+    f"display/squeeze/{what}" for what in ("measured", "content", "named", "change", "container")
+)
+BEFORE_PX, AFTER_PX = 1.4, 0.5
+"""Half the width of a container's line: where it did not move, both are seen."""
+SQUEEZE_PHASES: dict[str, Rgb] = {
+    "pre-shape": (110, 115, 125),
+    "place": (150, 120, 220),
+    "look": (0, 190, 200),
+    "travel": (120, 100, 190),
+    "approach": (204, 121, 167),
+    "retreat": (150, 110, 150),
+    "back off": (215, 140, 0),
+    "air": (86, 180, 233),
+    "close": (230, 159, 0),
+    "squeeze": (213, 94, 0),
+    "hold": (0, 158, 115),
+    "open": (150, 155, 165),
+    "stopped": BAD,
+}
+
+
+def log_squeeze_phases(rec: Sink) -> None:
+    rec.log(ENTITIES[SqueezePhase], states(SQUEEZE_PHASES), static=True)
+
+
+def log_squeeze_phase(now: ResultBatch, phase: SqueezePhase) -> None:
+    now.show_phase(phase, SQUEEZE_PHASES)
+
+
+def log_squeeze_stop(now: ResultBatch, stop: SqueezeStop) -> None:
+    now.show_words(ENTITIES[SqueezeStop], f"{stop.kind}: {stop.reason}", "ERROR")
+
+
+def log_nothing_known(now: ResultBatch) -> None:
+    """Words where there will be numbers."""
+    now.show_text(MEASURED, "*Numbers follow once the fingers are at rest.*")
+    now.show_text(NAMED, "*Classified from the first contact on.*")
+
+
+def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
+    """Events and features as a table; they come together."""
+    rows: list[tuple[str, str]] = []
+    for one in results:
+        if isinstance(one, SqueezeEvents):
+            first_ms, steady_ms = (
+                0.5e-6 * (high - low) for low, high in (one.first_interval_ns, one.steady_interval_ns)
+            )
+            rows.append(("first contact", f"within \u00b1{first_ms:.0f} ms"))
+            took_s = (one.steady_ns - one.first_ns) / 1e9
+            rows.append(("steady state", f"{took_s:.2f} s later, \u00b1{steady_ms:.0f} ms"))
+        if isinstance(one, SqueezeFeatures):
+            rows += _physical(one.by_name)
+            change = f"none: {one.reason or 'no camera'}"
+            if one.vision is not None:
+                change = f"{100 * (1.0 - one.missing):.0f} % of {100 * one.patch_width_m:.1f} cm"
+            rows.append(("depth change", change))
+    if rows:
+        table = "\n".join(["| measured | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)])
+        now.show_text(MEASURED, table)
+
+
+def _physical(of: dict[str, float]) -> list[tuple[str, str]]:
+    """Rows of name and value with unit, of the physical features that a person can picture."""
+    named = (
+        ("force of a finger", "force_n", 1.0, "N"),
+        ("contact area", "contact_area_m2", 1e4, "cm\u00b2"),
+        ("highest pressure", "peak_pa", 1e-3, "kPa"),
+        ("indentation", "indentation_m", 1e3, "mm"),
+        ("stiffness of a wall", "stiffness_n_per_m", 1.0, "N/m"),
+        ("force lost in the hold", "relaxation", 100.0, "%"),
+    )
+    return [
+        (words, f"{factor * of[name]:.3g} {unit}" if math.isfinite(of[name]) else "not measured")
+        for words, name, factor, unit in named
+    ]
+
+
+def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
+    """A line for each content during the squeeze; the posterior of all features together is text alone."""
+    if posterior.index >= 0:
+        tints = tints_of(len(posterior.labels))
+        now.log_static(CONTENT, rr.SeriesLines(names=list(posterior.labels), colors=tints, widths=[2.0] * len(tints)))
+        now.show(CONTENT, rr.Scalars(posterior.probability))
+    order = np.argsort(posterior.probability)[::-1]
+    rows = [f"| {posterior.labels[at]} | {100 * posterior.probability[at]:.0f} % |" for at in order]
+    head = [f"# {posterior.content}", "", f"{posterior.since_s:.1f} s after first contact, by {posterior.modality}", ""]
+    text = "\n".join([*head, "| content | probability |", "| --- | --- |", *rows])
+    now.show_text(NAMED, text)
+
+
+def log_container_change(now: ResultBatch, change: ContainerChange) -> None:
+    """During the squeeze; a refused image is reported as text and leaves the last picture."""
+    _show(now, change.change_m, change.width_m, change.missing, change.reason)
+
+
+def log_change(now: ResultBatch, features: SqueezeFeatures) -> None:
+    _show(now, features.vision, features.patch_width_m, features.missing, features.reason or "no camera")
+
+
+def _show(now: ResultBatch, change_m: FloatArray | None, width_m: float, missing: float, reason: str) -> None:
+    if change_m is None:
+        now.show_words(f"{CHANGE}/words", f"no visual feature: {reason}", "WARN")
+    else:
+        now.show_png(CHANGE, depth_change_png, change_m, width_m, missing)
+
+
+def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
+    """Green at rest, which stays; red as all that is simulated while it is squeezed; darker where the track is bad."""
+    before = not tracked.since_s >= 0.0
+    color = BAD if not tracked.good else REST if before else SIMULATED
+    when = "before contact" if before else f"{tracked.since_s:.1f} s after contact"
+    words = f"refused: {tracked.reason}"
+    if tracked.good:
+        words = f"{100 * tracked.agreeing:.0f} % of the pixels agree"
+    if tracked.directions is not None:
+        words += f"\ndegrees of freedom: {tracked.degrees}"
+    if tracked.lag_s is not None and tracked.live:
+        words += f"; {1e3 * tracked.lag_s:.0f} ms behind" + f", {tracked.skipped} left out" * bool(tracked.skipped)
+    edges = tracked.edges_px.astype(np.float32)
+    path = f"{CONTAINER}/{'before' if before else 'after'}"
+    width, order = (BEFORE_PX, 79.0) if before else (AFTER_PX, 80.0)
+    now.show(path, rr.LineStrips2D(edges, radii=width, colors=color, draw_order=order))
+    points = edges.reshape(-1, 2) if len(edges) else np.zeros((1, 2), np.float32)
+    low, high = points.min(axis=0), points.max(axis=0)
+    place = [0.5 * (low[0] + high[0]), low[1] - (0.45 if before else 0.3) * (high[1] - low[1])]
+    label = [f"{when}: {words}"]
+    now.show(
+        f"{path}/words",
+        rr.Points2D([place], radii=0.01, colors=TEXT, labels=label, show_labels=True, draw_order=81.0),
+    )
