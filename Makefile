@@ -114,14 +114,12 @@ bench: setup
 bench-suite: setup
 	$(PYTEST) -p benchmark -m bench tests/bench
 
-# Whose words are checked; `python tools/words.py docs --long` lists those of a page or folder.
-WORDS := deformscope drivers/deformscope_drivers studies
-
+# `python tools/words.py docs --long` lists the sentences of a page or folder that are too long.
 lint: setup
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	$(PY) -m codespell_lib .
-	$(PY) tools/words.py $(WORDS)
+	$(PY) tools/words.py
 	$(PY) -m mypy
 
 format: setup

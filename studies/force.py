@@ -2,7 +2,7 @@
 
 python -m studies force
 python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume forces.jsonl --json force.json
-python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as told" "nu 0.45" "twice as deep"
+python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as given" "nu 0.45" "twice as deep"
 
 Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
@@ -62,7 +62,7 @@ WRONG = 0.2
 """A force that is off by more is counted."""
 
 
-Condition = Literal["as told", "nu 0.45", "thickness told 10 % more", "twice as deep"]
+Condition = Literal["as given", "nu 0.45", "thickness given 10 % more", "twice as deep"]
 """Differences from the foam and the pokes that the model is made for; `twice as deep`: unseen pokes are about twice as
 deep as the fitted ones."""
 
@@ -81,7 +81,7 @@ class ForceCase:
     full: bool = False
     level: float = 0.9
     split: Split = "alternate"
-    condition: Condition = "as told"
+    condition: Condition = "as given"
     device: str = "cpu"
 
 
@@ -130,7 +130,7 @@ def slab_cases(
     full: bool,
     level: float = 0.9,
     split: Split = "alternate",
-    conditions: Sequence[Condition] = ("as told",),
+    conditions: Sequence[Condition] = ("as given",),
     device: str = "cpu",
 ) -> list[SlabCases]:
     """Every slab under every condition and scatter, seed by seed."""
@@ -180,7 +180,7 @@ def _press(drawn: PokedSlab, condition: Condition, device: str) -> _Pressed:
     def measured(press: Press) -> SeenPoke:
         return seen_poke(observe(slab, press, ELEMENT))
 
-    thickness = slab.size[2] * (TOLD_MORE if condition == "thickness told 10 % more" else 1.0)
+    thickness = slab.size[2] * (TOLD_MORE if condition == "thickness given 10 % more" else 1.0)
     fitted = [measured(press) for press in plan.fitted]
     model = model_of(fit_pokes(MeasuredSurface(slab.grid(GRID), thickness), fitted, device=device), {})
     unseen = []
@@ -254,7 +254,7 @@ class ForceCoverageConfig(StudyOptions):
     slab."""
     split: Literal["alternate", "random"] = "alternate"
     """Which half is fitted: every other poke, as on a chess board, or any half."""
-    conditions: Annotated[tuple[Condition, ...], arg(metavar="CONDITION...")] = ("as told",)
+    conditions: Annotated[tuple[Condition, ...], arg(metavar="CONDITION...")] = ("as given",)
     """With --full: what differs from the foam and the pokes that the model is meant for."""
     device: flags.Device = "cpu"
     """That fits the models and predicts, with --full."""
@@ -262,8 +262,8 @@ class ForceCoverageConfig(StudyOptions):
     """Confidence level of the intervals."""
 
     def check(self) -> None:
-        if self.conditions != ("as told",) and not self.full:
-            raise InputError("--full with --conditions", "none: the fast mode has only the condition `as told`")
+        if self.conditions != ("as given",) and not self.full:
+            raise InputError("--full with --conditions", "none: the fast mode has only the condition `as given`")
         if not self.scatter or any(not 0.0 <= one < 1.0 for one in self.scatter):
             raise InputError("shares from 0 to below 1 after --scatter", " ".join(f"{one:g}" for one in self.scatter))
 

@@ -340,7 +340,7 @@ def _format_counts(counted: dict[str, float]) -> dict[str, str]:
         "middle within the stated distance (90 %)": f"{counted['within']:.2f}",
         "radius within its interval (90 %)": f"{counted['radius_held']:.2f}",
         "radius off, rms": f"{1e3 * counted['radius_off_m']:.1f} mm",
-        "depth told": f"in {counted['depth_told']:.2f}, right in {counted['depth_right']:.2f} of these",
+        "depth found": f"in {counted['depth_told']:.2f}, right in {counted['depth_right']:.2f} of these",
     }
 
 

@@ -16,6 +16,7 @@ from deformscope import cli, config
 from deformscope.cli.common import EXIT_LOSSES
 from deformscope.file_io import ending_of
 from tests.patience import PATIENCE_S
+from tests.test_site import typed_lines
 from tools import printed
 
 ROOT = printed.ROOT
@@ -26,7 +27,7 @@ LONG = ("make demo", "deformscope explore")
 ILLUSTRATIONS = {
     "docs/developers/architecture.md": 2,
     "docs/howto/watch-a-rig.md": 1,
-    "drivers/README.md": 1,
+    "drivers/optoforce.md": 1,
 }
 """Blocks fenced as ```text, which nothing prints: drawings (that of the layers has its own
 test), a line of udev's, an address."""
@@ -52,7 +53,7 @@ def commands(page: Path) -> list[str]:
 
 def lines_of(kind: str, body: str) -> list[str]:
     """The commands of ours in a block."""
-    lines = body.splitlines() if kind in ("", "sh", "console") else []
+    lines = typed_lines(body) if kind in ("", "sh", "console") else []
     return [line.removeprefix(printed.PROMPT) for line in lines if line.startswith(("deformscope ", "make ", "$ "))]
 
 
@@ -75,7 +76,7 @@ def test_every_block_is_code_commands_or_what_a_command_prints(page: Path) -> No
         if kind == "console":
             assert body.startswith(printed.PROMPT), body
         if not kind:
-            assert all(line.startswith(("deformscope ", "make ")) for line in body.splitlines()), body
+            assert all(line.startswith(("deformscope ", "make ")) for line in typed_lines(body)), body
     assert illustrations == ILLUSTRATIONS.get(str(page.relative_to(ROOT)), 0)
 
 
@@ -147,7 +148,10 @@ def test_the_readme_typed_block_by_block(kind: str, body: str, shell: Any) -> No
         lines = [f"{shlex.quote(sys.executable)} script.py"]
     assert lines
     for line in lines:
-        assert_done(line, shell.type(line))
+        done = shell.type(line)
+        assert_done(line, done)
+        if kind == "python":  # which ends in what it prints in the end
+            assert done.stdout.splitlines()[-2:] == [one[2:] for one in body.splitlines() if one.startswith("# ")]
 
 
 # The comparison ------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 import yaml
 
 from tests.executor.test_tasks import paths_of_tests
+from tools.printed import LEFT_OUT, NUMBER, is_same, renewed, row_of
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -29,6 +31,10 @@ LONGEST, SHARE = 25, 0.95
 """Words of a sentence, and the share of sentences with as many at most."""
 OF_HOWTO, OF_EXPLANATION, OF_ALL = 400, 900, 30_000
 """Words at most: of a page, and of all that is written by hand."""
+TYPED, WIDEST = ("", "sh", "python", "toml"), 100
+"""Kinds of blocks that a reader types or copies, and their columns at most."""
+IN_REAL_TIME = ("recordings-as-tables", "simulated-rig")
+"""Pages that print how many readings devices sent."""
 ENDED = (0, 3)
 """Done, and done with losses, as of a double on a busy machine."""
 
@@ -41,6 +47,11 @@ def words(page: Path) -> int:
     """Those with a letter, of what is written by hand: neither numbers nor the list that `tools/layers.py` writes."""
     text = re.sub(r"<!-- layers -->.*<!-- end of layers -->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     return sum(bool(re.search("[A-Za-z]", one)) for one in text.split())
+
+
+def typed_lines(block: str) -> list[str]:
+    """The lines of a block, each whole, as a shell reads them: one that ends in a backslash goes on in the next."""
+    return block.replace("\\\n", "").splitlines()
 
 
 def environment() -> dict[str, str]:
@@ -85,6 +96,7 @@ def test_a_notebook_is_shown_with_its_outputs(tmp_path: Path) -> None:
     page, pictures = runpy.run_path(str(ROOT / "tools" / "reference_pages.py"))["notebook_page"](path)
 
     assert page.startswith("# A fit\n\nWords.\n\n[fit.ipynb](fit.ipynb)")
+    assert "](../howto/run-a-notebook.md)" in page
     assert "```python\nprint(1)\n```\n\n```text\nbeta\n0.5\n```\n\n![What the cell draws](fit-0.png)" in page
     assert pictures == {"fit-0.png": png}
 
@@ -92,20 +104,33 @@ def test_a_notebook_is_shown_with_its_outputs(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [*TUTORIALS, *HOWTO, *DEVELOPERS], ids=page_name)
 def test_a_page_runs_as_typed(page: Path, tmp_path: Path) -> None:
-    """Its blocks in their order, in an empty folder; `skip` is said of what needs a device, a person or other data."""
-    run = 0
+    """Its blocks in their order, in an empty folder; `skip` marks a block that needs a device, a person or other data.
+    A tutorial shows what its commands print."""
+    run, came = 0, list[str]()
     for kind, about, block in BLOCK.findall(page.read_text(encoding="utf-8")):
         if kind == "toml" and about:
             (tmp_path / about.strip()).write_text(block, encoding="utf-8")
         commands = []
         if about.strip() != "skip":
             commands = [[sys.executable, "-c", block]] if kind == "python" else []
-            commands = [["sh", "-c", line] for line in block.splitlines()] if kind == "sh" else commands
+            commands = [["sh", "-c", line] for line in typed_lines(block)] if kind == "sh" else commands
         for command in commands:
             ended = subprocess.run(command, cwd=tmp_path, env=environment(), capture_output=True, text=True)
             assert ended.returncode in ENDED, f"{command[-1]}: {ended.stderr[-2000:]}"
-            run += 1
+            run, came = run + 1, [*came, *ended.stdout.splitlines()]
+        if kind == "text" and page in TUTORIALS:
+            shown = [LEFT_OUT, *block.splitlines()]
+            assert_same(page, shown, renewed(shown, came))
+            came = []
     assert run >= 3 or page not in TUTORIALS
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=lambda page: page.stem)
+def test_lines_to_type_are_shown_whole(page: Path) -> None:
+    """Narrower than a block of the site and of GitHub, so that none is cut off."""
+    typed = (block for kind, _, block in BLOCK.findall(page.read_text(encoding="utf-8")) if kind in TYPED)
+
+    assert [line for block in typed for line in block.splitlines() if len(line) > WIDEST] == []
 
 
 @pytest.mark.parametrize("page", [*HOWTO, *EXPLANATION], ids=page_name)
@@ -136,7 +161,7 @@ def test_notebooks_are_small_and_have_pictures() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=page_name)
 def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a kernel of its own, in an empty folder; each cell draws as many pictures as the one that ships."""
+    """In a kernel of its own, in an empty folder; each cell prints and draws what the one that ships does."""
     pytest.importorskip("ipykernel", reason="notebooks need pip install 'deformscope[notebooks]'")
     client = pytest.importorskip("nbclient")
     nbformat = pytest.importorskip("nbformat")
@@ -150,10 +175,23 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     for cell, before in zip(notebook.cells, ships.cells, strict=True):
         if cell.cell_type == "code":
             assert pictures(cell) == pictures(before), cell.source
+            assert_same(path, printed_lines(before), printed_lines(cell))
+
+
+def assert_same(path: Path, shown: Sequence[str], came: Sequence[str]) -> None:
+    """Lines that a page shows are those that came; of devices in real time, the names of rows and no numbers."""
+    if path.stem in IN_REAL_TIME:
+        shown, came = ([row_of(NUMBER.sub("#", line)) for line in lines] for lines in (shown, came))
+    assert len(shown) == len(came), came
+    assert [f"- {a}\n+ {b}" for a, b in zip(shown, came, strict=True) if not is_same(a, b)] == []
 
 
 def pictures(cell: Any) -> int:
     return sum("image/png" in one.get("data", {}) for one in cell.outputs)
+
+
+def printed_lines(cell: Any) -> list[str]:
+    return "".join(one.get("text", "") for one in cell.outputs).splitlines()
 
 
 def test_messages_of_the_troubleshooting_page_are_the_programs() -> None:

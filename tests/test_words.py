@@ -51,6 +51,8 @@ deformscope told
         ("kept: whether an existing file stays", []),
         ("The option --told and the key `beside` have names.", []),
         ("A stand with a stick has a scale.", []),
+        ("Press where you want to know the force.", ["know"]),
+        ("State the noise if you know it.", []),
     ],
 )
 def test_private_words_are_found(sentence: str, found: list[str]) -> None:
@@ -124,10 +126,10 @@ def test_the_command_fails_for_words_and_for_many_long_sentences(
         monkeypatch.setattr("sys.argv", ["words.py", str(page), *flags])
         return words.main()
 
-    assert status("A short sentence. " * 30) == 0
+    assert status("A rather short sentence. " * 30) == 0
     assert status("It is told.") == 1
     assert "page.md:1: 'told': write given" in capsys.readouterr().out
     long = "Words " + "word " * words.MOST_WORDS + "end. "
-    assert status("A short sentence. " * 30 + long) == 0
-    assert status("A short sentence. " * 3 + long, "--long") == 1
+    assert status("A rather short sentence. " * 30 + long) == 0
+    assert status("A rather short sentence. " * 3 + long, "--long") == 1
     assert f"page.md:1: {words.MOST_WORDS + 2} words: Words word" in capsys.readouterr().out

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = ROOT / "docs" / "tutorials"
 """Their prints are shown as text, and `tests/test_site.py` types them."""
 PAGES = [ROOT / "README.md", *sorted(page for page in (ROOT / "docs").rglob("*.md") if page.parent != TUTORIALS)]
-PAGES += [ROOT / "drivers" / "README.md", ROOT / "recordings" / "README.md"]
+PAGES += [*sorted((ROOT / "drivers").glob("*.md")), ROOT / "recordings" / "README.md"]
 FENCE = re.compile(r"^```(\w*)(?: [^\n]*)?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.(\d+))?")
 LEFT_OUT = "..."

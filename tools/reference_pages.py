@@ -59,6 +59,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         for name, content in pictures.items():
             files.append(File.generated(config, f"notebooks/{name}", content=content))
     linked = {found[1] for page in (ROOT / "docs").rglob("*.md") for found in OUTSIDE.finditer(page.read_text())}
+    linked |= {str(page.relative_to(ROOT)) for page in (ROOT / "drivers").glob("*.md")}  # which link one another
     for path in sorted(linked):
         files.append(File.generated(config, f"files/{path}", abs_src_path=str(ROOT / path)))
     return files
@@ -172,7 +173,7 @@ def quantities_page() -> str:
     parts = [
         "# Quantities of results",
         "Each quantity is declared once, in the class of its result; the terminal's table, the JSON, exports and pages"
-        " come from that declaration. A key `GROUP.KEY` stands in an object of the JSON.",
+        " come from that declaration. A key `GROUP.KEY` is in an object of the JSON.",
     ]
     for kind in sorted(_reporting_classes(), key=lambda one: one.__name__):
         meanings = _meanings(kind)
@@ -332,7 +333,8 @@ def notebooks() -> list[Path]:
 
 def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
     """A notebook as Markdown, and its pictures by their names."""
-    parts, pictures = [f"[{path.name}]({path.name}) is this page as a notebook."], dict[str, bytes]()
+    how = "[How to run it](../howto/run-a-notebook.md)"
+    parts, pictures = [f"[{path.name}]({path.name}) is this page as a notebook. {how}."], dict[str, bytes]()
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
         source = "".join(cell["source"])
         parts.append(f"```python\n{source}\n```" if cell["cell_type"] == "code" else source)

@@ -34,7 +34,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
     """
     names = _names(first.path, second.path)
     series, contacts_s = aligned_series(first, second, names)
-    page = PageServer(f"{names[0]} beside {names[1]}", first.path)
+    page = PageServer(f"{names[0]} and {names[1]}", first.path)
     page.offer(RECORDING, aligned_rrd(series, names), "application/octet-stream")
     begins_ns = min(int(one.since_ns[0]) for one in series)
     ends_ns = max(int(one.since_ns[-1]) for one in series)

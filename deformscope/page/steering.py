@@ -267,7 +267,7 @@ def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: fl
     low, high = set_n / curve.depth_high_mm[-1], set_n / curve.depth_low_mm[-1]
     within = "as expected" if low <= at_n <= high else "outside the forecast's interval"
     expected = f"{set_n / curve.depth_mm[-1]:.2g} N/mm ({low:.2g} to {high:.2g})"
-    words = f"felt {'more than ' * touch.rigid}{at_n:.2g} N/mm, {within}: {expected}"
+    words = f"measured {'more than ' * touch.rigid}{at_n:.2g} N/mm, {within}: {expected}"
     return msgspec.structs.replace(
         curve, felt_mm=_floats(1e3 * dent_m[shown]), felt_n=_floats(force_n[shown]), words=words
     )

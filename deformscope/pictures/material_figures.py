@@ -154,7 +154,7 @@ def recovery_png(found: RecoveryEstimate) -> bytes:
     if found.released < len(found.time):
         axis.axvline(found.time[found.released], color="tab:gray", linestyle="--", label="no contact from here on")
     low, high = found.set.interval
-    axis.axhspan(low, max(high, low + 1e-3), color="tab:orange", alpha=0.3, label=f"kept for good, {found.level:.0%}")
+    axis.axhspan(low, max(high, low + 1e-3), color="tab:orange", alpha=0.3, label=f"permanent, {found.level:.0%}")
     axis.set(xlabel="time [s]", ylabel="share of the largest displacement [-]")
     axis.grid(alpha=0.3)
     axis.legend()

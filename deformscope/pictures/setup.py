@@ -31,7 +31,7 @@ def off_figure(off: FloatArray, names: Sequence[str], unit: str, sd: float, *, e
 
 def offset_figure(found: TimeOffset, device: str, beside: str) -> Figure:
     """The posterior of the offset between two devices, and its interval."""
-    caption = f"How late {device} is beside {beside}"
+    caption = f"Delay of {device} against {beside}"
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()
     axis.plot(1e3 * found.offsets_s, found.density / 1e3, color=COLOURS[0])

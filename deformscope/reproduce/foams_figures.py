@@ -157,7 +157,7 @@ def _change(one: Control) -> str:
     units = {"hardness": " N", "density": " kg/m3"}
     names = {"poisson": "Poisson's ratio", "plateau": "plateau exponent"}
     if one.changed == "nothing":
-        return f"{one.foam.name}, as it is"
+        return f"{one.foam.name}, unchanged"
     return f"{names.get(one.changed, one.changed)} {getattr(one.foam, one.changed):g}{units.get(one.changed, '')}"
 
 

@@ -199,7 +199,7 @@ class PlacedRun(TouchRun):
         x_cm, y_cm = 100.0 * center_m[:2]
         where = f"x {x_cm:.1f} cm, y {y_cm:.1f} cm, {1e3 * lowest_m:.1f} mm above the table"
         self._person.ask(
-            PlaceRequest(f"{what}: {where}; Enter when it stands", robot.placement.T_base_ee(center_m, plan.normal))
+            PlaceRequest(f"{what}: {where}; Enter when it is there", robot.placement.T_base_ee(center_m, plan.normal))
         )
         while True:
             while (answer := self._person.answered()) is None:

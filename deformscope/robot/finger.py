@@ -59,7 +59,7 @@ def press_by_finger(
             if len(held) == HELD_PERIODS:
                 right, came = _judged(np.median(held[HELD_PERIODS // 2 :], axis=0), soft_n)
                 pushes += 1
-                say(f"Felt as {came}: let go{'' if right or pushes == PUSHES else ', and press once more'}.")
+                say(f"Measured {came}: release{'' if right or pushes == PUSHES else ', and press once more'}.")
                 press(np.zeros(3))
     finally:
         press(np.zeros(3))

@@ -185,7 +185,7 @@ def _arm(robot: Robot, seen: Sequence[RobotObservation]) -> Iterator[Check]:
     waiting = max(state.fifo_count for state in states)
     yield Check("arm: FIFO", waiting == 0, "empty", f"{waiting} points")
     stopped = robot.arm.stopped_because
-    yield Check("arm: accepts commands", not stopped, "nobody stopped it", stopped or "nobody")
+    yield Check("arm: accepts commands", not stopped, "not stopped", stopped or "not stopped")
 
 
 def _joints(robot: Robot, states: Sequence[ArmSample]) -> Iterator[Check]:

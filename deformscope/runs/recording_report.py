@@ -197,7 +197,7 @@ def _squeeze(replay: Replay) -> Drawn:
         events = [("first contact", row.session_ns / 1e9 - took_s), ("steady state", row.session_ns / 1e9)]
         words = f"steady state {took_s:.2f} s after first contact"
     if named:
-        words += f"; taken for {named[-1].item.content}"
+        words += f"; named {named[-1].item.content}"
     shown = [one for one in panels if one is not None]
     curves = [Figure(curves_png(shown, TIME, events, phases), "a squeeze over time")] if shown else []
     return words, [Section("Over time", curves), Section("Features", [_features(row.item) for row in features])]

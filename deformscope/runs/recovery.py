@@ -90,7 +90,7 @@ def _report(path: Path, out: Path, facts: Facts, damage: str) -> FoundResult:
         *((f"{name} lost", to_text(lost)) for name, lost in sorted(facts.losses.items())),
         ("lost", ", ".join(f"{count} {name}" for name, count in missing.items()) or "what came after"),
         *((("damage", f"{damage}: nothing after it is readable"),) if damage else ()),
-        ("original", f"{path}: as it was"),
+        ("original", f"{path}: unchanged"),
     ]
     found = {
         "recording": path,

@@ -236,7 +236,7 @@ def leave_arm(
     """As `leave`, after a number of touches."""
     from deformscope.robot.supervisor import Fault
 
-    stands = "the arm stands" if arm_stopped else "THE ARM COULD NOT BE STOPPED: check it, use its emergency stop"
+    stands = "the arm is stopped" if arm_stopped else "THE ARM COULD NOT BE STOPPED: check it, use its emergency stop"
     state = f" after {touched} touch{'es' * (touched != 1)}; {stands}"
     ended = stop is None or stop.kind == Fault.ASKED
     leave(stop, state, asked, recording, "an exploration that ends normally", "explore again", ended=ended)

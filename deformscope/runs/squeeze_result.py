@@ -168,15 +168,15 @@ class SqueezeResult(LibraryResult):
         if self.computed is not None:
             events, seen = self.computed.events, self.computed.features
             force_n, stiffness = self.physical["force_n"], self.physical["stiffness_n_per_m"]
-            (first, first_end), (steady, steady_end) = events.first_interval_ns, events.steady_interval_ns
+            first_ms, steady_ms = (0.5e-6 * (b - a) for a, b in (events.first_interval_ns, events.steady_interval_ns))
             began_s, took_s = self._since_s(events.first_ns), (events.steady_ns - events.first_ns) / 1e9
             change = f"none: {seen.reason}"
             if seen.vision is not None:
                 change = f"seen on {1e2 * seen.patch_width_m:.1f} cm of width, {seen.missing:.0%} of it without depth, "
                 change += f"noise of a pixel {1e3 * (seen.noise_m or 0.0):.1f} mm"
             rows += [
-                ("first contact", f"{began_s:.2f} s after the start, to {(first_end - first) / 1e6:.0f} ms"),
-                ("steady state", f"{took_s:.2f} s after first contact, to {(steady_end - steady) / 1e6:.0f} ms"),
+                ("first contact", f"{began_s:.2f} s after the start, within \u00b1{first_ms:.0f} ms"),
+                ("steady state", f"{took_s:.2f} s after first contact, within \u00b1{steady_ms:.0f} ms"),
                 (
                     "force of a finger",
                     f"{force_n:.2f} N; stiffness {stiffness:.0f} N/m",

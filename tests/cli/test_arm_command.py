@@ -237,7 +237,7 @@ def test_ctrl_c_stops_an_arm_on_its_way_home(unhomed: tuple[str, Path], capsys: 
     asker.start()
     assert main(["arm", "home", rig, "--yes"]) == 128 + signal.SIGINT
     asker.join()
-    assert "the arm stands" in capsys.readouterr().err
+    assert "the arm is stopped" in capsys.readouterr().err
     lines = calls.read_text().splitlines()
     assert lines[-1].startswith(("StopControlAPI", "EraseAllTrajectories"))
     assert float(lines[-1].split()[2]) - J2N6S300.home_deg[0] > 1.0, "it was home by then"

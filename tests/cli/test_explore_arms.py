@@ -215,7 +215,7 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     assert said.count("Press the tip straight up from below with a finger") == 1
     if presses:
         assert status == 0, said
-        assert "Felt as 5.0 N, 0 deg from straight up: let go." in said
+        assert "Measured 5.0 N, 0 deg from straight up: release." in said
         assert "ok  force sensor: finger" in said
     else:
         assert status == 2

@@ -361,7 +361,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
     said = terminal.getvalue()
     assert "Ctrl-C again to leave immediately" in said
-    assert "the arm stands" in said
+    assert "the arm is stopped" in said
     assert "Traceback" not in said
     assert re.search(r"\r\x1b\[Ktouch 1: press \d\.\d N \d+\.\d mm", said)
     assert "\x1b[Ktouch 1: approach\r" in said

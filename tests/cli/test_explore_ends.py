@@ -157,7 +157,7 @@ def test_failures_without_end_end_it_in_order(
     assert len(found["touches"]) == touches
     assert found["stop_reason"] == "stopped: estimates failed"
     assert "division by zero" in found["fault"]["reason"]
-    assert "the arm stands" in shown.err.splitlines()[-1]
+    assert "the arm is stopped" in shown.err.splitlines()[-1]
     assert len({tuple(touch["xy_m"]) for touch in found["touches"]}) == touches  # none is made twice
     assert main(["verify", str(record)]) == 0
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
@@ -332,7 +332,7 @@ def test_a_signal_while_it_computes_is_no_loss(
 
     assert main([*EXPLORE, "--json", str(told)]) == 128 + number
     assert len(json.loads(told.read_text())["touches"]) == 4
-    assert "the arm stands" in capsys.readouterr().err
+    assert "the arm is stopped" in capsys.readouterr().err
 
 
 def test_a_second_ctrl_c_leaves_at_once(

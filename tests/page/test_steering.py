@@ -384,7 +384,7 @@ def test_felt_stands_beside_expected() -> None:
     felt = touch(1)
     curve = add_measured(curve_of(FORECAST), felt, compliance_m_per_n=0.0)
     assert curve.depth_mm == (0.0, 1.0, 2.0, 3.0)
-    assert f"felt {felt.stiffness_n_per_mm:.2g} N/mm, " in curve.words
+    assert f"measured {felt.stiffness_n_per_mm:.2g} N/mm, " in curve.words
     assert "1 N/mm (0.5 to 2)" in curve.words
     within = 0.5 <= felt.stiffness_n_per_mm <= 2.0
     assert ("as expected" in curve.words) is within

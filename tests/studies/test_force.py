@@ -113,12 +113,12 @@ def test_cases_are_every_slab_under_every_scatter() -> None:
 
 
 def test_each_condition_is_a_case_and_a_row_of_its_own() -> None:
-    slabs = slab_cases(("halves",), range(2000, 2001), (0.0,), True, conditions=("as told", "twice as deep"))
-    assert [cases[0].condition for cases in slabs] == ["as told", "twice as deep"]
+    slabs = slab_cases(("halves",), range(2000, 2001), (0.0,), True, conditions=("as given", "twice as deep"))
+    assert [cases[0].condition for cases in slabs] == ["as given", "twice as deep"]
     rows = force_rows([TriedSlab(cases[0], "materials", (poke(0.1 * i, True),)) for i, cases in enumerate(slabs)])
     assert [(row["slab"], row["condition"], row["error"]) for row in rows] == [
-        ("all", "as told", 0.0),
-        ("halves", "as told", 0.0),
+        ("all", "as given", 0.0),
+        ("halves", "as given", 0.0),
         ("all", "twice as deep", pytest.approx(0.1)),
         ("halves", "twice as deep", pytest.approx(0.1)),
     ]

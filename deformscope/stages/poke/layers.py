@@ -199,7 +199,7 @@ def below(
     depth = surface.thickness * np.arange(layers - 1, -1, -1) / (layers - 1)
     there = np.flatnonzero(surface.covers(place))
     if not there.size:
-        raise InputError("a place on the surface", "one beside it")
+        raise InputError("a place on the surface", "one outside it")
     height = surface.height(place[there], spacing)
     rest = np.empty((len(there), layers, 3))
     rest[:, :, :2] = place[there, None]

@@ -203,7 +203,7 @@ def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: Err
         raise InputError("4 places or more", str(len(touched)), "six, spread over the camera's image")
     wide_m = np.linalg.svd(touched - touched.mean(axis=0), compute_uv=False) / np.sqrt(len(touched))
     if wide_m[1] < 0.02:
-        raise InputError("places that are not in one line", f"{1e3 * wide_m[1]:.0f} mm beside one", "touch beside it")
+        raise InputError("places that are not in one line", f"{1e3 * wide_m[1]:.0f} mm off one", "touch off that line")
     start = superposed(seen, touched)
 
     def off_m(values: FloatArray) -> FloatArray:

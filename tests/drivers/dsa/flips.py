@@ -2,7 +2,7 @@
 
     python -m tests.drivers.dsa.flips
 
-prints the table of drivers/README.md. The checksum is affine: flipping bit i of a packet changes it by a pattern that
+prints the table of drivers/dsa.md. The checksum is affine: flipping bit i of a packet changes it by a pattern that
 depends on i and on the packet's length alone, the bit's syndrome. A pair of flips passes exactly if both have the same
 syndrome, so pairs are counted without trying them (a raw frame has 31 million), and only those that pass are given to
 the decoder. Flips in the length field move the checksum itself, so all pairs with one of those are tried.

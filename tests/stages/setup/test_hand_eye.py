@@ -130,5 +130,5 @@ def test_the_intervals_from_touches_hold_the_camera_in_nine_of_ten() -> None:
 def test_places_in_one_line_are_refused() -> None:
     line_m = np.linspace([0.0, 0.0, 0.0], [0.4, 0.1, 0.0], 6)
 
-    with pytest.raises(InputError, match=r"not in one line.*try: touch beside it"):
+    with pytest.raises(InputError, match=r"not in one line.*try: touch off that line"):
         camera_from_touches(line_m, line_m)
