@@ -167,6 +167,7 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     nbformat = pytest.importorskip("nbformat")
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # the tests' own: a kernel draws into the notebook
     ships = nbformat.read(path, 4)
     notebook = nbformat.read(path, 4)
 
