@@ -59,6 +59,15 @@ def test_commands_exist(page: Path) -> None:
                 assert name in COMMANDS or words[1] in COMMANDS, f"{page_name(page)}: {line}"
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "drivers").glob("*.md")), ids=page_name)
+def test_code_of_drivers_names_what_exists(page: Path) -> None:
+    """Devices are not here, so its blocks are compiled, and of what they run only the imports."""
+    for kind, block in BLOCK.findall(page.read_text(encoding="utf-8")):
+        if kind == "python":
+            compile(block, str(page), "exec")
+            exec("\n".join(line for line in block.splitlines() if line.startswith("from ")), {})
+
+
 def test_a_page_shows_how_every_command_is_used() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
 
