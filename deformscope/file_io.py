@@ -45,12 +45,18 @@ def sample_path(name: str) -> Path:
     return Path(str(resources.files("deformscope") / "samples" / name))
 
 
-def read_file(path: str | Path, what: str) -> bytes:
-    """The bytes of a file that a user named. what: it should be. Raises InputError where it cannot be read."""
+def refusal(error: OSError) -> str:
+    """The system's reason, as a message has it."""
+    return (error.strerror or str(error)).lower()
+
+
+def read_file(path: str | Path, what: str, hint: str = "") -> bytes:
+    """The bytes of a file that a user named. what: it should be; hint: where it comes from. Raises InputError where it
+    cannot be read."""
     try:
         return resolve(path).read_bytes()
     except OSError as error:
-        raise InputError(what, (error.strerror or str(error)).lower(), where=path) from error
+        raise InputError(what, refusal(error), hint, path) from error
 
 
 @contextmanager
@@ -80,8 +86,7 @@ def make_folder(path: Path) -> None:
         probe.open("xb").close()
         probe.unlink()
     except OSError as error:
-        came = (error.strerror or str(error)).lower()
-        raise InputError("a folder that can be written to", came, where=path) from error
+        raise InputError("a folder that can be written to", refusal(error), where=path) from error
 
 
 _named: set[Path] = set()

@@ -39,7 +39,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image
-from deformscope.results.declared import came_later
+from deformscope.results.declared import LATER, is_declared
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     InclusionsResult,
@@ -249,7 +249,7 @@ def _plain(value: object) -> Any:
 def _fields(kind: Any) -> tuple[CodecField, ...]:
     hints = get_type_hints(kind)
     return tuple(
-        dataclasses.replace(_field(field.name, hints[field.name]), later=came_later(field))
+        dataclasses.replace(_field(field.name, hints[field.name]), later=is_declared(field, LATER))
         for field in dataclasses.fields(cast("Any", kind))
     )
 

@@ -467,7 +467,9 @@ def _explain(error: Exception) -> str:
 def _missing_library(error: BaseException) -> str:
     """The shared object that the loader did not find, from the error or its cause."""
     cause: BaseException | None = error
-    while cause is not None:
+    seen = set[int]()  # a chain may lead back to where it began
+    while cause is not None and id(cause) not in seen:
+        seen.add(id(cause))
         if isinstance(cause, ImportError | OSError):
             found = re.search(r"(lib[\w.+-]*?\.so[\w.]*): cannot open shared object", str(cause))
             if found:

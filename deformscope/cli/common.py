@@ -64,10 +64,10 @@ def quiet_warp() -> None:
 
 def begin_worker() -> None:
     """First call in a worker: one thread, and no output."""
-    import cv2
+    from deformscope.executor.local import one_thread
 
     quiet_warp()
-    cv2.setNumThreads(1)
+    one_thread()
 
 
 def show(*found: object) -> None:

@@ -83,11 +83,14 @@ class LocalWorkers:
         self._processes[ours] = process
         return ours
 
-    def ready(self, under_way: Collection[Connection]) -> list[Any]:
-        return wait(under_way, RENEW_S)
+    def ready(self, under_way: Collection[Connection]) -> set[Any]:
+        """Also those whose process has ended: a process that it forked may hold its pipe open."""
+        return {*wait(under_way, RENEW_S), *(one for one in under_way if not self._processes[one].is_alive())}
 
     def result(self, attempt: Connection) -> Any:
         try:
+            if not attempt.poll():
+                raise EOFError
             done, value = attempt.recv()
         except (EOFError, OSError) as error:
             self._end(attempt)
@@ -129,6 +132,13 @@ def _work(pipe: Connection) -> None:
             return
         except Exception as error:  # what cannot pass between processes
             pipe.send((False, RuntimeError(f"{type(error).__name__}: {error}")))
+
+
+def one_thread() -> None:
+    """First call in a worker: OpenCV has one thread too."""
+    import cv2
+
+    cv2.setNumThreads(1)
 
 
 def core_count() -> int:

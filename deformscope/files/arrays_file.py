@@ -1,4 +1,4 @@
-"""Reading files of arrays (`.npz`): common parts of pair, motion and model files.
+"""Reading files of arrays (`.npz`): common parts of pair, motion, model and classifier files.
 
 Nothing in them is executed (no pickle).
 """
@@ -6,15 +6,18 @@ Nothing in them is executed (no pickle).
 from __future__ import annotations
 
 import io
+import json
 import math
 import zipfile
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
+from deformscope.file_io import read_file
 from deformscope.stages.msm.clusters import find_lattice
 
 T = TypeVar("T")
@@ -128,6 +131,29 @@ def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -
         return parse(found)
     except InputError as error:
         raise type(error).about(error, where) from error
+
+
+def described(path: Path, kind: str, version: int, how: str, make: Callable[[Any, Arrays], T]) -> T:
+    """The result of `make` on the description and the arrays of a file with `format` "deformscope KIND VERSION" and
+    `told`, a JSON text. how: to make one. Raises InputError for another kind of file, a damaged one, or another
+    format."""
+    what, wanted = f"a {kind} file", f"deformscope {kind} {version}"
+    found = read_arrays(read_file(path, what, how), f"{what} (.npz)", path)
+    shown = str(found["format"]) if "format" in found and found["format"].dtype.kind == "U" else ""
+    if "told" not in found or not shown.startswith(f"deformscope {kind} "):
+        names = ", ".join(sorted(found)[:4]) or "nothing"
+        holds = "a pair file" if {"rest", "deformed"} <= found.keys() else f"an .npz of {names}"
+        raise InputError(what, repr(shown) if shown else holds, how, path)
+    if shown != wanted:
+        hint = "a newer deformscope" if shown.rpartition(" ")[2].isdecimal() else how
+        raise InputError(f"{what} of format {wanted!r}", repr(shown), hint, path)
+    try:
+        return make(json.loads(str(found["told"])), found)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError) as error:
+        came = f"one without or with a wrong {' '.join(str(error).split())[:120]}"
+        raise InputError(f"a complete {kind} file", came, how, path) from error
+    except InputError as error:
+        raise type(error).about(error, path) from error
 
 
 NOT_KNOWN = "leave it out if it is unknown"

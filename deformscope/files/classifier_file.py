@@ -16,7 +16,6 @@ Nothing in it is executed when it is read (no pickle).
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -25,15 +24,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deformscope.errors import InputError
 from deformscope.file_io import replacing
-from deformscope.files.arrays_file import Arrays, read_arrays
+from deformscope.files.arrays_file import Arrays, described
 from deformscope.stages.squeeze.classifiers import NAMES, Classifier, Linear, Neighbours, Quadratic
 from deformscope.stages.squeeze.components import Scaling
 from deformscope.stages.squeeze.fusion import Expert, Member, Pool
 from deformscope.stages.squeeze.model import ContentModel, ModalityModel
 
-FORMAT = "deformscope classifier 1"
+VERSION = 1
+FORMAT = f"deformscope classifier {VERSION}"
 HOW = "deformscope classify TABLE --save FILE.npz"
 KINDS: dict[str, type[Classifier]] = {
     **dict.fromkeys(("knn", "knn-raw"), Neighbours),
@@ -96,29 +95,10 @@ def save_classifier(model: ContentModel, path: Path) -> None:
 
 def load_classifier(path: Path) -> ContentModel:
     """Read a model. Raises InputError, in one line, for another kind of file, a damaged one, or another format."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
-        raise InputError("a classifier file", came, HOW, path) from error
-    found = read_arrays(raw, "a classifier file (.npz)", path)
-    shown = str(found["format"]) if "format" in found and found["format"].dtype.kind == "U" else ""
-    if "told" not in found or not shown.startswith("deformscope classifier "):
-        came = f"{shown!r}" if shown else f"an .npz of {', '.join(sorted(found)[:4]) or 'nothing'}"
-        raise InputError("a classifier file", came, HOW, path)
-    if shown != FORMAT:
-        newer = re.fullmatch(r"deformscope classifier (\d+)", shown) is not None
-        hint = "a newer deformscope" if newer else HOW
-        raise InputError(f"a classifier file of format {FORMAT!r}", repr(shown), hint, path)
-    try:
-        return _model(found)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError) as error:
-        came = f"one without or with a wrong {' '.join(str(error).split())[:120]}"
-        raise InputError("a complete classifier file", came, HOW, path) from error
+    return described(path, "classifier", VERSION, HOW, _model)
 
 
-def _model(found: Arrays) -> ContentModel:
-    described = json.loads(str(found["told"]))
+def _model(described: Mapping[str, Any], found: Arrays) -> ContentModel:
     labels = tuple(described["labels"])
     if len(labels) < 2 or len(set(labels)) < len(labels) or not all(isinstance(one, str) for one in labels):
         raise ValueError("list of labels")

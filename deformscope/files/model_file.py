@@ -12,19 +12,20 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deformscope.errors import InputError
 from deformscope.file_io import replacing
-from deformscope.files.arrays_file import lattice, read_arrays
+from deformscope.files.arrays_file import Arrays, described, lattice
 from deformscope.stages.msm.poke import Law, Tip
 from deformscope.stages.poke.dent_residual import DentResidual
 from deformscope.stages.poke.fitted import FittedModel, Rival
 
-FORMAT = "deformscope model 1"
+VERSION = 1
+FORMAT = f"deformscope model {VERSION}"
 ARRAYS = ("rest", "toward", "fixed", "places", "stiffness", "left_out")
 
 
@@ -57,27 +58,10 @@ def save_model(model: FittedModel, path: Path) -> None:
 
 def load_model(path: Path) -> FittedModel:
     """Read a model. Raises InputError for another kind of file, a damaged one, or another format."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
-        raise InputError("a model file", came, "deformscope calibrate beta ... --save FILE.npz", path) from error
-    found = read_arrays(raw, "a model file (.npz)", path)
-    if "format" not in found or "told" not in found:
-        kind = "a pair file" if "rest" in found and "deformed" in found else "an .npz without `format`"
-        raise InputError("a model file", kind, "deformscope calibrate beta ... --save FILE.npz", path)
-    if str(found["format"]) != FORMAT:
-        raise InputError(f"a model file of format {FORMAT!r}", repr(str(found["format"])), where=path)
-    try:
-        return _model(found)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InputError("a complete model file", f"one without or with a wrong {error}", where=path) from error
-    except InputError as error:
-        raise type(error).about(error, path) from error
+    return described(path, "model", VERSION, "deformscope calibrate beta ... --save FILE.npz", _model)
 
 
-def _model(found: dict[str, Any]) -> FittedModel:
-    described = json.loads(str(found["told"]))
+def _model(described: Mapping[str, Any], found: Arrays) -> FittedModel:
     tip = described["tip"]
     rivals = zip(described["rivals"], found["rival_stiffness"], strict=True)
     shape, cell = lattice(found, found["rest"]) if "shape" in found else (None, None)

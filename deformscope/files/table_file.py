@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.file_io import read_file
 from deformscope.files.arrays_file import read_arrays
 from deformscope.stages.squeeze.table import LISTED, LabelledTable, TextArray
 
@@ -41,11 +42,7 @@ def read_table(path: Path) -> LabelledTable:
     if path.suffix.lower() not in SUFFIXES:
         came = "a folder" if path.is_dir() else repr(path.suffix or path.name)
         raise InputError(f"a table that ends in {', '.join(SUFFIXES)}", came, HOW, path)
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        came = "no file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error)).lower()
-        raise InputError("a table of labelled trials", came, HOW, path) from error
+    raw = read_file(path, "a table of labelled trials", HOW)
     try:
         if path.suffix.lower() == ".npz":
             return table_of_arrays(read_arrays(raw, "a table (.npz of arrays)"))

@@ -65,7 +65,7 @@ class CaptureStream(Counted):
             raise stream.missing("pads", "name, rows, columns, texel_m, index, finger and part of each", "")
         self.stream, self._config = stream, config
         self._known = Stream(stream.device, stream.kind, stream.driver, pads=stream.pads)
-        first = next((one for one in self._decoded(reader) if not isinstance(one, RawBytes)), None)
+        first = next((one for one in self.frames(reader) if not isinstance(one, RawBytes)), None)
         force: Any = getattr(first, "force_n", None)
         if force is not None:
             if stream.nan == "refuse" and not np.isfinite(force).all():
@@ -83,9 +83,6 @@ class CaptureStream(Counted):
 
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         """All bytes, and the frames in them."""
-        return self._decoded(reader)
-
-    def _decoded(self, reader: Reader) -> Iterator[Frame | RawBytes]:
         Counted.__init__(self)
         again = REDECODERS[self.stream.driver](self._config, self._known)
         decoder = again.begin()

@@ -77,6 +77,8 @@ CLOUDS = (".pcd", ".ply")
 REAL_STEP_M = 1e-4
 """Stored step of distances that come as real numbers."""
 TIME_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
+ARM_SIZES: dict[str, int | None] = {"position_m": None, "rotation_rad": None, "force_n": 3, "torque_nm": 3, "finger": 0}
+"""Vectors of an arm's frame, and the length of those that a source may lack."""
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -262,20 +264,10 @@ def _arm(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     elif not columns_of("position_m", row):
         return None  # no pose has come yet
     joints = self.values(row, "joint_deg", size=0)
-    return ArmFrame(
-        stamp=at.stamp,
-        index=at.index,
-        joint_deg=joints,
-        joint_velocity_deg_s=self.values(row, "joint_velocity_deg_s", size=len(joints)),
-        joint_torque_nm=self.values(row, "joint_torque_nm", size=len(joints)),
-        position_m=self.values(row, "position_m"),
-        rotation_rad=self.values(row, "rotation_rad"),
-        force_n=self.values(row, "force_n", size=3),
-        torque_nm=self.values(row, "torque_nm", size=3),
-        finger=self.values(row, "finger", size=0),
-        queued=int(row.get("queued", 0)),
-        device=self.stream.device,
-    )
+    sizes = ARM_SIZES | dict.fromkeys(("joint_velocity_deg_s", "joint_torque_nm"), len(joints))
+    found = {name: self.values(row, name, size=size) for name, size in sizes.items()}
+    queued = int(row.get("queued", 0))
+    return ArmFrame(at.stamp, at.index, joints, **found, queued=queued, device=self.stream.device)
 
 
 def _hand(self: FrameBuilder, row: Row, at: At) -> Frame | None:

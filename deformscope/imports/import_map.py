@@ -6,16 +6,16 @@ map; while one reads `"?"` the import is refused with its name.
 
 from __future__ import annotations
 
-import json
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
 from deformscope.errors import InputError
+from deformscope.file_io import read_file
 from deformscope.frames import Kind, Pad
+from deformscope.rig.rig_edit import lines_of, toml_value
 from deformscope.rig.rig_file import SECTIONS
 
 ASKED: Final = "?"
@@ -95,28 +95,23 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             for name in stream.__struct_fields__:
                 value = getattr(stream, name)
                 if name in ("device", "kind", "topics") or value != getattr(usual, name):
-                    lines.append(f"{name} = {_toml(msgspec.to_builtins(value))}")
+                    lines.append(f"{name} = {toml_value(msgspec.to_builtins(value))}")
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
         """The devices whose bytes are imported, and where all is, as a rig file has it; empty without either."""
         sections = {f"devices.{one.device}": {"driver": one.driver, **one.config} for one in self.streams if one.driver}
-        return "".join(
-            f"[{name}]\n" + "".join(f"{key} = {_toml(value)}\n" for key, value in section.items())
-            for name, section in (sections | self.rig).items()
-        )
+        return lines_of(sections | self.rig, digits="")
 
 
 def read_map(path: Path) -> ImportMap:
     """Raises InputError if it is no map, with the wrong key."""
     try:
-        said = tomllib.loads(path.read_text(encoding="utf-8"))
+        said = tomllib.loads(read_file(path, "a map (TOML)", HOW).decode())
         if "rig" in said:
             raise ValueError("unknown field `rig`: its sections are at the top level")
         rig = {name: said.pop(name) for name in SECTIONS if isinstance(said.get(name), dict)}
         found = msgspec.convert(said | {"rig": rig}, ImportMap)
-    except OSError as error:
-        raise InputError("a map (TOML)", (error.strerror or str(error)).lower(), HOW, path) from error
     except (ValueError, msgspec.ValidationError) as error:
         raise InputError("a map (TOML)", " ".join(str(error).split()), HOW, path) from error
     names = [stream.device for stream in found.streams]
@@ -128,13 +123,3 @@ def read_map(path: Path) -> ImportMap:
         if stream.offset_s == ASKED:
             raise stream.missing("offset_s", "seconds to add to its stamps, which are of another clock")
     return found
-
-
-def _toml(value: Any) -> str:
-    """Numbers, words, lists and tables on one line."""
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_toml(name)} = {_toml(one)}" for name, one in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    text = json.dumps(value, ensure_ascii=False)
-    return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)

@@ -129,12 +129,9 @@ class _Stream(Counted):
         topics = reader.topics
         self.stream, self._builder = stream, FrameBuilder(stream, topics)
         self._units = {name: unit for one in stream.topics for name, unit in topics[one].units.items()}
-        self._is_table = all(topics[name].type in (*TABLE_TYPES, "files") for name in stream.topics)
-        is_file = topics[stream.topics[0]].type == "files"
-        if (
-            len({topics[name].type if topics[name].type in (*TABLE_TYPES, "files") else "" for name in stream.topics})
-            > 1
-        ):
+        kinds = {topics[name].type for name in stream.topics} & {*TABLE_TYPES, "files"}
+        self._is_table, is_file = bool(kinds), "files" in kinds
+        if self._is_table and any(topics[name].type != topics[stream.topics[0]].type for name in stream.topics):
             raise stream.missing("topics", "of one kind: tables, files, or messages", ", ".join(stream.topics))
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
         self._types = {name: one.type for name, one in topics.items()}

@@ -55,8 +55,7 @@ class LedgerBlock:
     to_s: float | None = None
 
     def __str__(self) -> str:
-        more = f" and {len(self.streams) - SEVERAL} more streams" if len(self.streams) > SEVERAL else ""
-        held = [", ".join(self.streams[:SEVERAL]) + more] if self.streams else []
+        held = [_named([self])] if self.streams else []
         if self.from_s is not None and self.to_s is not None:
             held.append(f"{self.from_s:.3f} to {self.to_s:.3f} s")
         return f"bytes {self.start} to {self.end}" + (f" ({', '.join(held)})" if held else "")
@@ -196,22 +195,12 @@ def read_discards(recording: Path) -> list[dict[str, Any]]:
 
 
 def read_counts(recording: Path) -> dict[str, int]:
-    """What the ledger says was recorded, by kind; nothing of a run that was cut short.
-
-    Raises FileNotFoundError where there is no ledger, ValueError where it is damaged.
-    """
-    ledger = read_ledger(recording)
+    """What the ledger says was recorded, by kind; nothing of a run that was cut short, nor where it is missing or
+    damaged."""
+    ledger = read_ledger(recording) if ledger_path(recording).exists() else Ledger()
     if ledger.problems:
-        raise ValueError(ledger.problems[0])
+        return {}
     return {str(name): int(count) for name, count in (ledger.ended or {}).get("counts", {}).items()}
-
-
-def check_ledger(recording: Path) -> list[str]:
-    """Differences between a recording and its ledger, one line each; empty when every byte is unchanged.
-
-    Raises FileNotFoundError where there is no ledger: nothing can then be said.
-    """
-    return check_recording(recording).problems
 
 
 def check_recording(recording: Path) -> LedgerCheck:

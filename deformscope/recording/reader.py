@@ -187,8 +187,7 @@ class Replay:
     def _check(self, trust: bool) -> None:
         """Refuse a file that is no recording of ours, or has changed since it was recorded."""
         path = self.path
-        if not path.is_file():
-            raise InputError("a recording", "a folder" if path.is_dir() else "nothing there", where=path)
+        check_exists(path)
         check_magic(path)
         if not trust:
             self._check_ledger()

@@ -109,6 +109,7 @@ _KINDS: dict[str, type] = {
 _SHOWN = {shown: name for name, shown in IMAGES.items()}
 _SERIES = {"host_ns": "ForcePose:host_ns", VALUES: "ForcePose:values"}
 _TRANSFORM = re.compile(r"Transform3D:(parent_frame|child_frame|translation|quaternion|mat3x3)")
+_SCALARS = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "str": pa.string()}
 _ROW, _SESSION = "rerun.controls.RowId", "session"
 _logger = logging.getLogger(__name__)
 
@@ -602,20 +603,11 @@ def _unit(name: str, declared: Mapping[str, str]) -> dict[str, str] | None:
 
 
 def _shape_of(value: object) -> str:
-    match value:
-        case None:
-            return "none"
-        case bool():
-            return "bool"
-        case int():
-            return "int"
-        case float():
-            return "float"
-        case list() if all(isinstance(one, float | int) and not isinstance(one, bool) for one in value):
-            return f"list{len(value)}"
-        case str():
-            return "str"
-    return "json"
+    """Name of a value's type, with the length of a list of numbers; "json" of all that no column holds."""
+    if isinstance(value, list) and all(isinstance(one, float | int) and not isinstance(one, bool) for one in value):
+        return f"list{len(value)}"
+    known = (kind.__name__ for kind in (bool, int, float, str) if isinstance(value, kind))
+    return "none" if value is None else next(known, "json")
 
 
 def _arrays_of(key: str, values: Sequence[Any], shapes: set[str]) -> dict[str, pa.Array]:
@@ -626,14 +618,10 @@ def _arrays_of(key: str, values: Sequence[Any], shapes: set[str]) -> dict[str, p
         if own <= {"list2"} and "interval" in key:
             return _vector(lists, _axes(key, 2))
         return {key: lists}
-    if own <= {"int", "float"} and own:
-        return {key: pa.array(values, pa.int64() if own == {"int"} else pa.float64())}
-    if own == {"bool"}:
-        return {key: pa.array(values, pa.bool_())}
-    if own == {"str"}:
-        return {key: pa.array(values, pa.string())}
-    if not own and split_unit(key)[1]:
-        return {key: pa.array(values, pa.float64())}
+    if own == {"int", "float"} or (not own and split_unit(key)[1]):
+        own = {"float"}
+    if len(own) == 1 and (kind := _SCALARS.get(*own)) is not None:
+        return {key: pa.array(values, kind)}
     return {key: pa.array([None if value is None else json.dumps(value) for value in values], pa.string())}
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deformscope.errors import InputError
+from deformscope.file_io import refusal
 from deformscope.recording.facts import is_recoverable
 from deformscope.recording.lateness import RecordingError, check_room
 from deformscope.recording.ledger import Losses, ledger_path, write_ledger
@@ -130,6 +131,6 @@ def _reserve(target: Path, overwrite: bool) -> tuple[Path, BinaryIO]:
                     came = f"one that another run is recording to ({part.name})"
                     raise InputError("a recording of its own", came, "another name", target) from None
             except OSError as error:
-                came = (error.strerror or str(error)).lower()
-                raise InputError("a folder that can be written to", came, "another folder", target.parent) from error
+                refused = refusal(error)
+                raise InputError("a folder that can be written to", refused, "another folder", target.parent) from error
     raise InputError("fewer unfinished recordings", "1000", "rename or delete some", target.parent)

@@ -100,11 +100,13 @@ derived = _as_decorator(Quantity)
 
 LATER: Mapping[str, object] = {"deformscope.later": True}
 """The metadata of a field that came after recordings of its class were made: those are read with its default."""
+WORDING: Mapping[str, object] = {"deformscope.wording": True}
+"""The metadata of a text that another version may word differently: a replay does not compare it."""
 
 
-def came_later(field: dataclasses.Field[Any]) -> bool:
-    """Whether a field is declared with `LATER`."""
-    return field.metadata.keys() >= LATER.keys()
+def is_declared(field: dataclasses.Field[Any], metadata: Mapping[str, object]) -> bool:
+    """Whether a field is declared with `LATER` or `WORDING`."""
+    return field.metadata.keys() >= metadata.keys()
 
 
 def quantities(kind: type) -> tuple[Quantity, ...]:

@@ -7,6 +7,7 @@ Otherwise nothing is written, and the user has to insert the lines.
 from __future__ import annotations
 
 import datetime
+import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,13 +18,15 @@ from deformscope.errors import InputError
 TomlValue = bool | int | float | str | datetime.date | Sequence[Any]
 Values = Mapping[str, Mapping[str, TomlValue]]
 """By section ("tool", "calibrated.tip"), then by key."""
+DIGITS = ".9g"
+"""Of numbers in a rig file."""
 HEADER = re.compile(r"\s*\[+\s*[\w\"'.-]+\s*\]+\s*(#.*)?$")
 
 
-def lines_of(values: Values) -> str:
-    """The values as lines of a rig file."""
+def lines_of(values: Values, digits: str = DIGITS) -> str:
+    """The values as lines of a rig file. digits: as of `toml_value`"""
     return "\n".join(
-        "\n".join([f"[{section}]", *(f"{key} = {_toml(value)}" for key, value in keys.items())])
+        "\n".join([f"[{section}]", *(f"{key} = {toml_value(value, digits)}" for key, value in keys.items())])
         for section, keys in values.items()
     )
 
@@ -33,7 +36,7 @@ def edited(text: str, values: Values) -> str:
     lines = text.splitlines()
     for section, keys in values.items():
         for key, value in keys.items():
-            _set(lines, section, key, _toml(value))
+            _set(lines, section, key, toml_value(value, DIGITS))
     made = "\n".join(lines) + "\n"
     try:
         same = tomllib.loads(made) == _merged(tomllib.loads(text), values)
@@ -81,20 +84,21 @@ def _merged(content: dict[str, Any], values: Values) -> dict[str, Any]:
         table = content
         for name in section.split("."):
             table = table.setdefault(name, {})
-        table.update({key: tomllib.loads(f"value = {_toml(value)}")["value"] for key, value in keys.items()})
+        table.update(tomllib.loads("\n".join(f"{key} = {toml_value(value, DIGITS)}" for key, value in keys.items())))
     return content
 
 
-def _toml(value: TomlValue) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
+def toml_value(value: Any, digits: str = "") -> str:
+    """A value on one line. digits: format of real numbers, empty = all digits"""
+    if isinstance(value, bool | int | str):
+        text = json.dumps(value, ensure_ascii=False)
+        return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)
     if isinstance(value, datetime.date):
         return value.isoformat()
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, int):
-        return str(value)
+    if isinstance(value, Mapping):
+        inner = (f"{toml_value(name)} = {toml_value(one, digits)}" for name, one in value.items())
+        return "{" + ", ".join(inner) + "}"
     if isinstance(value, Sequence):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    number = f"{float(value):.9g}"
+        return "[" + ", ".join(toml_value(one, digits) for one in value) + "]"
+    number = format(float(value), digits)
     return number if any(mark in number for mark in ".en") else f"{number}.0"

@@ -12,6 +12,7 @@ import numpy as np
 from deformscope.config import ImportConfig
 from deformscope.errors import InputError, printable
 from deformscope.experiments.live_stages import StageCounts, live_stages
+from deformscope.file_io import refusal
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
 from deformscope.frames import HealthReport
@@ -111,7 +112,7 @@ def import_take(config: ImportConfig, folder: Path) -> RecordResult:
     try:
         folder.mkdir(parents=True, exist_ok=config.output.overwrite)
     except OSError as error:
-        raise InputError("a new folder for --pairs", (error.strerror or str(error)).lower(), where=folder) from error
+        raise InputError("a new folder for --pairs", refusal(error), where=folder) from error
     for name, raw in files.items():
         (folder / name).write_bytes(raw)
     counts = [f"{len(pressed) - len(unseen)} pairs", f"{len(unseen)} unseen", f"a motion of {len(take.frames)} frames"]

@@ -10,7 +10,7 @@ from pathlib import Path
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
-from deformscope.recording.ledger import ledger_path, read_counts, write_ledger
+from deformscope.recording.ledger import read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import to_text
 from deformscope.recording.reader import check_exists, check_magic
@@ -74,14 +74,8 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
 
 def _report(path: Path, out: Path, facts: Facts, damage: str) -> FoundResult:
     """damage: where reading ended before the end of the file; empty = nowhere"""
-    missing: dict[str, int] = {}
-    if ledger_path(path).exists():
-        try:
-            then = read_counts(path)
-        except ValueError:  # the ledger is damaged as well
-            then = {}
-        missing = {name: count - facts.counts.get(name, 0) for name, count in then.items() if name in facts.counts}
-        missing = {name: count for name, count in missing.items() if count > 0}
+    then = read_counts(path)
+    missing = {name: then[name] - count for name, count in facts.counts.items() if then.get(name, 0) > count}
     until = "" if facts.until_s is None else f"until {facts.until_s:.2f} s"
     rows = [
         ("recovered", f"{out} ({out.stat().st_size / 1e6:.1f} MB), with its ledger"),

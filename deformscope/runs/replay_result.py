@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
+from deformscope.results.declared import WORDING, is_declared
 from deformscope.rows import differing
 from deformscope.runs.result import LibraryResult
-from deformscope.stages.fit.estimate import Doubt
 
 CLOSE = 0.01
 """Largest difference due to another machine's arithmetic: of the value and its interval as a share of the interval's
@@ -52,13 +52,17 @@ class ReplayResult(LibraryResult):
 
 
 def _without_words(value: Any) -> Any:
-    """A result whose reasons to doubt it have codes alone: another version may say them in other words."""
-    if isinstance(value, Doubt):
-        return replace(value, text="")
-    if isinstance(value, tuple):
+    """A result whose texts are empty where another version may word them differently (`WORDING`)."""
+    if type(value) is tuple:
         return tuple(map(_without_words, value))
-    inner = [name for name in ("reasons", "creep") if is_dataclass(value) and hasattr(value, name)]
-    return replace(value, **{name: _without_words(getattr(value, name)) for name in inner}) if inner else value
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    changed: dict[str, Any] = {
+        one.name: "" if is_declared(one, WORDING) else _without_words(getattr(value, one.name))
+        for one in fields(value)
+        if one.init
+    }
+    return replace(value, **changed)
 
 
 def compare(

@@ -29,6 +29,7 @@ import deformscope_drivers
 from deformscope.config.executor import ExecutorOptions
 from deformscope.errors import InputError, printable
 from deformscope.executor.journal import Journal
+from deformscope.executor.local import one_thread as one_thread
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import TaskOutcome, compute
 from deformscope.file_io import make_folder, resolve
@@ -385,13 +386,6 @@ def function_variations(
         identity = [module, name, plain(given), code, *contents_of(given.values())]
         found.append(Variation(varied, (module, name, given), json.dumps(identity, sort_keys=True)))
     return found
-
-
-def one_thread() -> None:
-    """First call in a worker: one thread."""
-    import cv2
-
-    cv2.setNumThreads(1)
 
 
 def call_function(task: SweepTask) -> Any:

@@ -373,6 +373,14 @@ def test_a_library_missing_underneath_is_found(
     assert (status, "libodd.so.3" in told, "package manager" in told) == (1, True, True)
 
 
+def test_causes_that_lead_back_to_the_error_end(
+    command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    error, cause = RuntimeError("no depth"), ValueError("none")
+    error.__cause__, cause.__cause__ = cause, error
+    assert fail(error, command, capsys)[0] == 1
+
+
 def test_a_missing_package_and_a_refusing_system(
     command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,7 +28,7 @@ from deformscope.lab.faults import CAMERA, Injected
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.recording.item_rows import Row
 from deformscope.recording.items import read_items, read_results
-from deformscope.recording.ledger import check_ledger
+from deformscope.recording.ledger import check_recording
 from deformscope.recording.rrd_file import RecordingFile
 from deformscope.rig.source import RigSource
 from deformscope.robot.robot import Robot
@@ -110,7 +110,7 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
 
 
 def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
-    assert check_ledger(explored.record) == []
+    assert check_recording(explored.record).problems == []
     assert main(["verify", str(explored.record)]) == 0, capsys.readouterr().err
     assert "tip/frames" in capsys.readouterr().out
     assert main(["replay", str(explored.record)]) == 0
@@ -369,7 +369,7 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     assert found["stop_reason"] == "stopped: a person asked"
     assert found["touches"] == []
     assert found["verdict"] is None
-    assert check_ledger(record) == []
+    assert check_recording(record).problems == []
     assert [one.item.action for one in read_results(record, (ExplorationStop,))] == ["stop"]  # type: ignore[union-attr]
 
 
@@ -475,7 +475,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     assert main(["explore", "lab:two-60-150", *once, "--record", str(record)]) == 0, capsys.readouterr().err
     assert given_up == [False]
     assert looks > 300  # of the approach, the press and the dwell, a hundred a second
-    assert check_ledger(record) == []
+    assert check_recording(record).problems == []
     assert main(["verify", str(record)]) == 0
 
 

@@ -18,7 +18,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
 from deformscope.recording.items import read_items
-from deformscope.recording.ledger import check_ledger, ledger_path, read_ledger
+from deformscope.recording.ledger import check_recording, ledger_path, read_ledger
 from tests.patience import PATIENCE_S
 
 SMALL = """
@@ -110,7 +110,7 @@ def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.Cap
     assert set(found["devices"]) == {"tip", "wrist", "pads", "hand", "arm", "camera", "depth"}
     for name, health in found["devices"].items():
         assert health["received"] > 5, name
-    assert check_ledger(file) == []
+    assert check_recording(file).problems == []
     capsys.readouterr()
 
     assert main(["verify", str(file), "--json", "-"]) in WHOLE
@@ -157,7 +157,7 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
     process.send_signal(signal.SIGINT)
 
     assert process.wait(PATIENCE_S) in WHOLE
-    assert check_ledger(tmp_path / "r.rrd") == []
+    assert check_recording(tmp_path / "r.rrd").problems == []
     assert main(["verify", str(tmp_path / "r.rrd")]) in WHOLE
 
 
@@ -358,7 +358,7 @@ def test_a_rig_that_is_ended_early_says_so(
     assert ended.startswith("by SIGTERM after")
     assert ended.endswith("earlier than the 60 s asked for")
     assert ended in capsys.readouterr().err
-    assert check_ledger(file) == []
+    assert check_recording(file).problems == []
     assert main(["verify", str(file)]) in WHOLE
     assert "by SIGTERM" in capsys.readouterr().out
 
@@ -378,4 +378,4 @@ def test_a_closed_terminal_ends_a_recording_cleanly(
     process.send_signal(signal.SIGHUP)
 
     assert process.wait(PATIENCE_S) == 128 + signal.SIGHUP
-    assert check_ledger(recording) == []
+    assert check_recording(recording).problems == []

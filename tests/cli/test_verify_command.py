@@ -17,7 +17,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.recording import facts as recording_facts
-from deformscope.recording.ledger import LedgerWriter, check_ledger, ledger_path, read_ledger, write_ledger
+from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path, read_ledger, write_ledger
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope_drivers.clock import Stamp
@@ -107,7 +107,7 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     assert recovered["until_s"] == pytest.approx(1.1)
     assert recovered["counts"]["frames"] == FRAMES
     assert killed.read_bytes() == before
-    assert check_ledger(out) == []
+    assert check_recording(out).problems == []
     assert [frame.image.tolist() for frame in Replay(out).frames()] == [frame.image.tolist() for frame in frames()]
     assert Replay(out).settings == {"seed": 1}
     assert sorted(left.name for left in killed.parent.iterdir()) == [
@@ -170,6 +170,9 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
         assert "one that a run is writing" in capsys.readouterr().err
     assert main(["recover", str(killed), "--out", str(whole)]) == 2
     assert "one that exists" in capsys.readouterr().err
+    assert main(["recover", str(killed), "--out", str(tmp_path / "none" / "out.rrd")]) == 2
+    assert "no such folder | try: make it first" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
     assert not (tmp_path / "out.rrd").exists()
     assert not list(tmp_path.glob(".*"))
 

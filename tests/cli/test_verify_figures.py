@@ -17,7 +17,7 @@ from deformscope.cli import main
 from deformscope.errors import InputError
 from deformscope.frames import WrenchFrame
 from deformscope.recording.items import read_items
-from deformscope.recording.ledger import check_ledger, ledger_path
+from deformscope.recording.ledger import check_recording, ledger_path
 from deformscope.recording.reader import Replay
 
 pytestmark = pytest.mark.slow
@@ -54,7 +54,7 @@ def test_every_flip_is_refused(recording: Path, tmp_path: Path, what: str) -> No
         content = bytearray(damaged.read_bytes())
         content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
         damaged.write_bytes(content)
-        found += bool(check_ledger(copy)) and refused(copy)
+        found += bool(check_recording(copy).problems) and refused(copy)
     print(f"\n{found} of {FLIPS} flips in the {what} refused")
     assert found == FLIPS
 
@@ -111,7 +111,7 @@ def test_every_killed_run_is_readable_and_recovered(tmp_path: Path, capsys: pyte
         recovered = tmp_path / f"k{number}.recovered.rrd"
         again = [item for item in read_items(recovered) if isinstance(item, WrenchFrame)]
         assert [frame.index for frame in again] == [frame.index for frame in frames]
-        assert check_ledger(recovered) == []
+        assert check_recording(recovered).problems == []
         readings.append(len(frames))
     capsys.readouterr()
     with capsys.disabled():

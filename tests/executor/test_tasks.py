@@ -98,6 +98,22 @@ def test_a_task_that_ends_its_worker_is_tried_again_and_ends_no_other(two: Local
     assert begun == {**dict.fromkeys("01246 78".replace(" ", ""), 1), "3": ATTEMPTS, "5": 2}
 
 
+def leaves_a_process(note: Path) -> None:
+    """It ends while a process that it forked, which has its pipe too, goes on."""
+    if (helper := os.fork()) == 0:
+        time.sleep(3600.0)
+    note.write_text(str(helper))
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_worker_whose_forked_process_goes_on_is_lost(two: LocalWorkers, tmp_path: Path) -> None:
+    note = tmp_path / "helper"
+    (found,) = compute(two, leaves_a_process, [note], attempts=1)
+    os.kill(int(note.read_text()), signal.SIGKILL)
+
+    assert "its process ended" in found.reasons[0]
+
+
 def refused_by_the_system(folder: Path) -> int:
     tries = folder / "tries"
     tries.write_text(tries.read_text() + "x" if tries.exists() else "x")

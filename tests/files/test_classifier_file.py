@@ -100,13 +100,14 @@ def test_what_is_foreign_or_newer_is_refused_in_one_line(tmp_path: Path, model: 
     newer = np.array(FORMAT.replace("1", "2"))
 
     assert "got 'deformscope classifier 2' | try: a newer deformscope" in refusal(path, good | {"format": newer})
-    assert "an .npz of deformed, held, rest" in refusal(path, {"rest": [0], "deformed": [0], "held": [0]})
+    assert "got a pair file" in refusal(path, {"rest": [0], "deformed": [0], "held": [0]})
+    assert "got an .npz of force" in refusal(path, {"force": [0]})
     calibrated = {"format": np.array("deformscope model 1"), "told": np.array("{}")}
     assert "got 'deformscope model 1'" in refusal(path, calibrated)
     path.write_bytes(b"not a classifier")
     with pytest.raises(InputError, match="a damaged file"):
         load_classifier(path)
-    with pytest.raises(InputError, match="got no file"):
+    with pytest.raises(InputError, match="got no such file"):
         load_classifier(tmp_path / "none.npz")
 
 

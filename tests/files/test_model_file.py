@@ -79,7 +79,7 @@ def test_what_is_no_model_is_refused_in_one_line(tmp_path: Path) -> None:
     good = tmp_path / "m.npz"
     save_model(model(), good)
     cases = {
-        "nothing.npz": (None, "got no file"),
+        "nothing.npz": (None, "got no such file"),
         "text.npz": (b"hello", "a damaged file"),
         "cut.npz": (good.read_bytes()[:300], "a damaged file"),
     }

@@ -74,7 +74,7 @@ def npz(**arrays: object) -> bytes:
 
 LABEL = np.array(["a", "b"])
 REFUSED = {
-    "none.npz": (None, "got no file"),
+    "none.npz": (None, "got no such file"),
     "text.npz": (b"hello", "a damaged file"),
     "cut.npz": (npz(label=LABEL, f=np.eye(2))[:200], "a damaged file"),
     "unlabelled.npz": (npz(f=np.eye(2)), "`label` in the table; got f"),

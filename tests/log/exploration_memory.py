@@ -2,6 +2,7 @@
 exploring one first.
 
 python -m tests.log.exploration_memory run.rrd 40
+python -m tests.log.exploration_memory run.rrd 47 --hold 60    an hour of simulated time
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path)
     parser.add_argument("touches")
+    parser.add_argument("--hold", default="0")
     given = parser.parse_args()
     # a rule that leaves no place out goes on as long as it is asked for touches
-    rule = "--planner", "max-variance", "--threshold", "1e-9", "--touches", given.touches
+    rule = "--planner", "max-variance", "--threshold", "1e-9", "--touches", given.touches, "--hold", given.hold
     command = [sys.executable, "-m", "deformscope", "explore", "lab:two-60-150", "--seed", "3", *rule]
     log = given.file.with_suffix(".log")
     with log.open("wb") as said:

@@ -249,7 +249,7 @@ def test_a_frame_that_was_cut_off_is_left_out(tmp_path: Path, caplog: pytest.Log
 
 
 def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected a recording; got nothing there"):
+    with pytest.raises(InputError, match=r"expected a recording \(\.rrd\); got nothing there"):
         next(read_items(tmp_path / "none.rrd"))
 
 

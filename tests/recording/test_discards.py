@@ -14,7 +14,7 @@ from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.discards import discard, discards_of
-from deformscope.recording.ledger import check_ledger, ledger_path, read_counts
+from deformscope.recording.ledger import check_recording, ledger_path, read_counts
 from deformscope.recording.recorder import Recorder
 
 
@@ -45,7 +45,7 @@ def test_a_recording_is_discarded_later(
     assert main(["discard", str(path), "--episode", "2", "--reason", "it slipped"]) == 0
     assert main(["discard", str(path), "--reason", "wrong foam"]) == 0
     assert path.read_bytes() == before
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert [str(one) for one in open_recording(path).discarded()] == [
         "episode 2 (hard): it slipped",
         "all of it: wrong foam",
@@ -87,5 +87,5 @@ def test_a_recording_of_before_is_marked(tmp_path: Path) -> None:
     for reason in ("it slipped", "wrong foam"):
         discard(path, reason, 0, [])
     assert [str(one) for one in discards_of(path, [])] == ["all of it: it slipped", "all of it: wrong foam"]
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert read_counts(path) == counts

@@ -15,7 +15,7 @@ from deformscope.cli import main
 from deformscope.recording import lateness
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.lateness import ANNOUNCED_S, FREE_BYTES, WINDOW_S, DiskForecast, RecordingError
-from deformscope.recording.ledger import check_ledger
+from deformscope.recording.ledger import check_recording
 from deformscope.recording.recorder import Recorder
 from tests.log import synthetic
 
@@ -60,7 +60,7 @@ def test_the_recording_ends_while_there_is_room_to_end_it(
         while True:
             made.write(next(synthetic.frames(1)))
     assert "the disk will be full in" in caplog.text
-    assert check_ledger(tmp_path / "run.part.rrd") == []
+    assert check_recording(tmp_path / "run.part.rrd").problems == []
 
 
 @pytest.mark.slow
@@ -83,6 +83,6 @@ def test_a_disk_that_becomes_full(command: str, tmp_path: Path) -> None:
     assert "MiB free on the disk" in unshared.stderr.splitlines()[-1]
     if "explore" in command:
         assert re.search(r"^  arm +at rest$", unshared.stdout, re.MULTILINE)
-    assert check_ledger(tmp_path / "r.part.rrd") == []
+    assert check_recording(tmp_path / "r.part.rrd").problems == []
     assert main(["recover", str(tmp_path / "r.part.rrd")]) == 0
     assert main(["verify", str(tmp_path / "r.recovered.rrd")]) == 3  # whole, and what came after is lost

@@ -24,7 +24,6 @@ from deformscope.recording.ledger import (
     LedgerBlock,
     LedgerWriter,
     add_discard,
-    check_ledger,
     check_recording,
     ledger_path,
     read_counts,
@@ -105,7 +104,7 @@ def flipped(path: Path, place: int, bit: int) -> None:
 
 
 def test_intact(recording: Path) -> None:
-    assert check_ledger(recording) == []
+    assert check_recording(recording).problems == []
     ledger = read_ledger(recording)
     assert ledger.ended is not None
     assert ledger.ended["size"] == recording.stat().st_size
@@ -116,7 +115,7 @@ def test_intact(recording: Path) -> None:
 
 def test_portions_are_those_of_the_file(sample: Path) -> None:
     """The ledger's blocks against the file's framing and rerun's own reader."""
-    assert check_ledger(sample) == []
+    assert check_recording(sample).problems == []
     blocks = {(one.start, one.end): one for one in read_ledger(sample).blocks}
     found = messages(sample)
     assert len(found) > 50
@@ -140,7 +139,7 @@ def test_an_index_of_any_length_or_place_is_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize("bit", [0, 7])
 def test_any_flip_is_found_and_placed(recording: Path, place: int, bit: int) -> None:
     flipped(recording, place, bit)
-    problems = check_ledger(recording)
+    problems = check_recording(recording).problems
     start = place // BLOCK_BYTES * BLOCK_BYTES
     assert len(problems) == 1
     assert f"bytes {start} to" in problems[0]
@@ -172,7 +171,7 @@ def test_flips_over_file_and_ledger_are_noticed_and_placed(sample: Path, count: 
             told = check.problems[0]
             # a flipped end of a line damages that line and what follows it
             assert line == 1 or f"in line {line}" in told or "cut off" in told or "at its end" in told, told
-    assert check_ledger(sample) == []
+    assert check_recording(sample).problems == []
 
 
 @pytest.mark.parametrize("count", [QUICK[1], pytest.param(ALL[1], marks=pytest.mark.slow)])
@@ -233,7 +232,7 @@ def test_a_ledger_that_grows_answers_for_what_was_committed(tmp_path: Path) -> N
     path.write_bytes(whole)
     flipped(path, 1234, 3)
     assert check_recording(path).damaged[0].streams == ("wrench/tip",)
-    assert "bytes 1000 to 2000 (wrench/tip, 1.000 to 2.000 s) differ" in check_ledger(path)[0]
+    assert "bytes 1000 to 2000 (wrench/tip, 1.000 to 2.000 s) differ" in check_recording(path).problems[0]
     path.write_bytes(whole)
     ledger = ledger_path(path).read_bytes()
     ledger_path(path).write_bytes(ledger[:-30])  # killed while it wrote the last line
@@ -261,7 +260,7 @@ def test_a_line_that_the_disk_takes_in_part_is_not_there(tmp_path: Path) -> None
     writer.commit(3000)
     writer.end({}, {})
     writer.close()
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert [one.end for one in read_ledger(path).blocks] == [1000, 3000]
     whole = ledger_path(path).read_bytes()
     with_room(40, ledger_path(path), lambda: add_discard(path, {"reason": "x" * 50}))
@@ -288,7 +287,7 @@ def test_discards_at_once_are_all_there(old: bool, tmp_path: Path, monkeypatch: 
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda at: add_discard(path, {"reason": str(at)}), range(4)))
     monkeypatch.undo()
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert {one["reason"] for one in read_discards(path)} == set("0123")
 
 
@@ -301,10 +300,10 @@ def test_a_discard_that_is_cut_off_is_noticed(tmp_path: Path) -> None:
         add_discard(sample, {"reason": reason})
     path = ledger_path(sample)
     lines = path.read_bytes().splitlines(keepends=True)
-    assert check_ledger(sample) == []
+    assert check_recording(sample).problems == []
     for count in range(1, len(lines)):
         path.write_bytes(b"".join(lines[:count]))
-        assert check_ledger(sample), count
+        assert check_recording(sample).problems, count
 
 
 def test_a_line_of_another_place_does_not_fit_the_chain(sample: Path) -> None:
@@ -313,9 +312,9 @@ def test_a_line_of_another_place_does_not_fit_the_chain(sample: Path) -> None:
     swapped = [*lines[:5], lines[6], lines[5], *lines[7:]]
     for changed in (swapped, [*lines[:5], *lines[6:]], [*lines[:5], lines[4], *lines[5:]]):
         path.write_text("".join(changed))
-        assert any("does not match itself" in one for one in check_ledger(sample))
+        assert any("does not match itself" in one for one in check_recording(sample).problems)
     path.write_text("".join(lines))
-    assert check_ledger(sample) == []
+    assert check_recording(sample).problems == []
 
 
 def test_a_ledger_of_before_is_read_and_compared(tmp_path: Path) -> None:
@@ -323,7 +322,7 @@ def test_a_ledger_of_before_is_read_and_compared(tmp_path: Path) -> None:
     path = tmp_path / OLD.name
     shutil.copy(OLD, path)
     shutil.copy(ledger_path(OLD), ledger_path(path))
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert read_counts(path) == json.loads(ledger_path(OLD).read_text())["counts"]
     flipped(path, 100_000, 2)
     assert check_recording(path).damaged == [read_ledger(path).blocks[0]]
@@ -331,14 +330,14 @@ def test_a_ledger_of_before_is_read_and_compared(tmp_path: Path) -> None:
     assert check_recording(path).truncated
     shutil.copy(OLD, path)
     flipped(ledger_path(path), 200, 1)
-    assert "the ledger" in check_ledger(path)[0]
+    assert "the ledger" in check_recording(path).problems[0]
 
 
 def test_lost_and_added_bytes(recording: Path) -> None:
     whole = recording.read_bytes()
     for content in (whole[:-1], whole + b"\0", whole[: BLOCK_BYTES + 5], b""):
         recording.write_bytes(content)
-        assert "were recorded" in check_ledger(recording)[0]
+        assert "were recorded" in check_recording(recording).problems[0]
         assert check_recording(recording).truncated == (len(content) < len(whole))
 
 
@@ -347,20 +346,20 @@ def test_a_damaged_ledger_is_no_proof(recording: Path, sample: Path) -> None:
     for then, now in (("12345", "12346"), ('"size":', '"site":'), ('{"frames":7}', '{"frames":8}')):
         ledger_path(recording).write_text(text.replace(then, now))
         if now in ledger_path(recording).read_text():
-            assert "does not match itself" in check_ledger(recording)[0]
+            assert "does not match itself" in check_recording(recording).problems[0]
     for broken in ("", "[]", '{"format": "other"}', "{", "deformscope-ledger-3\n"):
         ledger_path(recording).write_text(broken)
-        assert "the ledger" in check_ledger(recording)[0]
+        assert "the ledger" in check_recording(recording).problems[0]
     whole = ledger_path(sample).read_text()
     ledger_path(sample).write_text(whole[:-20])  # a recording that was finished has the last line
-    assert "the ledger is cut off" in check_ledger(sample)[0]
+    assert "the ledger is cut off" in check_recording(sample).problems[0]
     ledger_path(sample).write_text(whole)
 
 
 def test_no_ledger_is_told_apart(recording: Path) -> None:
     ledger_path(recording).unlink()
     with pytest.raises(FileNotFoundError):
-        check_ledger(recording)
+        check_recording(recording)
 
 
 def test_a_block_of_many_streams_names_some() -> None:

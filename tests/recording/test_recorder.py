@@ -32,7 +32,7 @@ from deformscope.recording import facts, lateness, outputs, recorder
 from deformscope.recording import rrd_file as recording_file
 from deformscope.recording.items import read_items
 from deformscope.recording.lateness import RecordingError
-from deformscope.recording.ledger import check_ledger, ledger_path
+from deformscope.recording.ledger import check_recording, ledger_path
 from deformscope.recording.live import LiveFeed, Viewer
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
@@ -100,7 +100,7 @@ def test_what_a_recording_holds(tmp_path: Path) -> None:
     assert summary.bytes == path.stat().st_size
     assert sorted(left.name for left in tmp_path.iterdir()) == ["run.rrd", "run.rrd.ledger"]
     assert rrd("verify", path).returncode == 0
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
 
     moving: dict[str, set[int]] = {}
     static = set()
@@ -205,7 +205,7 @@ def test_overwrites_only_at_a_good_end(tmp_path: Path, caplog: pytest.LogCapture
         made.write(next(synthetic.frames(1)))
         raise KeyboardInterrupt
     assert path.read_bytes() == before
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     unfinished = tmp_path / "run.part.rrd"
     assert made.summary().path == unfinished
     assert str(unfinished) in caplog.text
@@ -321,7 +321,7 @@ def test_little_free_space_ends_the_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert Replay(tmp_path / "run.part.rrd").frame_count == 1
     assert rrd("verify", tmp_path / "run.part.rrd").returncode == 0  # the room that was left was enough to end it
     assert "MiB free on the disk" in str(Replay(tmp_path / "run.part.rrd").outcome["stopped"])
-    assert check_ledger(tmp_path / "run.part.rrd") == []
+    assert check_recording(tmp_path / "run.part.rrd").problems == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.part.rrd", "run.part.rrd.ledger"]
 
 
@@ -524,7 +524,7 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
             made.write(batch)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.rrd", "run.rrd.ledger"]
     assert "many small portions" in caplog.text
-    assert check_ledger(tmp_path / "run.rrd") == []
+    assert check_recording(tmp_path / "run.rrd").problems == []
     assert rrd("verify", "--check-footers=false", tmp_path / "run.rrd").returncode == 0
     assert Replay(tmp_path / "run.rrd").outcome["complete"] is True
     assert_same(read_in_order(tmp_path / "run.rrd"), items)

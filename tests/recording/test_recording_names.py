@@ -18,7 +18,7 @@ from deformscope.errors import InputError
 from deformscope.file_io import new_recording
 from deformscope.frames import InputFile
 from deformscope.recording.lateness import FREE_BYTES, RecordingError
-from deformscope.recording.ledger import check_ledger
+from deformscope.recording.ledger import check_recording
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.recorder import Recorder
 
@@ -40,11 +40,11 @@ def test_two_runs_at_once_to_one_name(tmp_path: Path, overwrite: bool) -> None:
             other.write(InputFile("a", b"2"))
 
     assert sorted(left.name for left in tmp_path.glob("*.rrd")) == ["other.rrd", "run.rrd"]
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert not is_being_written(path)
     with Recorder(path, overwrite=True) as again:
         again.write(InputFile("a", b"3"))
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
 
 
 def test_names_that_are_made_within_a_second_differ(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,7 +87,7 @@ def test_the_lock_of_a_run_that_was_killed_is_gone(tmp_path: Path) -> None:
     with Recorder(path) as made:
         made.write(InputFile("a", b"2"))
 
-    assert check_ledger(path) == []
+    assert check_recording(path).problems == []
     assert part.exists(), "what the killed run had recorded is not touched"
 
 
@@ -104,7 +104,7 @@ def test_a_link_stays_a_link_to_the_new_recording(tmp_path: Path, dangling: bool
 
     assert link.is_symlink()
     assert made.summary().path == target
-    assert check_ledger(link) == check_ledger(target) == []
+    assert check_recording(link).problems == check_recording(target).problems == []
     assert sorted(left.name for left in tmp_path.iterdir()) == ["disk", "run.rrd"]
 
 

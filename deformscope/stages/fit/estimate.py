@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.results.declared import derived, reported
+from deformscope.results.declared import WORDING, derived, reported
 from deformscope.results.render import ReportedResult, lengths, to_json
 
 Parameter = Literal["beta", "theta"]
@@ -57,7 +57,7 @@ class Doubt:
     """
 
     code: DoubtCode
-    text: str
+    text: str = field(metadata=WORDING)
     allows: Verdict | None = None
 
 

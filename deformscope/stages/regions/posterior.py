@@ -14,6 +14,7 @@ rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -66,6 +67,8 @@ SCATTER_MAPS = 100
 """Maps of which the scatter is asked."""
 LEVELS_DRAWN = 4000
 """From which intervals are taken."""
+FACTORS_BYTES = 32 << 20
+"""Memory of the factors of maps that are computed at once: it would grow with the square of the touches."""
 LEAST_WEIGHT = 1e-3
 """Of all smooth fields, below which one is left out."""
 
@@ -754,10 +757,23 @@ def _levels(
     enough, is counted afterwards, pair by pair.
     last_noise: factor on the variance of the last touch
     """
-    count, touches, k = shares.shape
+    count, touches, _ = shares.shape
+    scatter = np.broadcast_to(scatter, np.broadcast_shapes(np.shape(scatter), (count,)))
+    at_once = max(1, FACTORS_BYTES // max(1, 8 * touches**2 * math.prod(scatter.shape[:-1])))
+    blocks = (slice(at, at + at_once) for at in range(0, count or 1, at_once))
+    found = [_levels_of(shares[one], readings, prior, scatter[..., one], last_noise) for one in blocks]
+    log_likelihood, level, cov = zip(*found, strict=True)
+    return np.concatenate(log_likelihood, axis=-1), np.concatenate(level, axis=-2), np.concatenate(cov, axis=-3)
+
+
+def _levels_of(
+    shares: FloatArray, readings: _Readings, prior: RegionPrior, scatter: FloatArray, last_noise: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`_levels` of maps whose factors fit into memory. scatter: (n,) or (s, n)"""
+    _, touches, k = shares.shape
     mixed = 2.0 * (1.0 - (shares**2).sum(axis=-1))  # 1 midway between two regions
     own = (readings.variance + (prior.mixed_share * readings.spread * mixed) ** 2).T
-    square = np.broadcast_to(np.asarray(scatter) ** 2, np.broadcast_shapes(np.shape(scatter), (count,)))
+    square = scatter**2
     value = readings.value[:, None]
     if k > 1 and prior.forces_add:
         shares, value = _linear(shares, readings, prior, own)

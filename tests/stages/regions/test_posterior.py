@@ -62,6 +62,22 @@ def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
         np.testing.assert_allclose(cov[one], before - gain @ shares[one] @ before, atol=1e-9)
 
 
+def test_memory_of_the_factors_is_bounded_and_the_maps_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All maps at once against a few at a time, to the last bit."""
+    rng, prior, sizes = np.random.default_rng(0), RegionPrior(), list[int]()
+    readings = posterior_module._readings(touches(rng.standard_normal(8)), prior)
+    shares = rng.dirichlet(np.ones(3), (50, 8))
+    whole = posterior_module._by_scatter(shares, readings, prior)
+    at_once = posterior_module._levels_of
+    monkeypatch.setattr(posterior_module, "FACTORS_BYTES", 8 * 8**2 * whole.shape[0] * 7)
+    monkeypatch.setattr(
+        posterior_module, "_levels_of", lambda shares, *given: (sizes.append(len(shares)), at_once(shares, *given))[1]
+    )
+
+    np.testing.assert_array_equal(posterior_module._by_scatter(shares, readings, prior), whole)
+    assert sizes == [7] * 7 + [1]
+
+
 def test_under_a_contact_forces_add() -> None:
     """Evidence and levels against a sum over all levels: contacts feel the logarithm of the mean stiffness, which the
     model takes as linear about where the levels roughly are. One side is twelve times the other."""
