@@ -17,7 +17,7 @@ from deformscope.lab.faults import ARM, CAMERA, FORCE, Injected, inject
 from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot.latch import Action
-from deformscope.robot.placement import Placement, best_joints, follow, reach
+from deformscope.robot.placement import Placement, best_joints, follow
 from deformscope.robot.preflight import check
 from deformscope.robot.readings import PERIOD_NS, RobotObservation
 from deformscope.robot.robot import Robot
@@ -28,6 +28,7 @@ from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.kinematics import FloatArray, rotation_vector
 from deformscope_drivers.depth_camera.synthetic import View
 from deformscope_drivers.jaco.chains import J2N6S300
+from studies.reach import reach
 from studies.springy_foam import SpringyFoam
 
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.65, 0.02), (0.40, -0.08, 0.40)

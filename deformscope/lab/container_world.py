@@ -260,11 +260,6 @@ class ContainerWorld:
         return self._state.force_n.reshape(2, ROWS_DISTAL, COLUMNS) / TEXEL_M2
 
     @property
-    def gas_pa(self) -> float:
-        """Pressure of the air within, over the outside."""
-        return self._gas.pressure_pa(float(self._state.y[-1]))[0]
-
-    @property
     def torque_nm(self) -> FloatArray:
         """(7,) of the contact about each axis, against growing angles."""
         torque = np.zeros(7)

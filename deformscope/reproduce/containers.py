@@ -21,7 +21,6 @@ from deformscope.log.squeeze.layout import SQUEEZE, SqueezeLayout
 from deformscope.recording.recorder import Recorder
 from deformscope.session import finish, run
 
-THESIS_TRIALS = 731
 THESIS_COUNTS = {"empty": 153, "water": 153, "yogurt": 120, "flour": 153, "rice": 152}
 """Thesis 5.1: around 150 of each content, 30 less of yogurt."""
 BOXES, SESSIONS = 10, 5

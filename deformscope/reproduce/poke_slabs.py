@@ -1,8 +1,4 @@
-"""Random slabs, 24 pokes of each: halves, a stiff or a soft disc, a gradual change, or one material.
-
-The stiffness of a poke near the border of two materials was measured with finite elements (`FELT`). So thousands of
-slabs can be drawn, whose true solutions would take seconds per poke.
-"""
+"""Random slabs, 24 pokes of each: halves, a stiff or a soft disc, a gradual change, or one material."""
 
 from __future__ import annotations
 
@@ -18,7 +14,6 @@ SlabKind = Literal["one material", "halves", "stiff disc", "soft disc", "gradual
 KINDS: tuple[SlabKind, ...] = get_args(SlabKind)
 Split = Literal["alternate", "random"]
 PokeGroup = Literal["in one material", "near a border", "on the inclusion"]
-POKE_GROUPS: tuple[PokeGroup, ...] = get_args(PokeGroup)
 
 SIZE = (0.4, 0.3, 0.05)
 POISSON = 0.3
@@ -33,11 +28,6 @@ LEAST_SEEN = 3
 
 BORDER = 0.02
 """Pokes nearer to a border than this are near it: their contact covers both materials [m]."""
-
-FELT_M = 0.01 * np.arange(-4.0, 5.0)
-FELT = np.array([0.002, 0.008, 0.022, 0.120, 0.463, 0.768, 0.912, 0.963, 0.989])
-"""Share of the stiffer material in a poke with a tip of 2 x 2 cm, at distances from the border on its side [m]: finite
-elements, 20 and 80 kPa, 5 cm thick. Discs of 4 to 8 cm, 20 and 120 kPa, are within 0.06."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,14 +66,6 @@ class PokedSlab:
 
     def slab(self, poisson: float = POISSON) -> Slab:
         return Slab(SIZE, self.young, poisson)
-
-    def apparent(self, place: FloatArray) -> FloatArray:
-        """Young's modulus (n,) [Pa] of the slab of one material with the same stiffness for a poke at places (n, 2)."""
-        if self.kind == "gradual":
-            return self.young(place)
-        low, high = sorted(self.modulus)
-        stiff_side = self.inside(place) * (1.0 if self.modulus[1] >= self.modulus[0] else -1.0)
-        return np.asarray(low + (high - low) * np.interp(stiff_side, FELT_M, FELT))
 
     def group(self, place: FloatArray) -> PokeGroup:
         """Kind of a poke at a place (2,) for this slab."""

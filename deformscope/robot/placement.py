@@ -140,41 +140,6 @@ class Placement:
         return np.asarray(self.to_base(point_m) + self.T_base_surface[:3, 3])
 
 
-@dataclass(frozen=True, slots=True)
-class Reach:
-    """Whether the arm reaches places.
-
-    reached: (n,) inverse kinematics converged there, every joint PLAN_MARGIN_DEG inside its range; least_singular: (n,)
-    smallest singular value of the Jacobian, 0 where not reached
-    """
-
-    reached: npt.NDArray[np.bool_]
-    least_singular: FloatArray
-
-
-def reach(
-    chain: Chain,
-    placement: Placement,
-    centers_m: FloatArray,
-    normals: npt.ArrayLike = (0.0, 0.0, 1.0),
-    *,
-    start_deg: npt.ArrayLike | None = None,
-    starts: int = 10,
-) -> Reach:
-    """Which tip centres (n, 3) [m, surface frame] the arm reaches with the stick along -normal, one or (n, 3).
-
-    start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)
-    """
-    directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
-    least: list[float | None] = []
-    for T_base_ee in placement.T_base_ee(centers_m, directions):
-        found = None
-        if float(np.linalg.norm(T_base_ee[:3, 3])) <= _longest_m(chain):  # else many searches for nothing
-            found = chain.inverse(T_base_ee, start_deg, starts=starts, **TOLERANCES)
-        least.append(float(least_singular(chain.jacobian(found.joints_deg))) if found and found.converged else None)
-    return _reach(least)
-
-
 def follow(
     chain: Chain,
     placement: Placement,
@@ -232,7 +197,7 @@ def lead(
         links = chain.forward(joints_deg[on])
         jacobian, twist = jacobian_of(links), pose_error(links[:, -1], T_base_ee)
         off = off_course(jacobian, damped_joint_rates(jacobian, twist, DAMPED_BELOW), twist) > OFF_COURSE
-        near = np.linalg.norm(T_base_ee[:, :3, 3], axis=1) <= _longest_m(chain)
+        near = np.linalg.norm(T_base_ee[:, :3, 3], axis=1) <= longest_m(chain)
         joints_deg[on], found = chain.inverse_near(T_base_ee, joints_deg[on], **TOLERANCES)
         good[on] = found & near & ~(off & steered[on])
     return good, joints_deg
@@ -246,16 +211,10 @@ def _way(start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 @cache
-def _longest_m(chain: Chain) -> float:
+def longest_m(chain: Chain) -> float:
     """From the base to the arm's end with all links stretched out [m]."""
     frames = [np.eye(4), *chain.forward(chain.home_deg)]
     return sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
-
-
-def _reach(least: Sequence[float | None]) -> Reach:
-    """`Reach` from the smallest singular value of each place, None where it is not reached."""
-    reached = np.array([one is not None for one in least], dtype=bool)
-    return Reach(reached, np.array([one or 0.0 for one in least]))
 
 
 def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16) -> FloatArray | None:

@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 from rerun.chunk import RrdReader
 
-from deformscope.cli import main
 from deformscope.recording.reader import Replay
+from tests.verified import verify_here
 
 
 def assert_shows(
     path: Path, *, says: str, pictures: int = 1, beside_particles: bool = False, chart: bool = True
 ) -> None:
     """The recording is whole, holds so many pictures that can be decoded, and a table with these words."""
-    assert main(["verify", str(path), "--json", str(path.with_suffix(".json"))]) == 0
+    assert verify_here(path, "--json", str(path.with_suffix(".json"))) == 0
     recording = Replay(path)
     root = "/calibration" if beside_particles else "/found"
     drawn = f"{root}/chart" if beside_particles else f"{root}/picture"

@@ -27,6 +27,7 @@ from deformscope_drivers.optoforce.device import Optoforce
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.cli.test_explore_arms import RIGS
 from tests.drivers.arm.test_homing import Unhomed, moves_home, until
+from tests.verified import verify_here
 
 RIG = """
 [devices.arm]
@@ -143,13 +144,13 @@ def test_a_jog_that_is_stopped_is_recorded_whole(
     keys = interrupted()
     assert main(command) == 128 + signal.SIGINT
     assert f"the recording is complete: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err
-    assert main(["verify", str(tmp_path / "jog.rrd")]) in (0, EXIT_LOSSES)
+    assert verify_here(tmp_path / "jog.rrd") in (0, EXIT_LOSSES)
     assert "ended a person asked: Ctrl-C" in capsys.readouterr().out
 
     keys = typed([(5 + 3 * count, "r") for count in range(200)])
     rig.write_text(RIG + BOX.replace("0.75]", "0.3]"))
     assert main(command) == 2
-    assert main(["verify", str(tmp_path / "jog.rrd")]) in (0, EXIT_LOSSES)
+    assert verify_here(tmp_path / "jog.rrd") in (0, EXIT_LOSSES)
     assert "ended workspace left" in capsys.readouterr().out
 
 

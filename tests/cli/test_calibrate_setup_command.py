@@ -17,6 +17,7 @@ from deformscope.robot.placement import Placement
 from deformscope.runs.calibration_solvers import solve_force
 from deformscope.runs.commissioning import commissioning_steps, next_step
 from deformscope.stages.setup.transform import rigid
+from tests.verified import verify_here
 
 RIG = """# mine
 [devices.arm]
@@ -124,7 +125,7 @@ def test_time_is_written_and_the_picture_drawn(rig: Path, tmp_path: Path) -> Non
 
     recording = tmp_path / "time.rrd"
     assert calibrate("time", rig, "--picture", str(picture), "--record", str(recording), **signals)[0] == 0
-    assert main(["verify", str(recording)]) == 0
+    assert verify_here(recording) == 0
     kept = load_rig(rig).calibrated.time
     assert kept is not None
     assert kept.offset_s == pytest.approx(0.02, abs=1e-3)

@@ -19,6 +19,7 @@ from deformscope.robot.setup import RigParts
 from deformscope.runs.opened_devices import table_of
 from deformscope.stages.setup.transform import deviation
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
+from tests.verified import verify_here
 
 SCENE, HIDDEN = "two-60-150", 3
 
@@ -130,7 +131,7 @@ def test_doctor_s_list_leads_from_an_empty_file_to_an_exploration(
             use_a_simulated_clock(simulated)
             recording = tmp_path / f"{arguments[2]}.rrd"
             assert main([*arguments[1:], "--record", str(recording)]) == 0
-            assert main(["verify", str(recording)]) == 0
+            assert verify_here(recording) == 0
     assert done == ["tip", "place", "camera", "force"]
     parts = RigParts.of(load_rig(rig))
     _, randomized = table_of(parts)

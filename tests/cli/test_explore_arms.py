@@ -19,6 +19,7 @@ from deformscope_drivers import kuka
 from tests.cases import slow
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
+from tests.verified import verify_here
 
 PLACED = """
 [devices.arm]
@@ -106,7 +107,7 @@ def test_another_arm_explores_records_and_replays(
         np.testing.assert_allclose(request.T_base_ee[:2, 3], touch["xy_m"], atol=1e-9)
     assert all("mm above the table" in request.words for request in asked)
     assert len(asked) in (range(5, 41) if kind == "placed" else [0])
-    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+    assert verify_here(record) == 0, capsys.readouterr().err
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 
@@ -170,7 +171,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     assert found["max_force_n"] == 0.0
     assert found["arm_stands"]
     assert "dry run: the first touch, 10 cm above (35, 15) cm, made no contact; the tip stayed 9." in said
-    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+    assert verify_here(record) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

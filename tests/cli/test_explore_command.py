@@ -40,6 +40,7 @@ from deformscope_drivers.clock import Stamp
 from studies.fault_study import ALLOWED_S, AS_IT_MOVES, turned_aside_deg
 from tests.cli.quick_scene import use_quick_scene
 from tests.patience import PATIENCE_S
+from tests.verified import verify_here
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,7 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
 
 def test_its_recording_is_whole_and_replays(explored: Explored, capsys: pytest.CaptureFixture[str]) -> None:
     assert check_recording(explored.record).problems == []
-    assert main(["verify", str(explored.record)]) == 0, capsys.readouterr().err
+    assert verify_here(explored.record) == 0, capsys.readouterr().err
     assert "tip/frames" in capsys.readouterr().out
     assert main(["replay", str(explored.record)]) == 0
     replayed = " ".join(capsys.readouterr().err.split())
@@ -280,7 +281,7 @@ def test_a_fault_stops_it_and_the_recording_is_whole(
 
     # the file is whole; what a device that fell silent did not give is a loss, and named
     lost = fault.partition("@")[0].split("-")[0]
-    assert main(["verify", str(record)]) == (0 if lost == "push" else 3)
+    assert verify_here(record) == (0 if lost == "push" else 3)
     verified = capsys.readouterr()
     assert kind in verified.out
     assert (lost == "push") == ("losses: " not in verified.err)
@@ -301,7 +302,7 @@ def test_every_fault_is_noticed_and_its_recording_whole(
     assert main([*arguments, "--record", str(record), "--json", str(told)]) == 2
     assert capsys.readouterr().err.count("Traceback") == 0
     assert 0.0 <= json.loads(told.read_text())["fault"]["noticed_after_s"] <= within_s
-    assert main(["verify", str(record)]) in (0, 3)  # whole; 3 where the fault cost readings
+    assert verify_here(record) in (0, 3)  # whole; 3 where the fault cost readings
     assert main(["replay", str(record)]) == 0
 
 
@@ -476,7 +477,7 @@ def test_the_robot_is_watched_while_the_disk_blocks(
     assert given_up == [False]
     assert looks > 300  # of the approach, the press and the dwell, a hundred a second
     assert check_recording(record).problems == []
-    assert main(["verify", str(record)]) == 0
+    assert verify_here(record) == 0
 
 
 @pytest.mark.slow

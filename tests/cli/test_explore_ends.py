@@ -20,6 +20,7 @@ from deformscope.recording.lateness import RecordingError
 from deformscope.stages.map.exploration import MapEstimate, StageFailure
 from tests.cases import slow_but
 from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
+from tests.verified import verify_here
 
 EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
 EXPLORER = "deformscope.experiments.explorer"
@@ -159,7 +160,7 @@ def test_failures_without_end_end_it_in_order(
     assert "division by zero" in found["fault"]["reason"]
     assert "the arm is stopped" in shown.err.splitlines()[-1]
     assert len({tuple(touch["xy_m"]) for touch in found["touches"]}) == touches  # none is made twice
-    assert main(["verify", str(record)]) == 0
+    assert verify_here(record) == 0
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
 

@@ -20,7 +20,6 @@ from deformscope.frames import Frame
 from deformscope.recording.items import read_items
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.latch import Action
-from deformscope.robot.placement import reach
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.setup import RigParts
 from deformscope.robot.supervisor import Fault, SafetyDecision
@@ -29,8 +28,10 @@ from deformscope.stages.regions.touches import MapGrid
 from deformscope_drivers.errors import SettingsRefused
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.optoforce import Optoforce
+from studies.reach import reach
 from tests.cli.quick_scene import use_quick_scene
 from tests.cli.rig_on_a_simulated_clock import count_as_real, use_a_simulated_clock
+from tests.verified import verify_here
 from tools import page_robustness
 
 RIG = page_robustness.RIG.replace('port = "/dev/double"\nrate_hz = 333', 'bus = "socketcan:can0"\nrate_hz = 100')
@@ -70,7 +71,7 @@ def explored_recorded_and_replayed(
     assert 2.7 < found["max_force_n"] < 3.6
     shown = capsys.readouterr()
     assert "keep the emergency stop in your hand" in shown.out + shown.err
-    assert main(["verify", str(record)]) == 0, capsys.readouterr().err
+    assert verify_here(record) == 0, capsys.readouterr().err
     assert {item.device for item in read_items(record) if hasattr(item, "device")} == {"arm", "tip", "depth"}
     assert main(["replay", str(record)]) == 0, capsys.readouterr().err
 
@@ -258,7 +259,7 @@ def test_the_compliance_of_an_arm_is_measured_and_written_into_its_rig_file(rig:
     assert written.tool.compliance_m_per_n == pytest.approx(measured["compliance_m_per_n"], rel=1e-6)
     assert written.tool.compliance_sd == pytest.approx(measured["compliance_sd"], rel=1e-6)
     assert written.calibrated.arm is not None
-    assert main(["verify", str(recording)]) == 0
+    assert verify_here(recording) == 0
 
 
 @pytest.mark.parametrize("at", ["9,9", "-0.1,0.2", "0.3,0.41"])

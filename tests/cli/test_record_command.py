@@ -20,6 +20,7 @@ from deformscope.frames import HealthReport, Item, RawBytes, WrenchFrame
 from deformscope.recording.items import read_items
 from deformscope.recording.ledger import check_recording, ledger_path, read_ledger
 from tests.patience import PATIENCE_S
+from tests.verified import verify_here
 
 SMALL = """
 [devices.tip]
@@ -113,7 +114,7 @@ def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.Cap
     assert check_recording(file).problems == []
     capsys.readouterr()
 
-    assert main(["verify", str(file), "--json", "-"]) in WHOLE
+    assert verify_here(file, "--json", "-") in WHOLE
     verified = json.loads(capsys.readouterr().out)
     assert verified["ok"]
     # What each device gave is what the file holds; how much had to be dropped, a busy machine decides.
@@ -158,7 +159,7 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
 
     assert process.wait(PATIENCE_S) in WHOLE
     assert check_recording(tmp_path / "r.rrd").problems == []
-    assert main(["verify", str(tmp_path / "r.rrd")]) in WHOLE
+    assert verify_here(tmp_path / "r.rrd") in WHOLE
 
 
 @pytest.mark.slow
@@ -202,7 +203,7 @@ def test_two_recordings_of_one_device_do_not_mix(
     assert not list(tmp_path.glob("second*"))
     first.send_signal(signal.SIGINT)
     assert first.wait(PATIENCE_S) in WHOLE
-    assert main(["verify", str(tmp_path / "first.rrd")]) in WHOLE
+    assert verify_here(tmp_path / "first.rrd") in WHOLE
 
 
 def test_a_flipped_bit_is_found(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -327,7 +328,7 @@ def test_a_device_that_is_gone_is_named_with_what_it_cost(
     assert "got none" in said.out
     assert (read_ledger(file).ended or {})["losses"] == found["losses"]
 
-    assert main(["verify", str(file), "--json", "-"]) == 3
+    assert verify_here(file, "--json", "-") == 3
     said = capsys.readouterr()
     verified = json.loads(said.out)
     assert verified["ok"] is True
@@ -359,7 +360,7 @@ def test_a_rig_that_is_ended_early_says_so(
     assert ended.endswith("earlier than the 60 s asked for")
     assert ended in capsys.readouterr().err
     assert check_recording(file).problems == []
-    assert main(["verify", str(file)]) in WHOLE
+    assert verify_here(file) in WHOLE
     assert "by SIGTERM" in capsys.readouterr().out
 
     ends_by = signal.SIGINT

@@ -43,6 +43,7 @@ from deformscope.stages.squeeze.trial import (
 )
 from deformscope_drivers.clock import Stamp
 from tests.experiments.toy_squeeze import ToySqueeze, limits
+from tests.verified import verify_here
 
 LABS: list[ToySqueeze] = []
 
@@ -120,7 +121,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert 0.001 < found["vision_noise_m"] < 0.004
     low, high = found["events"]["first_interval_s"]
     assert low <= found["truth"]["first_s"] <= high
-    assert main(["verify", str(file)]) == 0
+    assert verify_here(file) == 0
     assert main(["replay", str(file)]) == 0
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().err.split())
     assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 0  # of a squeeze that no model named
@@ -185,7 +186,7 @@ def test_a_stopped_squeeze_is_kept_as_discarded_with_its_reason(
     assert entry.discarded is not None
     assert entry.discarded.startswith("tactile array saturated: a texel at ")
     recording = SqueezeDataset(folder).recording_path(entry.trial)
-    assert main(["verify", str(recording)]) == 0
+    assert verify_here(recording) == 0
     assert main(["replay", str(recording)]) == 0
 
 

@@ -17,6 +17,7 @@ from deformscope.experiments.squeezing_hand import SqueezingHand
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.recording.items import read_items
 from tests.cli.squeeze_rig_on_a_simulated_clock import SimulatedSqueezeRig, use_simulated_squeeze_rigs
+from tests.verified import verify_here
 
 RIG = """
 [devices.hand]
@@ -77,7 +78,7 @@ def squeezed_recorded_and_replayed(rig: Path, capsys: pytest.CaptureFixture[str]
     assert (entry.content, entry.container, entry.container_type) == ("rice", "box-07", "cardboard box")
     recording = SqueezeDataset(Path("d")).recording_path(entry.trial)
     assert {item.device for item in read_items(recording) if hasattr(item, "device")} == {"hand", "pads", "depth"}
-    assert main(["verify", str(recording)]) in (0, *allowed), capsys.readouterr().err
+    assert verify_here(recording) in (0, *allowed), capsys.readouterr().err
     assert main(["replay", str(recording)]) == 0, capsys.readouterr().err
 
 
@@ -107,7 +108,7 @@ def kept_as_discarded(made: SimulatedSqueezeRig, found: dict[str, Any], reason: 
     assert made.closing_deg_s() <= 0.0
     assert made.limits_a() == BEFORE_A
     recording = SqueezeDataset(Path("d")).recording_path(entry.trial)
-    assert main(["verify", str(recording)]) == verified
+    assert verify_here(recording) == verified
 
 
 def interrupt() -> None:

@@ -13,6 +13,7 @@ from deformscope.recording.items import read_results, read_stage_results
 from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, TouchEstimate
 from tests.imports.test_importing import answered, inspected
 from tests.imports.touched_bag import GEOMETRY, SIZE_M, THICKNESS_M, stiffness_n_per_mm, write_touched_bag
+from tests.verified import verify_here
 
 PLACES_M = [(0.05, 0.05), (0.19, 0.11), (0.06, 0.12), (0.18, 0.04), (0.15, 0.08)]
 
@@ -64,6 +65,6 @@ def test_recorded_touches_become_a_map(imported: Path, tmp_path: Path, capfd: py
     for x, y in PLACES_M:
         cell = int(y / SIZE_M[1] * rows), int(x / SIZE_M[0] * columns)
         np.testing.assert_allclose(maps.stiffness_n_per_mm[cell], stiffness_n_per_mm(x), rtol=0.15)
-    assert main(["verify", str(made)]) == 0
+    assert verify_here(made) == 0
     assert main(["replay", str(made)]) == 0
     assert "identical" in "".join(capfd.readouterr())

@@ -110,10 +110,15 @@ def test_a_filling_never_makes_the_container_softer() -> None:
     assert max(dents["flour"], dents["rice"]) < 0.9 * dents["empty"]
 
 
+def gas_pa(world: ContainerWorld) -> float:
+    """Pressure of the air within, over the outside."""
+    return world._gas.pressure_pa(float(world._state.y[-1]))[0]
+
+
 def test_less_air_above_a_liquid_makes_it_harder() -> None:
     half = Squeezed(WATER, nominal(fill=0.5)).world
     full = Squeezed(WATER, nominal(fill=0.95)).world
-    assert full.gas_pa > half.gas_pa
+    assert gas_pa(full) > gas_pa(half)
     assert full.dent_m.mean() < half.dent_m.mean()
 
 
@@ -145,7 +150,7 @@ def test_a_warm_container_stands_under_pressure_as_its_walls_allow() -> None:
     grown = 2.0 / 293.15 * BOX.volume_m3
     _, across = shell_of(BOX).filling_compliance
     stiffness = 1.0 / (across[-1, -1] + BOX.volume_m3 / 101_325.0)
-    assert world.gas_pa == pytest.approx(grown * stiffness, rel=0.02)
+    assert gas_pa(world) == pytest.approx(grown * stiffness, rel=0.02)
 
 
 def test_draws_depend_on_seed_instance_and_session_and_repeat() -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from deformscope.cli import main
 from deformscope.frames import HandFrame
 from deformscope.recording.items import read_items
 from deformscope.recording.ledger import read_counts
 from tests.log.long_recording import PER_SECOND
+from tests.verified import verify_here
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTLED_S, MOST_MB = 180, 100.0
@@ -45,7 +45,7 @@ def test_memory_is_flat(seconds: int, more: list[str], tmp_path: Path) -> None:
     assert max(settled) - settled[0] < MOST_MB, (told, looks)
     assert looks[-1][0] == seconds
 
-    assert main(["verify", str(path)]) == 3  # whole, with the losses that the health reports in it name
+    assert verify_here(path) == 3  # whole, with the losses that the health reports in it name
     counts = read_counts(path)
     assert counts["fingertip/frames"] == counts["fingertip/received"] == 1000 * seconds
     assert counts["jaco/frames"] == 100 * seconds

@@ -23,6 +23,7 @@ from deformscope_drivers.health import Health, Link
 from tests.cases import slow_but
 from tests.page.pages import page_script
 from tests.patience import PATIENCE_S
+from tests.verified import verify_here
 
 RIG = """
 [devices.tip]
@@ -118,7 +119,7 @@ def test_files_come_and_go_while_the_devices_stay_open(rig: Path, tmp_path: Path
     first, second = (frames(Path(path)) for path in found["recordings"])
     assert first[-1].index < second[0].index  # the device went on
     for path in map(Path, found["recordings"]):
-        assert main(["verify", str(path)]) in WHOLE
+        assert verify_here(path) in WHOLE
         whole = OpenRecording(path)
         notes = whole.notes()
         assert [(note.about, note.text) for note in notes] == [
@@ -194,7 +195,7 @@ def test_the_last_seconds_are_kept_by_a_button(rig: Path, tmp_path: Path) -> Non
         assert one.command("stop")[0] == "done"
         found = command.ended()
     (path,) = map(Path, found["recordings"])
-    assert main(["verify", str(path)]) in WHOLE
+    assert verify_here(path) in WHOLE
     indices = [frame.index for frame in frames(path)]
     assert indices == list(range(indices[0], indices[-1] + 1))
     assert OpenRecording(path).outcome["stopped"].startswith("stored from the page: the last")
@@ -207,7 +208,7 @@ def test_record_may_hold_the_last_seconds_alone(rig: Path, tmp_path: Path, viewe
     file, said = tmp_path / "last.rrd", tmp_path / "found.json"
     flags = ["--record", str(file), "--seconds", "3", "--keep-last", "0.5", "--viewer", viewer, "--json", str(said)]
     assert main(["record", str(rig), *flags]) in WHOLE
-    assert main(["verify", str(file)]) in WHOLE
+    assert verify_here(file) in WHOLE
     taken = [frame.stamp.host_ns for frame in frames(file)]
     assert 0.5e9 < taken[-1] - taken[0] < 2.8e9
     assert frames(file)[0].index > 0
@@ -236,7 +237,7 @@ def test_the_last_seconds_are_kept_where_the_file_beside_them_cannot_be_closed(
         assert one.command("stop")[0] == "done"
         command._thread.join(PATIENCE_S)
     assert command.status == 2
-    assert main(["verify", str(file)]) in WHOLE
+    assert verify_here(file) in WHOLE
     assert frames(file)
 
 

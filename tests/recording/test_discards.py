@@ -16,6 +16,7 @@ from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.discards import discard, discards_of
 from deformscope.recording.ledger import check_recording, ledger_path, read_counts
 from deformscope.recording.recorder import Recorder
+from tests.verified import verify_here
 
 
 def recorded(path: Path, *notes: tuple[NoteKind, str]) -> Path:
@@ -51,7 +52,7 @@ def test_a_recording_is_discarded_later(
         "all of it: wrong foam",
     ]
     capsys.readouterr()
-    assert main(["verify", str(path), "--json", "-"]) == 0  # it is whole
+    assert verify_here(path, "--json", "-") == 0  # it is whole
     shown = capsys.readouterr()
     assert [one["reason"] for one in json.loads(shown.out)["discarded"]] == ["it slipped", "wrong foam"]
     with caplog.at_level(logging.WARNING):

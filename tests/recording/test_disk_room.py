@@ -18,6 +18,7 @@ from deformscope.recording.lateness import ANNOUNCED_S, FREE_BYTES, WINDOW_S, Di
 from deformscope.recording.ledger import check_recording
 from deformscope.recording.recorder import Recorder
 from tests.log import synthetic
+from tests.verified import verify_here
 
 
 def test_a_disk_that_fills_is_announced_once_at_each_limit() -> None:
@@ -85,4 +86,4 @@ def test_a_disk_that_becomes_full(command: str, tmp_path: Path) -> None:
         assert re.search(r"^  arm +at rest$", unshared.stdout, re.MULTILINE)
     assert check_recording(tmp_path / "r.part.rrd").problems == []
     assert main(["recover", str(tmp_path / "r.part.rrd")]) == 0
-    assert main(["verify", str(tmp_path / "r.recovered.rrd")]) == 3  # whole, and what came after is lost
+    assert verify_here(tmp_path / "r.recovered.rrd") == 3  # whole, and what came after is lost

@@ -17,6 +17,7 @@ from deformscope.recording.items import read_results
 from deformscope.runs import replay_result
 from deformscope.stages.squeeze.trial import ContainerChange, TrackedContainer
 from tests.rounding import differing_by_more
+from tests.verified import verify_here
 
 OLD = Path(__file__).parent / "old"
 
@@ -25,11 +26,11 @@ OLD = Path(__file__).parent / "old"
 def test_they_are_whole_and_decoded_again_identically(
     number: int, pads: int, tip: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recording = str(OLD / f"format-{number}.rrd")
+    recording = OLD / f"format-{number}.rrd"
 
-    assert main(["verify", recording]) == 0
+    assert verify_here(recording) == 0
     assert "all bytes are as recorded" in capsys.readouterr().out
-    assert main(["replay", recording]) == 0
+    assert main(["replay", str(recording)]) == 0
     printed = capsys.readouterr().out
     assert f"{pads} of {pads} frames decoded again, identical" in printed
     assert f"{tip} of {tip} frames decoded again, identical" in printed

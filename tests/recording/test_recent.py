@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deformscope.cli import main
 from deformscope.frames import HealthReport, Item, Stream, WrenchFrame
 from deformscope.log.rig_layout import RIG
 from deformscope.recording.recent import RecentItems, end_with_recent
@@ -16,6 +15,7 @@ from deformscope.recording.recorder import Recorder
 from deformscope.runs.recordings import OpenRecording
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.health import Health, Link
+from tests.verified import verify_here
 
 TIP = Stream("tip", "wrench", "optoforce")
 RATE_HZ = 20
@@ -61,7 +61,7 @@ def test_the_last_seconds_are_a_whole_recording(tmp_path: Path) -> None:
     recorder = Recorder(path, settings={"rig_name": "one"}, application=RIG)
     recorder.__enter__()
     end_with_recent(recorder, recent, [TIP], (), None)
-    assert main(["verify", str(path)]) == 3  # whole, with losses
+    assert verify_here(path) == 3  # whole, with losses
     found = OpenRecording(path)
     frames = [item for item in found.items() if isinstance(item, WrenchFrame)]
     expected = [item for batch in given[-5:] for item in batch if isinstance(item, WrenchFrame)]
@@ -90,4 +90,4 @@ def test_nothing_was_there_to_be_held(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "kept.rrd", application=RIG)
     recorder.__enter__()
     end_with_recent(recorder, RecentItems(5.0), [TIP], (), None)
-    assert main(["verify", str(tmp_path / "kept.rrd")]) == 0
+    assert verify_here(tmp_path / "kept.rrd") == 0

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.cli import main
 from deformscope.experiments.foam_video import ParticleOptions, foam_video
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, StageCost
@@ -27,6 +26,7 @@ from deformscope.session import Compute, Moment, RigExperiment, Step, ask, measu
 from deformscope.stages.fit.calibrate import FitOptions
 from deformscope_drivers.clock import Stamp
 from tests.test_session import Notes, Rig
+from tests.verified import verify_here
 
 OLD = Path(__file__).parent / "old"
 SAMPLES = Path(__file__).resolve().parents[2] / "recordings"
@@ -221,7 +221,7 @@ def test_a_stage_that_was_removed_is_named(
 ) -> None:
     path = without(fitted[0], entity, tmp_path / "less.rrd")
 
-    assert main(["verify", str(path), "--stages", "--json", str(tmp_path / "v.json")]) == 3
+    assert verify_here(path, "--stages", "--json", str(tmp_path / "v.json")) == 3
     printed, said = capsys.readouterr()
     assert f"stages missing: {name}\n" in said
     (row,) = (line for line in printed.splitlines() if line.split()[:1] == [name])
@@ -233,7 +233,7 @@ def test_a_stage_that_was_removed_is_named(
 
 @pytest.mark.parametrize("number", [1, 2])
 def test_older_recordings_open_and_have_no_costs(number: int, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["verify", str(OLD / f"format-{number}.rrd"), "--stages"]) == 0
+    assert verify_here(OLD / f"format-{number}.rrd", "--stages") == 0
     printed, said = capsys.readouterr()
 
     assert "costs: not recorded" in said

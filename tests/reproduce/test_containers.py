@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from pathlib import Path
 
-from deformscope.reproduce.containers import BOXES, THESIS_COUNTS, THESIS_TRIALS, squeeze_jobs
+from deformscope.reproduce.containers import BOXES, THESIS_COUNTS, squeeze_jobs
 
 
 def test_the_thesis_s_proportions() -> None:
-    jobs = squeeze_jobs(Path("d"), THESIS_TRIALS, 0, 20, 0)
+    jobs = squeeze_jobs(Path("d"), sum(THESIS_COUNTS.values()), 0, 20, 0)
 
     assert sum(THESIS_COUNTS.values()) == len(jobs) == 731
     assert Counter(job.content for job in jobs) == THESIS_COUNTS
@@ -18,7 +18,7 @@ def test_the_thesis_s_proportions() -> None:
 
 
 def test_no_box_and_no_day_gives_a_content_away() -> None:
-    jobs = squeeze_jobs(Path("d"), THESIS_TRIALS, 0, 0, 0)
+    jobs = squeeze_jobs(Path("d"), sum(THESIS_COUNTS.values()), 0, 0, 0)
     boxes, sessions = defaultdict(set), defaultdict(set)
     for job in jobs:
         boxes[job.container].add(job.content)

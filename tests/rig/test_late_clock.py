@@ -16,6 +16,7 @@ from deformscope.rig.rig_file import parse_rig
 from deformscope.rows import OF_DEVICES
 from tests.page.pages import page_script
 from tests.page.test_rig_on_page import started
+from tests.verified import verify_here
 
 LATE_NS = 20_000_000
 RIG = """
@@ -37,7 +38,7 @@ def test_a_recording_has_stamps_put_back_and_as_they_arrived(tmp_path: Path) -> 
     rig, recording = tmp_path / "rig.toml", tmp_path / "late.rrd"
     rig.write_text(RIG + LATE.format(offset=0.02, beside="tip"))
     assert main(["record", str(rig), "--seconds", "0.4", "--record", str(recording), "--viewer", "none"]) == 0
-    assert main(["verify", str(recording)]) == 0
+    assert verify_here(recording) == 0
     assert main(["replay", str(recording), "--viewer", "none"]) == 0  # its bytes give the same, put back alike
 
     assert first_ns(recording) >= 0

@@ -10,10 +10,11 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.lab.touch_lab import READY_NEAR_DEG
 from deformscope.rig.rig_file import Tool
-from deformscope.robot.placement import PLAN_MARGIN_DEG, Placement, follow, reach
+from deformscope.robot.placement import PLAN_MARGIN_DEG, Placement, follow
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_from_rpy, transform
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
+from studies.reach import reach
 
 TURNED = transform(rotation_from_rpy(0.0, 0.0, 0.4), (-0.2, -0.5, 0.05))
 
