@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
+from deformscope.errors import InputError
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.recording import facts as recording_facts
 from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path, read_ledger, write_ledger
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from deformscope.runs.recovery import recover_recording
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
 
@@ -170,11 +172,15 @@ def test_recover_refuses_what_it_cannot_or_need_not_mend(
         assert "one that a run is writing" in capsys.readouterr().err
     assert main(["recover", str(killed), "--out", str(whole)]) == 2
     assert "one that exists" in capsys.readouterr().err
-    assert main(["recover", str(killed), "--out", str(tmp_path / "none" / "out.rrd")]) == 2
-    assert "no such folder | try: make it first" in capsys.readouterr().err
-    assert not (tmp_path / "none").exists()
     assert not (tmp_path / "out.rrd").exists()
     assert not list(tmp_path.glob(".*"))
+
+
+def test_recover_refuses_a_folder_that_is_not_there(killed: Path, tmp_path: Path) -> None:
+    """The command line's own check comes first; a script meets this one."""
+    with pytest.raises(InputError, match=r"no such folder \| try: make it first"):
+        recover_recording(killed, tmp_path / "none" / "out.rrd")
+    assert not (tmp_path / "none").exists()
 
 
 def test_bytes_that_end_the_reader_are_one_line(
