@@ -167,7 +167,7 @@ class CreepCoverageConfig(StudyOptions):
 
     laws: Annotated[int, flags.least(0)] = 60
     """Touches of each law of viscoelasticity, by hereditary integrals that share no code with the fit; each takes less
-    than a second. Their seeds are 2000 and on."""
+    than a second. Their seeds are 5000 and on."""
 
     def check(self) -> None:
         if not 0.5 <= self.hold <= 60.0:

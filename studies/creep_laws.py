@@ -19,8 +19,8 @@ from studies.independent.viscoelastic import Modulus
 from studies.quantities import Quantity, Rate, band, by, rows, share, table
 
 RELAXES = (0.1, 0.4)
-FIRST_SEED = 2000
-"""Of the touches that are reported; those from 1000 on are for choosing constants."""
+FIRST_SEED = 5000
+"""Of the touches that are reported; those below are for choosing constants."""
 FORCE_AFTER = {30.0: (0.5, 5.0, 30.0), 8.0: (0.5, 2.0, 8.0), 2.0: (0.5, 1.0, 2.0)}
 """By the hold [s]: times after which the remaining force is compared [s]."""
 UP = np.array([0.0, 0.0, 1.0])
@@ -108,13 +108,14 @@ class LawCase:
 class LawOutcome:
     """law; reasons: codes; held: whether intervals of NAMES hold, None where nothing is claimed; kept: whether those of
     the remaining force do, after the times of FORCE_AFTER; share_width: over the share itself, None: a bound;
-    endless: probability that it creeps without end"""
+    open: whether intervals are, None: a bound; endless: probability that it creeps without end"""
 
     law: str
     reasons: tuple[str, ...]
     held: tuple[bool | None, ...]
     kept: tuple[bool, ...]
     share_width: float | None
+    open: bool | None
     endless: float
 
 
@@ -150,7 +151,8 @@ def try_law(case: LawCase) -> LawOutcome:
     )
     low, high = fit.share_interval
     width = None if fit.reasons or not law.share else (high - low) / law.share
-    return LawOutcome(case.law, tuple(one.code for one in fit.reasons), held, kept, width, fit.no_plateau)
+    opened = None if fit.reasons else high == 1.0
+    return LawOutcome(case.law, tuple(one.code for one in fit.reasons), held, kept, width, opened, fit.no_plateau)
 
 
 # What is counted -----------------------------------------------------------------------------------------------------
@@ -193,6 +195,7 @@ COUNTED: tuple[Quantity[Sequence[LawOutcome]], ...] = (
         lambda some: Rate.of(one.reasons for one in some),
         {"either (95 % band)": lambda rate: f"{share(2)(rate)} ({band(2)(rate)})"},
     ),
+    Quantity("open", lambda some: Rate.of(one.open for one in some if one.open is not None), {"open, no reason": _of}),
     # what naming it later would spare, and lose
     *(Quantity(f"endless_over_{100 * than:.0f}", _surer(than), {f"P(no end) > {than:g}": share(2)}) for than in SURER),
     *(Quantity(f"{name.replace(' ', '_')}_held", _held(at), {name: _of}) for at, name in enumerate(NAMES)),

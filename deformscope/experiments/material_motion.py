@@ -18,6 +18,7 @@ from deformscope.stages.fit.doubts import little_explained
 from deformscope.stages.fit.estimate import Comparison, NoiseSource
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
+from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.axis_estimate import AxisEstimate
@@ -231,9 +232,9 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 # Recovery ------------------------------------------------------------------------------------------------------------
 
 
-def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
+def recovery_of_motion(motion: Motion, level: float, seed: int, version: int = NEWEST_RELAXATION) -> MaterialFit:
     """Of a motion file: particles that are held at the greatest depth and no longer at the end are released, from then
-    on."""
+    on. version: see `NEWEST_RELAXATION`"""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])
@@ -251,15 +252,20 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
     course = course_of(whole.position - whole.rest, gone)
     loaded = int(course[:released].argmax())
     cycle = PressCycle(loaded, released, course, float(course[released] / course[loaded]), "given")
-    return _recovery(whole, cycle, time_s, None, level, seed, first=-1)
+    return _recovery(whole, cycle, time_s, None, level, seed, version, first=-1)
 
 
 def recovery_of_camera(
-    tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions, level: float, seed: int
+    tracked: TrackedMotion,
+    particles: ParticleOptions,
+    unloading: UnloadingOptions,
+    level: float,
+    seed: int,
+    version: int = NEWEST_RELAXATION,
 ) -> MaterialFit:
-    """Recovery from a camera's images, with a force if it was recorded."""
+    """Recovery from a camera's images, with a force if it was recorded. version: see `NEWEST_RELAXATION`"""
     motion, cycle = camera_motion(tracked, particles, unloading)
-    return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed)
+    return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed, version)
 
 
 def _recovery(
@@ -269,6 +275,7 @@ def _recovery(
     force: PressForce | None,
     level: float,
     seed: int,
+    version: int,
     first: int = 0,
 ) -> MaterialFit:
     moved = motion.position - motion.rest
@@ -284,6 +291,7 @@ def _recovery(
         largest=float(cycle.course[cycle.loaded]),
         level=level,
         seed=seed,
+        version=version,
     )
     after = moved[cycle.loaded :, known]
     left = after - amplitude[cycle.loaded :, None, None] * shape

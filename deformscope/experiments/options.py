@@ -60,6 +60,7 @@ class ExploreOptions(ExploreFlags):
     thickness_stated: else thickness_m is only the height at which the surface is sought
     detail: where nothing is said, as in older recordings, lean
     plan_version: of what the planner expects of touches (`PlanOptions`), in older recordings 1
+    relaxation_version: of intervals of a touch's creep (`relaxation.NEWEST_RELAXATION`), in older recordings 1
     """
 
     budget: flags.ManyFlag = REGION_TOUCHES
@@ -82,6 +83,7 @@ class ExploreOptions(ExploreFlags):
     thickness_stated: bool = True
     detail: Detail = "lean"
     plan_version: int = 1
+    relaxation_version: int = 1
 
     def check(self) -> None:
         ExploreFlags.check(self)

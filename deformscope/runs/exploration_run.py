@@ -75,6 +75,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import DRY_RUN_M, ExploreOptions
     from deformscope.lab.faults import FaultAt, FaultsToCome
+    from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
     from deformscope.stages.map.plan import INCLUSION_M, NEWEST_PLAN
 
     quiet_warp()
@@ -88,6 +89,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         inclusion_m=config.smallest_inclusion_m or (0.02 if inclusions else INCLUSION_M),
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
         plan_version=NEWEST_PLAN,
+        relaxation_version=NEWEST_RELAXATION,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(

@@ -56,6 +56,7 @@ from deformscope.runs.material_report import material_bodies, material_figure, m
 from deformscope.runs.result import Note, SourceResult, log_note
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import NEWEST_FIT, Model, Observation
+from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
@@ -88,7 +89,7 @@ class MaterialJob:
 
     find: the quantity of a material; noise: of a position [m of files, px of images]; particles: of images
     frame: of images, that axes or a field are fitted to; force_n: on the moved particles; at, released: see
-    `UnloadingOptions`; version: see `NEWEST_FIT`
+    `UnloadingOptions`; version: see `NEWEST_FIT`; relaxation_version: see `NEWEST_RELAXATION`
     """
 
     find: Literal["axes", "field", "yield", "viscous"]
@@ -108,6 +109,7 @@ class MaterialJob:
     at: tuple[int, int] | None = None
     released: tuple[str, ...] = ("contact",)
     version: int = 1
+    relaxation_version: int = 1
 
     def yield_options(self) -> YieldOptions:
         """Options of the fit of yielding."""
@@ -201,7 +203,7 @@ def job_of(config: MaterialOptions) -> MaterialJob:
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
     known |= {"find": type(config).__name__.removesuffix("Config").lower(), "device": pick_device(config.fit.device)}
-    known["version"] = NEWEST_FIT
+    known |= {"version": NEWEST_FIT, "relaxation_version": NEWEST_RELAXATION}
     return MaterialJob(**{name: value for name, value in known.items() if value is not None})
 
 
@@ -269,7 +271,7 @@ def _of_files(seen: Sequence[Any], job: MaterialJob, progress: Progress | None) 
     if job.find == "yield":
         return yield_of_motion(seen[0], job.yield_options(), progress)
     if job.find == "viscous":
-        return recovery_of_motion(seen[0], job.level, job.seed)
+        return recovery_of_motion(seen[0], job.level, job.seed, job.relaxation_version)
     return _of_pairs(seen, job, progress)
 
 
@@ -287,7 +289,7 @@ def _finder(
         return yield_of_camera(tracked, particles, unloading, job.yield_options(), progress)
 
     def viscous(tracked: TrackedMotion) -> MaterialFit:
-        return recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
+        return recovery_of_camera(tracked, particles, unloading, job.level, job.seed, job.relaxation_version)
 
     return {"axes": pose, "field": pose, "yield": yielding, "viscous": viscous}[job.find]
 

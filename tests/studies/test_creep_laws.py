@@ -44,9 +44,17 @@ def test_laws_are_what_they_are_called(law: viscoelastic.Modulus, at_s: float, e
 def test_the_study_counts_reasons_and_what_holds() -> None:
     outcomes = [
         LawOutcome(
-            "power law since .3 to 3 s, 8 s", ("no-plateau",), (True, None, None, True), (True, True, False), None, 0.8
+            "power law since .3 to 3 s, 8 s",
+            ("no-plateau",),
+            (True, None, None, True),
+            (True, True, False),
+            None,
+            None,
+            0.8,
         ),
-        LawOutcome("power law since .3 to 3 s, 8 s", (), (False, False, None, True), (True, True, True), 0.3, 0.2),
+        LawOutcome(
+            "power law since .3 to 3 s, 8 s", (), (False, False, None, True), (True, True, True), 0.3, True, 0.2
+        ),
     ]
     table, lines = law_table(outcomes)
     (line,) = lines
@@ -55,6 +63,7 @@ def test_the_study_counts_reasons_and_what_holds() -> None:
     assert (line["share_held"].hits, line["share_held"].cases) == (1, 2)
     assert (line["mean_time_held"].hits, line["mean_time_held"].cases) == (0, 1)
     assert line["force_held_end"].rate == 0.5
+    assert (line["open"].hits, line["open"].cases) == (1, 1)
     assert len(table.rows) == 1
     assert len(law_cases(2)) == 2 * len(LAWS)
 

@@ -14,6 +14,11 @@ RAMP_STEPS = 60
 KEPT_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 DOUBTED = 0.5
 """Probability of an unseen relaxed state from which that is a reason."""
+OPEN = 0.15
+"""As much, from which intervals are open toward it: at .25 a quarter of those of power laws that have no reason stay
+closed, at .1 half of those of two branches open (`studies.creep`, seeds 3000 to 3059)."""
+NEWEST_RELAXATION = 2
+"""How intervals of relaxation end. 2: open from the probability `OPEN` on. 1, as in older recordings: with a reason."""
 SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
 """Strength of a branch that outlasts the record, and its share of all strengths, from which it matters: a fainter one
 may be a drift of the sensor."""
@@ -90,6 +95,7 @@ class RelaxationSeen:
     """The part of relaxation that a record shows.
 
     reasons: to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that nothing ends
+    open: whether these together exceed `OPEN`
     within: (d,) draws of which all relaxes within the record; share: (d,) of the modulus that relaxes, of endless creep
     within the record
     """
@@ -97,19 +103,26 @@ class RelaxationSeen:
     reasons: tuple[Doubt, ...]
     short_record: float
     no_plateau: float
+    open: bool
     within: BoolArray
     share: FloatArray
 
     def bounded(self, middle: float, interval: tuple[float, float], top: float) -> tuple[float, tuple[float, float]]:
-        """A value with its interval; with a reason its lower bound, the interval open as far as `top`."""
-        return (interval[0], (interval[0], top)) if self.reasons else (middle, interval)
+        """A value, with a reason its lower bound; and its interval, as far as `top` where that is open."""
+        low, high = interval
+        return low if self.reasons else middle, (low, top if self.reasons or self.open else high)
 
 
 def seen_of(
-    strength: FloatArray, retarded_s: FloatArray, endless: BoolArray, weight: FloatArray, record_s: float
+    strength: FloatArray,
+    retarded_s: FloatArray,
+    endless: BoolArray,
+    weight: FloatArray,
+    record_s: float,
+    version: int = NEWEST_RELAXATION,
 ) -> RelaxationSeen:
     """Whether relaxation ends within a record, of draws: strength, retarded_s (d, b); endless, weight (d,), which adds
-    up to 1."""
+    up to 1. version: see `NEWEST_RELAXATION`"""
     slow = np.where(retarded_s / (1.0 + strength) > record_s, strength, 0.0)
     most, all_of_it = slow.max(axis=1, initial=0.0), np.maximum(strength.sum(axis=1), 1e-12)
     outlasts = ~endless & (slow.sum(axis=1) > np.maximum(SLOW_LEAST, SLOW_SHARE * all_of_it))
@@ -124,7 +137,12 @@ def seen_of(
         reasons = (Doubt("no-plateau" if no_end > short else "short-record", text),)
     counted = np.where(endless[:, None] & (retarded_s > record_s), 0.0, strength).sum(axis=1)
     return RelaxationSeen(
-        reasons=reasons, short_record=short, no_plateau=no_end, within=within, share=counted / (1.0 + counted)
+        reasons=reasons,
+        short_record=short,
+        no_plateau=no_end,
+        open=version > 1 and short + no_end > OPEN,
+        within=within,
+        share=counted / (1.0 + counted),
     )
 
 

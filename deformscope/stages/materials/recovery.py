@@ -11,7 +11,8 @@ only a force shows f; once it is off f is 0, and the rest recovers by the branch
 fitted by its recovery alone, and one with force by its relaxation too, which shows the stiffness.
 
 None to three branches, and a spectrum that reaches no plateau (`stages.fit.creep_spectra`), with and without a set,
-are compared by their evidence and averaged. A process that outlasts the record is a reason, and a bound.
+are compared by their evidence and averaged. A process that outlasts the record is a reason, and a bound; a smaller
+probability of it opens intervals.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from deformscope.stages.fit.creep_spectra import (
     Spectrum,
 )
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import kept_of, mean_relaxation_s, relaxation_modes, seen_of
+from deformscope.stages.fit.relaxation import NEWEST_RELAXATION, kept_of, mean_relaxation_s, relaxation_modes, seen_of
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
 from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehaviour, RecoveryEstimate
 
@@ -75,12 +76,15 @@ def fit_recovery(
     largest: float = 1.0,
     level: float = 0.9,
     seed: int = 0,
+    version: int = NEWEST_RELAXATION,
 ) -> RecoveryEstimate:
     """Fit the law to shares (T,) of the largest displacement.
 
     time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
     the frame from which the law holds without a force
     force_n: (T,) of the tool [N], and the deviation of one sample; largest: displacement of the pressed particles then
+    version: see `NEWEST_RELAXATION`
+
     Raises InputError if too little was recorded after the release, and no force before it.
     """
     if len(time_s) != len(amplitude) or not (np.diff(time_s) > 0.0).all():
@@ -107,7 +111,7 @@ def fit_recovery(
     pressed = int(np.argmax(amplitude >= PRESSED * amplitude.max()))
     held_s = float(time_s[released - 1] - time_s[pressed])
     record_s = max(watched_s, held_s if force_n is not None else 0.0)
-    seen = seen_of(every, retarded_s, endless, weight, record_s)
+    seen = seen_of(every, retarded_s, endless, weight, record_s, version)
     share, creeps = seen.share, every.any(axis=1)
     judged = weight * (seen.within if not seen.reasons else 1.0)
     verdict = _verdict(share, kept, weight)
@@ -117,8 +121,8 @@ def fit_recovery(
     some = np.random.default_rng(seed).choice(len(weight), FORCE_DRAWS, p=weight / weight.sum())
     ramp_s = float(time_s[pressed] - time_s[_begin(amplitude)])
     relaxed = _per_unit(stiffness * (1.0 - share), weight, largest, level)
-    if seen.reasons:
-        relaxed = Number(relaxed.interval[1], (0.0, relaxed.interval[1]))
+    if seen.reasons or seen.open:
+        relaxed = Number(relaxed.interval[1] if seen.reasons else relaxed.value, (0.0, relaxed.interval[1]))
     middle = int(np.argmax([one.log_evidence for one in draws]))
     simulated = np.full(len(time_s), np.nan)
     simulated[released:] = law.simulated(draws[middle].best[None], models[middle][0])[0][0]

@@ -12,9 +12,8 @@ places are fitted, as in `contact`: the arm's scatter dominates. Relaxation time
 
 None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold
 determines creep within its duration: if a branch probably outlasts it, or nothing ends, a reason reports that, and the
-dependent values are bounds. The remaining force after a time within the hold is always reported. Approach speed needs
-no
-correction: the filters use the times of the force.
+dependent values are bounds. A smaller probability opens their intervals. The remaining force after a time within the
+hold is always reported. Approach speed needs no correction: the filters use the times of the force.
 
 The ball's retract does not follow this law (Ting 1966) and is not fitted. The energy loss of a cycle is the work of the
 measured forces on the approach less that on the retract.
@@ -31,7 +30,14 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.results.declared import LATER
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import ForceKept, kept_of, relaxing, seen_of
+from deformscope.stages.fit.relaxation import (
+    NEWEST_RELAXATION,
+    ForceKept,
+    RelaxationSeen,
+    kept_of,
+    relaxing,
+    seen_of,
+)
 from deformscope.stages.fit.weighted_draws import median_and_interval
 from deformscope.stages.poke.contact import (
     EXPONENT,
@@ -77,9 +83,10 @@ class CreepFit:
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
     deviation of the log of the latter; the relaxed one is None with a reason
     share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighted by its
-    share, of the relaxation within the hold; with a reason both are lower bounds, their intervals open above. If
-    several branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open above,
-    and with a reason no time is given (None)
+    share, of the relaxation within the hold; with a reason both are lower bounds. If the relaxed state is unseen with
+    a probability above `relaxation.OPEN`, their intervals are open above, and that of the relaxed stiffness begins at
+    0. If several branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open
+    above, and with a reason no time is given (None)
     reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end
     short_record, no_plateau: probabilities of each
     force_kept: share of the force at the end of the approach that is left, held in place, for times within the hold
@@ -150,7 +157,8 @@ class CreepFit:
             return f"{self.verdict}: at least {least:.0%} of the modulus relaxes{loss}{doubts}"
         low, high = self.relaxed_interval
         relaxed = f"{self.relaxed_n_per_mm:.3g} N/mm ({low:.3g} to {high:.3g}) when relaxed"
-        share = f"{self.share:.0%} ({least:.0%} to {most:.0%}) of the modulus relaxes in {self.time_s:.2g} s"
+        longer = " or more" if self.time_interval is not None and np.isinf(self.time_interval[1]) else ""
+        share = f"{self.share:.0%} ({least:.0%} to {most:.0%}) of the modulus relaxes in {self.time_s:.2g} s{longer}"
         return f"{self.verdict}: {relaxed}, {share}{loss}"
 
 
@@ -166,6 +174,7 @@ def fit_creep(
     arm: ArmCompliance | None = None,
     radius_m: float | None = None,
     clock_sd_s: float = 0.0,
+    version: int = NEWEST_RELAXATION,
 ) -> CreepFit:
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
@@ -173,6 +182,7 @@ def fit_creep(
     radius_m: of a ball, whose dents are not small relative to it; None: the law is a power at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
+    version: see `NEWEST_RELAXATION`
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
     """
@@ -187,7 +197,7 @@ def fit_creep(
     law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m)
     draws = law.posterior()
     held_s = float(time_s[held - 1] - time_s[loading - 1])
-    seen = seen_of(draws.strength, draws.retarded_s, draws.endless, draws.weight, held_s)
+    seen = seen_of(draws.strength, draws.retarded_s, draws.endless, draws.weight, held_s, version)
     # without a reason, verdict and time are of what relaxes within the hold
     weight = draws.weight
     judged = weight * (seen.within if not seen.reasons else 1.0)
@@ -219,7 +229,7 @@ def fit_creep(
     return CreepFit(
         instant_n_per_mm=instant_median,
         instant_interval=instant_interval,
-        **_relaxed(np.log(instant) - draws.log_deeper, weight, known=not seen.reasons),
+        **_relaxed(np.log(instant) - draws.log_deeper, weight, seen),
         share=share_median,
         share_interval=share_interval,
         time_s=relaxation_s,
@@ -246,14 +256,15 @@ def fit_creep(
     )
 
 
-def _relaxed(log: FloatArray, weight: FloatArray, *, known: bool) -> dict[str, Any]:
-    """The relaxed stiffness as text, from its log (d,) [N/mm] in draws with weights (d,)."""
+def _relaxed(log: FloatArray, weight: FloatArray, seen: RelaxationSeen) -> dict[str, Any]:
+    """The relaxed stiffness as fields of a fit, from its log (d,) [N/mm] in draws with weights (d,)."""
     names = ("relaxed_n_per_mm", "relaxed_interval", "relaxed_log_sd")
-    if not known:
+    if seen.reasons:
         return dict.fromkeys(names)
     log_sd = float(np.sqrt(np.average((log - np.average(log, weights=weight)) ** 2, weights=weight)))
     middle, (low, high) = median_and_interval(log, weight)
-    return dict(zip(names, (float(np.exp(middle)), (float(np.exp(low)), float(np.exp(high))), log_sd), strict=True))
+    interval = 0.0 if seen.open else float(np.exp(low)), float(np.exp(high))
+    return dict(zip(names, (float(np.exp(middle)), interval, log_sd), strict=True))
 
 
 def _at_reference(draws: CreepDraws, speed_m_s: float) -> FloatArray:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.fit.relaxation import DOUBTED, NEWEST_RELAXATION, OPEN
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepFit, cycle_loss, fit_creep
 
@@ -15,7 +18,12 @@ RATE_HZ, LOAD_S, SET_N, DEPTH_M, EXPONENT = 100.0, 0.8, 3.0, 0.006, 1.5
 
 
 def touch(
-    shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, noise_m: float = 0.0, load_s: float = LOAD_S
+    shares: tuple[float, ...],
+    times_s: tuple[float, ...],
+    hold_s: float,
+    noise_m: float = 0.0,
+    load_s: float = LOAD_S,
+    **how: int,
 ) -> CreepFit:
     """A ball pressed with a force that rises and stays, on E(t) / E0 = 1 - sum g + sum g exp(-t / tau), by a Volterra
     equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p."""
@@ -42,9 +50,8 @@ def touch(
     z = depth + 1e-4 * force + noise_m * random.standard_normal(len(depth))
     felt = force + 0.01 * random.standard_normal(len(force))
     loading = 30 + round(load_s * RATE_HZ) + 1
-    return fit_creep(
-        time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=ArmCompliance(1e-4, 1e-6)
-    )
+    arm = ArmCompliance(1e-4, 1e-6)
+    return fit_creep(time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=arm, **how)
 
 
 @pytest.mark.parametrize(
@@ -121,6 +128,23 @@ def test_a_hold_says_only_what_it_saw_and_always_the_force_that_is_kept(
     assert fit.time_interval is None or fit.time_interval[1] == np.inf
     assert reason in fit.text
     assert reason in fit.brief
+
+
+def test_intervals_open_where_the_relaxed_state_may_be_unseen() -> None:
+    opened, before = (touch((0.3,), (1.0,), 3.0, noise_m=5e-5, version=version) for version in (NEWEST_RELAXATION, 1))
+    assert OPEN < opened.short_record + opened.no_plateau < DOUBTED
+    assert (opened.reasons, before.reasons) == ((), ())
+    assert before.relaxed_interval is not None
+    assert before.time_interval is not None
+    assert before.relaxed_interval[0] > 0.0
+    assert max(before.share_interval[1], before.time_interval[1]) < np.inf
+    wider = {
+        "relaxed_interval": (0.0, before.relaxed_interval[1]),
+        "share_interval": (before.share_interval[0], 1.0),
+        "time_interval": (before.time_interval[0], np.inf),
+    }
+    assert opened == dataclasses.replace(before, **wider)  # type: ignore[arg-type]
+    assert opened.text.count("or more") - before.text.count("or more") == 1
 
 
 def test_a_law_without_an_end_is_told_from_branches() -> None:
