@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from deformscope.runs.classification import ClassificationResult
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.exploration_run import OwnScene, TouchPlanner
     from deformscope.runs.exporting import ExportResult
     from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "runs.classification": "ClassificationResult",
     "errors": "InputError",
+    "runs.exploration_run": "OwnScene TouchPlanner",
     "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
     "calibrate_viscous calibrate_yield catalog classify compare_recordings discard explore "
     "export import_recording load_classifier open_dataset open_recording predict record "
@@ -107,12 +109,14 @@ __all__ = [
     "Msm",
     "OpenDataset",
     "OpenRecording",
+    "OwnScene",
     "PredictionResult",
     "RecordResult",
     "RecordingReport",
     "ReplayResult",
     "SqueezeResult",
     "SweepResult",
+    "TouchPlanner",
     "VerifyResult",
     "__version__",
     "calibrate_axes",

@@ -512,7 +512,7 @@ class _YieldFit:
         ratio = residual_ratio(frames, list(simulated[rows]), self.resolved)
         found = [
             *not_converged(converged),
-            *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE),
+            *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE, seen=frames),
             *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
             *noise_contradicted(ratio, self.motion.noise_source),
             *shape_doubts(frames),
