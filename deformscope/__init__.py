@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from deformscope.runs.classification import ClassificationResult as ClassificationResult
     from deformscope.runs.datasets import OpenDataset as OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult as ExplorationResult
+    from deformscope.runs.exploration_run import OwnScene as OwnScene
+    from deformscope.runs.exploration_run import TouchPlanner as TouchPlanner
     from deformscope.runs.exporting import ExportResult as ExportResult
     from deformscope.runs.joint_calibration import JointResult as JointResult
     from deformscope.runs.materials import MaterialResult as MaterialResult
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "runs.classification": "ClassificationResult",
     "errors": "InputError",
+    "runs.exploration_run": "OwnScene TouchPlanner",
     "library": "calibrate_axes calibrate_beta calibrate_both calibrate_field calibrate_theta "
     "calibrate_viscous calibrate_yield catalog classify compare_recordings discard explore "
     "export import_recording load_classifier open_dataset open_recording predict record "

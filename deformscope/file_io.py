@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from importlib import resources
@@ -41,7 +42,8 @@ def sample_path(name: str) -> Path:
     """The folder of the sample `name`."""
     names = sample_names()
     if name not in names:
-        raise InputError("a sample's name", f"{name!r}", "one of " + ", ".join(names))
+        near = nearest(name, names)
+        raise InputError("a sample's name", f"{name!r}", f"{SAMPLE_SCHEME}{near}" if near else ", ".join(names))
     return Path(str(resources.files("deformscope") / "samples" / name))
 
 
@@ -50,13 +52,24 @@ def refusal(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
+def nearest(name: str | Path, known: Iterable[str], scheme: str = "", like: float = 0.75) -> str:
+    """What was perhaps meant by a name that there is not: the known name most like it, with its scheme; empty = none.
+    like: least similarity, from 0 to 1"""
+    return next((scheme + one for one in difflib.get_close_matches(str(name), known, n=1, cutoff=like)), "")
+
+
+def nearest_sample(path: str | Path) -> str:
+    """The sample that was perhaps meant by a path without a file; empty = none."""
+    return nearest(path, sample_names(), SAMPLE_SCHEME)
+
+
 def read_file(path: str | Path, what: str, hint: str = "") -> bytes:
     """The bytes of a file that a user named. what: it should be; hint: where it comes from. Raises InputError where it
     cannot be read."""
     try:
         return resolve(path).read_bytes()
     except OSError as error:
-        raise InputError(what, refusal(error), hint, path) from error
+        raise InputError(what, refusal(error), hint or nearest_sample(path), path) from error
 
 
 @contextmanager

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from deformscope.runs.classification import ClassificationResult, TableSource
     from deformscope.runs.datasets import OpenDataset
     from deformscope.runs.exploration_result import ExplorationResult
+    from deformscope.runs.exploration_run import OwnScene, TouchPlanner
     from deformscope.runs.exporting import ExportResult
     from deformscope.runs.joint_calibration import JointResult
     from deformscope.runs.materials import MaterialResult
@@ -52,9 +53,9 @@ def calibrate_beta(
     thickness_m: float | None = None,
     spacing_m: float | None = None,
     whole_motion: bool = False,
-    select: Sequence[Selectable] = (),
+    select: Sequence[Selectable] | str = (),
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: object,
 ) -> CalibrationResult:
     """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
 
@@ -72,7 +73,7 @@ def calibrate_beta(
 
     own: dict[str, Any] = {"cluster_size": cluster_size, "theta": theta, "beta_range": bounds}
     own |= {"thickness_m": thickness_m, "spacing_m": spacing_m}
-    own |= {"whole_motion": whole_motion, "select": tuple(select) or None}
+    own |= {"whole_motion": whole_motion, "select": select or None}
     return _calibrate(BetaConfig, source, own | options, progress)
 
 
@@ -83,7 +84,7 @@ def calibrate_theta(
     beta: float = 0.99,
     bounds: tuple[float, float] = (0.0, 1.0),
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: object,
 ) -> CalibrationResult:
     """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
 
@@ -123,7 +124,7 @@ def calibrate_both(
     *,
     joint: bool = False,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: object,
 ) -> JointResult | list[JointResult]:
     """Find beta and theta of pairs together, with their joint posterior: one result, or of several pairs one each.
 
@@ -141,7 +142,7 @@ def calibrate_both(
 
 
 def calibrate_axes(
-    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
     """Find a beta along each axis of a material: of images, a recording, or pair files in one fit.
 
@@ -154,7 +155,7 @@ def calibrate_axes(
 
 
 def calibrate_field(
-    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
     """Find how stiff each place of a thing is against the others, of images, a recording, or one pair file.
 
@@ -167,7 +168,7 @@ def calibrate_field(
 
 
 def calibrate_yield(
-    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
     """Find the strain at which a thing yields, of images, a recording, or a motion file (`sample:press`).
 
@@ -180,7 +181,7 @@ def calibrate_yield(
 
 
 def calibrate_viscous(
-    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: Any
+    sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
     """Find what share of a modulus relaxes, how fast, and what stays, of images, a recording, or a motion file.
 
@@ -212,11 +213,11 @@ def _names(sources: str | Path | Sequence[str | Path]) -> list[str]:
 def predict(
     model: ModelSource,
     *,
-    at: Sequence[float],
+    at: Sequence[float] | str,
     depth_m: float | None = None,
     force_n: float | None = None,
     tip: TipName | None = None,
-    size_m: Sequence[float] = (),
+    size_m: Sequence[float] | str = (),
     points_m: FloatArray | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
 ) -> PredictionResult:
@@ -233,16 +234,24 @@ def predict(
     with _python_names():
         if (depth_m is None) == (force_n is None):
             raise InputError("a depth or a force", "both" if depth_m is not None else "neither")
-        poke = PokeText(tuple(at), tip, tuple(size_m), depth_m, force_n)
+        poke = PokeText(_floats("at", at, ","), tip, _floats("size_m", size_m, "x"), depth_m, force_n)
         return predicted(fitted_model(model), poke, points_m, device)
 
 
+def _floats(name: str, given: Sequence[float] | str, between: str) -> tuple[float, ...]:
+    """Numbers, or their text on the command line. between: the character between two of them there"""
+    try:
+        return tuple(float(one) for one in (given.split(between) if isinstance(given, str) else given))
+    except (TypeError, ValueError):
+        raise InputError(f"{name} as numbers, or as text with {between!r} between them", repr(given)) from None
+
+
 def explore(
-    rig: str | Path,
+    rig: str | Path | OwnScene,
     *,
     touches: int | None = None,
     goal: Goal = "regions",
-    planner: Planner = "regions",
+    planner: Planner | TouchPlanner = "regions",
     set_force_n: float | None = None,
     smallest_inclusion_m: float | None = None,
     beta_model: BetaModel | None = None,
@@ -260,7 +269,8 @@ def explore(
 ) -> ExplorationResult:
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
-    rig: a rig file (.toml), or a simulated scene (`lab:NAME`); touches: at most, default 8, or 30 for inclusions
+    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or a scene of one's own; planner: of a name, or of one's
+    own, which makes all touches; touches: at most, default 8, or 30 for inclusions
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
     that are sought, default 0.06, for inclusions 0.02; set_force_n: at most 5 N
     pace: quick = low and fast over what is known of the surface; hold_s: of each touch, from which it says how the foam
@@ -276,10 +286,13 @@ def explore(
     from deformscope.config import ExploreConfig
     from deformscope.runs.exploration_run import explore_on
 
+    own, scene = (planner if callable(planner) else None), (None if isinstance(rig, str | Path) else rig)
     with _python_names():
-        config = ExploreConfig.of(rig=str(rig), budget=touches, **given)
+        rig = f"lab:{rig.name}" if not isinstance(rig, str | Path) else rig
+        given |= {"rig": str(rig), "budget": touches} | ({"planner": "regions"} if own else {})
+        config = ExploreConfig.of(**given)
         with _messages(rig, progress):
-            explored = explore_on(config, lambda explored: None)
+            explored = explore_on(config, lambda explored: None, own, scene)
     if explored is None:
         raise InputError("an exploration", "none: it ended before the arm could move")
     return explored
@@ -358,7 +371,7 @@ def record(
 def replay(
     path: Path | str,
     *,
-    settings: Mapping[str, object] | None = None,
+    settings: Mapping[str, object] | Sequence[str] | str | None = None,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
     overwrite: bool = False,
@@ -366,16 +379,18 @@ def replay(
 ) -> ReplayResult:
     """Compute a recording again from its inputs, and compare with the numbers that it holds.
 
-    settings: other ones than recorded, of an exploration, by name; their results are not compared to the bit
+    settings: other ones than recorded, of an exploration, by name, or as KEY=VALUE; their results are not compared to
+    the bit
     progress: as of `calibrate_beta`
     Raises InputError where the numbers differ, or for what cannot be used.
     """
     from deformscope.config import ReplayConfig
     from deformscope.runs.replay import replay_on
 
-    changes = [f"{name}={value}" for name, value in (settings or {}).items()]
+    if isinstance(settings, Mapping):
+        settings = [f"{name}={value}" for name, value in settings.items()]
     with _python_names(), shown_progress(progress) as note:
-        config = ReplayConfig.of(recording=path, set=changes, record=record, viewer=viewer, overwrite=overwrite)
+        config = ReplayConfig.of(recording=path, set=settings or (), record=record, viewer=viewer, overwrite=overwrite)
         found = replay_on(config, note)
         if found.different is not None:
             raise found.different
@@ -394,7 +409,7 @@ def sweep(
     send: bool = False,
     limit_s: float | None = None,
     progress: Progress | bool | None = None,
-    **options: Any,
+    **options: object,
 ) -> SweepResult:
     """Call a function with each file as its first argument, in many processes, and store each result when it is done;
     the same call again continues an interrupted one.
@@ -410,6 +425,8 @@ def sweep(
 
     out = Path(out)
     with _python_names(), shown_progress(progress) as note:
+        if not isinstance(vary or {}, Mapping):
+            raise InputError("vary as a dict of lists of values", repr(vary), "vary={'cluster_size': [3, 4]}")
         how = SweepOptions(ExecutorOptions(executor, address), workers, send, limit_s)
         files: Sequence[Path | str] = files_in(Path(sources), out) if isinstance(sources, str | Path) else list(sources)
         variations = function_variations(function, vary or {}, options)
@@ -419,9 +436,9 @@ def sweep(
 def classify(
     table: TableSource,
     *,
-    modalities: Sequence[str] | None = None,
-    merge: Mapping[str, Sequence[str]] | None = None,
-    transfer: Sequence[tuple[str, str]] = (),
+    modalities: Sequence[str] | str | None = None,
+    merge: Mapping[str, Sequence[str]] | Sequence[str] | str | None = None,
+    transfer: Sequence[tuple[str, str] | str] | str = (),
     splits: int = 200,
     costly_splits: int = 10,
     curve_splits: int = 40,
@@ -433,21 +450,28 @@ def classify(
     """Evaluate how well the content is classified from each modality, and from all of them fused.
 
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
-    merge: classes that become one; transfer: (trained, tested) patterns of kinds or groups of containers
+    merge: classes that become one, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
+    containers, or as TRAINED:TESTED
     splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
     curve_splits: of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
     Raises InputError for what cannot be used.
     """
-    names = ("splits", "costly_splits", "curve_splits", "level", "seed")
+    names = ("modalities", "duplicates", "splits", "costly_splits", "curve_splits", "level", "seed")
     given = {name: value for name, value in locals().items() if name in names}
     from deformscope.config import ClassifyConfig
+    from deformscope.config.classify import parse_merges, parse_transfers
     from deformscope.runs.classification import classify_table, options_of, table_from
 
     with _python_names():
-        options = options_of(ClassifyConfig.of(table=Path(), **given), tuple(transfer))
-        found = table_from(table, modalities=modalities, merge=merge, duplicates=duplicates)
+        patterns = [transfer] if isinstance(transfer, str) else transfer
+        pairs = parse_transfers(tuple(one if isinstance(one, str) else ":".join(one) for one in patterns))
+        config = ClassifyConfig.of(table=Path(), **given)
+        options = options_of(config, pairs)
+        if merge is not None and not isinstance(merge, Mapping):
+            merge = parse_merges((merge,) if isinstance(merge, str) else tuple(merge))
+        found = table_from(table, modalities=config.modalities, merge=merge, duplicates=config.duplicates)
         name = str(table) if isinstance(table, str | Path) else ""
         with shown_progress(progress) as note:
             return classify_table(found, name, options, note)
@@ -483,7 +507,7 @@ def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
 
 
 def export(
-    path: Path | str, out: Path | str, *, to: ExportFormat, progress: Progress | bool | None = None, **options: Any
+    path: Path | str, out: Path | str, *, to: ExportFormat, progress: Progress | bool | None = None, **options: object
 ) -> ExportResult:
     """Write a recording in a format of others; `found["files"]` lists what was written.
 
@@ -500,7 +524,7 @@ def export(
 
 
 def import_recording(
-    source: Path | str, *, map: Path | str, record: Path | str, overwrite: bool = False, **options: Any
+    source: Path | str, *, map: Path | str, record: Path | str, overwrite: bool = False, **options: object
 ) -> RecordResult:
     """Make a recording of a bag, a table, or a folder of them.
 
@@ -529,7 +553,7 @@ def catalog(
     *,
     where: str = "",
     sort: str = "",
-    columns: Sequence[str] = (),
+    columns: Sequence[str] | str = (),
     progress: Progress | bool | None = None,
 ) -> CatalogResult:
     """The recordings of a folder, as `table` (Arrow): settings, results with intervals, losses.
@@ -540,7 +564,8 @@ def catalog(
     from deformscope.runs.catalog import catalogue
 
     with _python_names(), shown_progress(progress) as note:
-        return catalogue(Path(folder), where, sort, list(columns), progress=note)
+        shown = columns.split(",") if isinstance(columns, str) else list(columns)
+        return catalogue(Path(folder), where, sort, [one for one in shown if one], progress=note)
 
 
 def compare_recordings(first: Path | str, second: Path | str) -> ComparedRecordings:

@@ -128,6 +128,9 @@ FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame
 IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}
 """Images that a viewer shows: their components are rerun's own."""
 
+FROM_ZERO = ((TouchEstimate, "number"), (TouchPerception, "number"))
+"""Numbers that components hold from 0, and objects and tables from 1, as everything that is printed."""
+
 SHAPE = "_shape"
 
 _ARROW: dict[Any, pa.DataType] = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
@@ -154,6 +157,8 @@ class CodecField:
     optional: bool
     later: bool = False
     """Recordings of before the field was there lack it: see `LATER`."""
+    first: int = 0
+    """Added to the component, see `FROM_ZERO`."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -165,6 +170,7 @@ def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict
     for field in _fields(cast("Any", type(items[0]))):
         if field.form != "image" and field.name not in leave_out:
             values = [getattr(item, field.name) for item in items]
+            values = [value - field.first for value in values] if field.first else values
             if not field.optional or any(value is not None for value in values):
                 found |= _ENCODERS[field.form](field, values)
     return found
@@ -203,7 +209,8 @@ def from_components(
             where = f"{field.name} {made.get('index', '')} of {made.get('device', kind.__name__)}"
             made[field.name] = read_image(np.asarray(components[field.name], np.uint8).tobytes(), where)
         else:
-            made[field.name] = _DECODERS[field.form](field, components)
+            value = _DECODERS[field.form](field, components)
+            made[field.name] = value + field.first if field.first else value
     return kind(**made)
 
 
@@ -249,7 +256,11 @@ def _plain(value: object) -> Any:
 def _fields(kind: Any) -> tuple[CodecField, ...]:
     hints = get_type_hints(kind)
     return tuple(
-        dataclasses.replace(_field(field.name, hints[field.name]), later=is_declared(field, LATER))
+        dataclasses.replace(
+            _field(field.name, hints[field.name]),
+            later=is_declared(field, LATER),
+            first=int((kind, field.name) in FROM_ZERO),
+        )
         for field in dataclasses.fields(cast("Any", kind))
     )
 

@@ -10,7 +10,6 @@ in `COMMANDS`. `run` imports heavy modules inside, and returns an exit status if
 from __future__ import annotations
 
 import contextlib
-import difflib
 import importlib
 import io
 import logging
@@ -125,6 +124,7 @@ COMMANDS: dict[str, Command] = {
         "new squeezes compared with the simulated truth: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
     ),
     "bench": _command("cost of MSM on this machine", "BenchConfig", "bench"),
+    "completion": _command("words that a shell completes with the tabulator key", "CompletionConfig", "completion"),
 }
 """By name; a name of two words (`calibrate beta`) makes a group."""
 
@@ -133,6 +133,7 @@ HEADINGS = {
     "doctor": "Rig and robot",
     "replay": "Recordings and data sets",
     "reproduce cubes": "Studies",
+    "bench": "This machine",
 }
 """Text of `deformscope --help` above a command."""
 
@@ -272,11 +273,11 @@ def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], pr
 
 
 def run_options(options: CommandOptions, run: Callable[[Any], object]) -> int:
-    """Check the files of a command's options, and run it."""
+    """Check the files of a command's options, run it, and list what it wrote."""
     _check_files(options)
-    from deformscope.cli.common import json_alone
+    from deformscope.cli.common import json_alone, list_written
 
-    with json_alone(options.json_target()):
+    with json_alone(options.json_target()), list_written(options):
         status = run(options)
     return status if isinstance(status, int) else 0
 
@@ -295,23 +296,22 @@ def find_command(args: list[str]) -> tuple[str, list[str]]:
             "a command that validates it",
             f"python -m studies {study}, in a checkout",
         )
+    from deformscope.file_io import nearest
+
     groups = {name.split()[0] for name in COMMANDS if " " in name}
     if first not in groups:
         known = sorted({name.split()[0] for name in COMMANDS})
+        near = nearest(first, known, like=0.6)
         kind = "a flag before any command" if first.startswith("-") else f"{first!r}"
-        raise InputError(f"a command out of {', '.join(known)}", kind, f"deformscope {_nearest(first, known)}")
+        raise InputError(f"a command out of {', '.join(known)}", kind, f"deformscope {near or '--help'}")
     members = [name.split()[1] for name in COMMANDS if name.startswith(f"{first} ")]
     if len(args) > 1 and args[1] in ("-h", "--help"):
         return first, []
     if len(args) > 1 and args[1] in members:
         return f"{first} {args[1]}", args[2:]
     came = repr(args[1]) if len(args) > 1 else "nothing"
-    nearest = _nearest(args[1], members) if len(args) > 1 else "--help"
-    raise InputError(f"{' or '.join(members)} after {first}", came, f"deformscope {first} {nearest}")
-
-
-def _nearest(word: str, known: Sequence[str]) -> str:
-    return next(iter(difflib.get_close_matches(word, known, n=1)), "--help")
+    near = nearest(args[1], members, like=0.6) if len(args) > 1 else ""
+    raise InputError(f"{' or '.join(members)} after {first}", came, f"deformscope {first} {near or '--help'}")
 
 
 def _help(group: str = "") -> str:

@@ -49,7 +49,6 @@ def files(config: FilesConfig) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     for name, text in controller_files(entry.config).items():
         (config.out / name).write_text(text, "utf-8")
-        say(f"wrote {config.out / name}")
     say("no controller has run these files: read docs/howto/set-up-a-kuka.md, and try them in mode T1 first")
 
 

@@ -41,7 +41,6 @@ def _fit(config: BetaConfig | ThetaConfig, show_on_page: Callable[[Estimate, Res
     every = [one.to_dict() for one in found]
     if config.model.save is not None:
         save_model(found[0].model(), config.model.save)
-        say(f"model: {config.model.save}")
         if "model" in every[0]:
             every[0]["model"] = str(config.model.save)
     write_json(every[0] if len(every) == 1 else every, config.output.json)
@@ -57,9 +56,7 @@ def write_summaries(config: BetaConfig | ThetaConfig, found: Sequence[Calibratio
     files, shown = config.summary, [one.shown for one in found]
     if files.picture is not None:
         write_file(files.picture, results_png(shown))
-        say(f"picture: {files.picture}")
     if files.report is not None:
         first = found[0]
         page = calibration_page(shown, seed=first.seed, settings=first.settings, pokes=first.pokes)
         write_file(files.report, page.encode())
-        say(f"report: {files.report}")

@@ -32,7 +32,7 @@ def run(config: SetupOptions) -> None:
         board = CharucoSpec(*config.board, config.square)
         write_file(config.print_board, cv2.imencode(".png", board_image(board))[1].tobytes())
         side = 1e3 * config.square
-        say(f"board: {config.print_board}; a square's side is {side:g} mm when printed; glue it onto something flat")
+        say(f"a square's side is {side:g} mm when printed; glue the board onto something flat")
         return
     task = TASKS[type(config)](config)
     with recorder_of(config, RIG if config.measured is None else None, real_time=True) as recorder:
@@ -42,7 +42,6 @@ def run(config: SetupOptions) -> None:
         print(written_lines(found), flush=True)
     if config.picture is not None:
         write_file(config.picture, found.figure.png)
-        say(f"picture: {config.picture}")
     if config.write and (
         following := next_step(commissioning_steps(load_rig(config.rig, trusted=config.trust_rig), config.rig))
     ):

@@ -7,7 +7,7 @@ deformscope catalog compare first.rrd second.rrd
 
 from __future__ import annotations
 
-from deformscope.cli.common import fit_progress, say, show, write_file, write_json
+from deformscope.cli.common import fit_progress, say, show, write_file, write_json, wrote
 from deformscope.config import CatalogConfig, CompareConfig
 
 
@@ -24,7 +24,7 @@ def run(config: CatalogConfig) -> None:
     show(found)
     if page is not None:
         write_file(config.folder / PAGE, page.encode())
-        say(f"page: {config.folder / PAGE}")
+        wrote("page", config.folder / PAGE)
     if config.json is not None:
         write_json(found.as_json(), config.json)
 

@@ -15,11 +15,11 @@ from deformscope.cli.common import (
     fit_progress,
     make_folder,
     recorder_of,
-    say,
     settings_of,
     show,
     write_file,
     write_json,
+    wrote,
 )
 from deformscope.config import ClassifyConfig
 from deformscope.config.classify import parse_merges, parse_transfers
@@ -56,7 +56,6 @@ def run(config: ClassifyConfig) -> None:
         model = result.model(progress)
     if config.save is not None:
         save_classifier(model, config.save)
-        say(f"classifier: {config.save}")
     if config.page is not None:
         from deformscope.runs.classification_report import classification_page, classification_pictures
 
@@ -88,4 +87,4 @@ def _write_report(config: ClassifyConfig, page: Path, drawn: Mapping[str, bytes]
         for name, png in drawn.items():
             write_file(config.report / f"{name}.png", png)
     write_file(page, text.encode())
-    say(f"report: {page}")
+    wrote("report", page)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import shlex
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from deformscope.config import RecordedOptions
+    from deformscope.config.options import Flags
     from deformscope.log.application import Application
     from deformscope.recording.recorder import Recorder
 
@@ -40,6 +43,10 @@ PAGE_LOOK_S = 0.2
 """Seconds between checks whether a page's server still runs."""
 
 _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None)
+_written: ContextVar[list[tuple[str, Path]] | None] = ContextVar("written", default=None)
+
+CALLED = {"--record": "recording", "--save": "model", "--json": "JSON", "--out": "written"}
+"""What the file of a flag is called, where that is not the flag's name."""
 
 
 # Words and tables ----------------------------------------------------------------------------------------------------
@@ -95,8 +102,6 @@ def recorder_of(
     of = application or FINDINGS.variant(str(settings["command"]))
     with open_recorder(config.output, settings, of, real_time=real_time) as recorder:
         yield recorder
-    if recorder.summary().path is not None:
-        say(f"recording: {recorder.summary().path}")
 
 
 def pictures_of(drawn: Mapping[str, Path]) -> tuple[Figure, ...]:
@@ -125,6 +130,42 @@ def keep_page() -> None:
             while running_pages():
                 time.sleep(PAGE_LOOK_S)
     end_pages()
+
+
+@contextmanager
+def list_written(options: Flags) -> Iterator[None]:
+    """A command that ends without an error lists its files and folders last, with the commands that open them: those
+    of its flags, and those that it reports by `wrote`."""
+    token = _written.set([])
+    try:
+        yield
+        named = [(CALLED.get(flag, flag.removeprefix("--")), path) for flag, path in options.made()]
+        own = _written.get() or []
+        for what, path in [*((what, path) for what, path in named if path not in [one for _, one in own]), *own]:
+            opened = open_command(path)
+            say(f"{what}: {path}" + (f"; open it with: {opened}" if opened else ""))
+    finally:
+        _written.reset(token)
+
+
+def wrote(what: str, path: Path | str) -> None:
+    """A file or folder whose name is not that of a flag, for the end of the command."""
+    if (own := _written.get()) is not None:
+        own.append((what, Path(path)))
+
+
+def open_command(path: Path) -> str:
+    """This user's command that shows a file or folder, empty where there is none. Rerun's viewer is named by its path
+    in this Python's folder, unless its name is on the PATH."""
+    if path.is_dir():
+        path /= "index.html"
+    beside = Path(sys.executable).with_name("rerun")
+    viewer = str(beside) if shutil.which("rerun") is None and beside.exists() else "rerun"
+    if viewer != "rerun" and beside.is_relative_to(Path.cwd()):
+        viewer = str(beside.relative_to(Path.cwd()))
+    browser = "python -m webbrowser"
+    known = {".rrd": f"{viewer} --bind 127.0.0.1", ".html": browser, ".png": browser, ".json": "python -m json.tool"}
+    return f"{known[path.suffix]} {shlex.quote(str(path))}" if path.suffix in known and path.is_file() else ""
 
 
 # JSON ----------------------------------------------------------------------------------------------------------------

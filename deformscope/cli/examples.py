@@ -71,5 +71,6 @@ EXAMPLES: dict[str, str] = {
     "reproduce containers": "deformscope reproduce containers --trials 40 --cylinders 0 --quick",
     "reproduce squeezes": "deformscope reproduce squeezes --trials 10",
     "bench": "deformscope bench --quick --only step,relax",
+    "completion": "deformscope completion bash",
 }
 """By command."""

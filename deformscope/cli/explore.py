@@ -52,28 +52,26 @@ class _Outputs:
 
     def write(self, explored: ExplorationResult) -> None:
         """Write and print the results."""
-        config, written = self.config, []
+        config = self.config
         if (maps := explored.estimate) is not None:
-            if config.map is not None and self._write(config.map, lambda: _map_file(config, maps)):
-                written.append(("map", str(config.map)))
-            if config.picture is not None and self._write(config.picture, lambda: explored.png):
-                written.append(("picture", str(config.picture)))
+            self._write(config.map, lambda: _map_file(config, maps))
+            self._write(config.picture, lambda: explored.png)
         try:
             write_json(explored.as_json(), config.output.json)
         except OSError as error:
             self.unwritten.append(_unwritten(config.output.json or "", error))
         title = f"{config.rig} (simulated)" if explored.simulated else config.rig
-        show_table(title, [*explored.rows(), *written])
+        show_table(title, explored.rows())
         for one in self.unwritten:
             say(f"deformscope: not written: {one}")
 
-    def _write(self, path: Path, make: Callable[[], bytes]) -> bool:
+    def _write(self, path: Path | None, make: Callable[[], bytes]) -> None:
+        if path is None:
+            return
         try:
             write_file(path, make())
         except Exception as error:
             self.unwritten.append(_unwritten(path, error))
-            return False
-        return True
 
 
 def _unwritten(path: Path | str, error: Exception) -> InputError:

@@ -54,7 +54,6 @@ def run(config: FlowConfig) -> None:
         ("median motion", _px(numbers["median_px"])),
         ("largest motion", _px(numbers["max_px"])),
         ("forward-backward error (median)", _px(numbers["forward_backward_median_px"])),
-        ("written", str(config.out) if config.picture is None else f"{config.out}, {config.picture}"),
     ]
     title = f"Flow of {config.before.name} to {config.after.name} ({width} x {height}, {config.method})"
     found = Findings((Table(rows, caption=title),))

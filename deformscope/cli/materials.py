@@ -38,10 +38,8 @@ def run(config: MaterialOptions) -> int:
     files = config.summary
     if files.picture is not None:
         write_file(files.picture, found.figures()[0].png)
-        say(f"picture: {files.picture}")
     if files.report is not None:
         write_file(files.report, material_page(found).encode())
-        say(f"report: {files.report}")
     write_json(found.to_dict(), config.output.json)
     if found.problems:
         say(f"deformscope: {config.sources[0]} is damaged: {'; '.join(found.problems)}")

@@ -8,7 +8,7 @@ deformscope live lab:bench --stage tactile --stage beta --viewer page
 
 from __future__ import annotations
 
-from deformscope.cli.common import EXIT_LOSSES, say, show, write_json
+from deformscope.cli.common import EXIT_LOSSES, say, show, write_json, wrote
 from deformscope.config import LiveConfig, RecordConfig, RigRunOptions
 from deformscope.recording.losses import named
 from deformscope.runs.rig_run import RigRun, run_rig
@@ -28,7 +28,9 @@ def _shown(run: RigRun, config: RigRunOptions) -> int:
     """Print the summary of the recording; the command's exit status."""
     show(run.result)
     write_json(run.result.as_json(), config.output.json)
-    recorded, losses = run.result.found["recording"] is not None, run.result.found["losses"]
+    recorded, losses = run.result.found["recording"], run.result.found["losses"]
+    if recorded is not None:
+        wrote("recording", recorded)
     if losses and recorded:
         say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     if run.early_by:

@@ -12,7 +12,7 @@ deformscope export r.rrd --images frames --camera front
 
 from __future__ import annotations
 
-from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_json
+from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_json, wrote
 from deformscope.config import ExportConfig, RecoverConfig, VerifyConfig
 
 
@@ -37,6 +37,7 @@ def recover(config: RecoverConfig) -> None:
     from deformscope.runs.recovery import recover_recording
 
     found = recover_recording(config.recording, config.out)
+    wrote("recording", found.found["recovered"])
     show(found)
     write_json(found.as_json(), config.json)
 

@@ -6,9 +6,8 @@ deformscope report run.rrd --out run.html
 
 from __future__ import annotations
 
-from deformscope.cli.common import check_writable, say, show, write_file, write_json
+from deformscope.cli.common import check_writable, say, show, write_file, write_json, wrote
 from deformscope.config import ReportConfig
-from deformscope.pictures.messages import counted
 from deformscope.runs.recording_report import report_recording
 
 
@@ -20,5 +19,5 @@ def run(config: ReportConfig) -> None:
     write_file(out, found.page().encode())
     show(found)
     say(f"stages missing: {', '.join(found.lacks) or 'none'}")
-    say(f"report: {out} ({counted(len(found.figures()), 'figure')})")
+    wrote("report", out)
     write_json({**found.to_dict(), "report": out}, config.json)

@@ -18,7 +18,6 @@ from deformscope.cli.common import (
     pictures_of,
     quiet_warp,
     recorder_of,
-    say,
     show,
     write_json,
 )
@@ -94,7 +93,6 @@ def _write(foams: Sequence[FoamDent], explored: Sequence[Scenario], config: Chap
         )
     )
     show(found)
-    say(f"figures and tables: {out}")
     drawn = pictures_of(
         {
             "Figure 4.4: input of the sweep of beta": out / "figure44.png",

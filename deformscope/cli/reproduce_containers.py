@@ -18,6 +18,7 @@ from deformscope.cli.common import (
     show,
     write_file,
     write_json,
+    wrote,
 )
 from deformscope.config import ContainersConfig
 
@@ -128,4 +129,4 @@ def _report(
     page = classification_page(result, model, drawn, settings_of(config), compared)
     write_file(folder / "index.html", page.encode())
     save_classifier(model, folder / "contents.npz")
-    say(f"report: {folder / 'index.html'}")
+    wrote("report", folder / "index.html")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, say, show, write_file, write_json
+from deformscope.cli.common import fit_progress, make_folder, quiet_warp, recorder_of, show, write_file, write_json
 from deformscope.config import PokesConfig
 from deformscope.pictures.dents import dents_png
 from deformscope.pictures.figures import write_rows
@@ -37,7 +37,6 @@ def run(config: PokesConfig) -> None:
     write_file(config.out / "dents.png", dents_png([one.prediction for one in every], every))
     table = rows(studied)
     write_rows(config.out / "pokes.csv", table)
-    say(f"figures and table: {config.out}")
     fits = [
         {"slab": one.plan.name, "field": one.found.model.field_kind, "pokes": one.found.rows()} | _law(one)
         for one in studied

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deformscope.cli.common import make_folder, recorder_of, say, show, write_file, write_json
+from deformscope.cli.common import make_folder, recorder_of, show, write_file, write_json
 from deformscope.config import SqueezesConfig
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ def run(config: SqueezesConfig) -> None:
         recorder.write(Step((found,), frame=0))
     show(found)
     write_file(config.out / "squeezes.png", png)
-    say(f"figure and data set: {config.out}")
     summary = dict(truth_rows(every))
     write_json({"summary": summary, "squeezes": every}, config.output.json)
 

@@ -40,6 +40,7 @@ from deformscope.config.reproduce import (
 )
 from deformscope.config.rigs import (
     ArmConfig,
+    CompletionConfig,
     DemoConfig,
     DevicesConfig,
     DiscardRecordingConfig,

@@ -12,7 +12,7 @@ from deformscope.config import flags
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
-from deformscope.file_io import ending_of
+from deformscope.file_io import ending_of, nearest_sample
 
 AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
@@ -239,7 +239,9 @@ class BothConfig(RecordedOptions):
 
     def check(self) -> None:
         if other := next((source for source in self.sources if ending_of(source) != ".npz"), None):
-            raise InputError("pair files (.npz)", repr(other), "calibrate beta or theta for images")
+            raise InputError(
+                "pair files (.npz)", repr(other), nearest_sample(other) or "calibrate beta or theta for images"
+            )
 
 
 # deformscope predict -------------------------------------------------------------------------------------------------

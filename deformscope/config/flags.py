@@ -218,6 +218,11 @@ class Writes:
     kept: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Makes:
+    """An output folder."""
+
+
 def least(number: int) -> Rule:
     return Rule(lambda value: value >= number, f"a {{flag}} of {number} or more")
 
@@ -298,7 +303,8 @@ RigFlag = Annotated[str, Positional, arg(metavar="RIG"), Reads()]
 SceneFlag = Annotated[str, Positional, arg(metavar="RIG|lab:NAME"), Reads()]
 BesideFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, Reads()]
 RecordingFlag = Annotated[Path, Positional, arg(metavar="FILE.rrd"), Reads()]
-Folder = Annotated[Path, arg(metavar="DIR")]
+Folder = Annotated[Path, arg(metavar="DIR"), Makes()]
+NewFolder = Annotated[Path | None, one_word("FOLDER", Path), unset, Makes()]
 
 
 def _some(name: str, hint: str) -> Rule:

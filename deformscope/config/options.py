@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
+from tyro.constructors import PrimitiveConstructorSpec
+
 from deformscope.config import flags
 from deformscope.errors import InputError
 
@@ -54,21 +56,17 @@ class Flags:
     @classmethod
     def of(cls, **given: Any) -> Self:
         """Makes options from a script's arguments by name, each in its group of flags. Paths may be strings, tuples any
-        sequences. Raises TypeError for unknown names."""
+        sequences, and what has a form of its own on the command line that text. Raises TypeError for unknown names."""
         own: dict[str, Any] = {}
-        hints = get_type_hints(cls)
+        hints, marks, named = get_type_hints(cls), marks_of(cls), flags_of(cls)
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # all that derive from it are dataclasses
             name, group = field.name, field.default_factory
             if isinstance(group, type) and issubclass(group, Flags):
                 own[name] = group.of(**{one: given.pop(one) for one in marks_of(group).keys() & given.keys()})
             elif name in given:
-                kinds, value = (hints[name], *get_args(hints[name])), given.pop(name)
-                choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
-                if choices and value is not None and value not in choices:
-                    expected = f"a {flags_of(cls)[name]} out of {', '.join(map(str, choices))}"
-                    raise InputError(expected, repr(value))
-                convert = Path if Path in kinds else tuple if any(get_origin(kind) is tuple for kind in kinds) else None
-                own[name] = value if value is None or convert is None else convert(value)
+                value = given.pop(name)
+                typed = next((mark for mark in marks[name] if isinstance(mark, PrimitiveConstructorSpec)), None)
+                own[name] = value if value is None else _converted(named[name], hints[name], typed, value)
         if given:
             raise TypeError(f"unexpected options: {', '.join(sorted(given))}")
         return cls(**own)
@@ -89,6 +87,11 @@ class Flags:
         found = ((flag, value, mark) for flag, value, mark in self._marked(flags.Writes) if value != "-")
         return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
 
+    def made(self) -> tuple[tuple[str, Path], ...]:
+        """The flags of output files and folders, and what is there after the command."""
+        folders = ((flag, value) for flag, value, _ in self._marked(flags.Makes) if value.is_dir())
+        return (*((one.flag, one.path) for one in self.writes() if one.path.is_file()), *folders)
+
     def _marked(self, kind: type[MarkT], *, inner: bool = True) -> Iterator[tuple[str, Any, MarkT]]:
         """Flag, value and mark of each field with a value and a mark of this kind; inner: also of nested groups of
         flags"""
@@ -100,6 +103,25 @@ class Flags:
             for mark in marks[field.name] if value is not None else ():
                 if isinstance(mark, kind):
                     yield named[field.name], value, mark
+
+
+def _converted(flag: str, hint: Any, typed: PrimitiveConstructorSpec[Any] | None, value: Any) -> Any:
+    """A script's value in its field's type. typed: how it is read from the command line, where it has a form there"""
+    kinds = (hint, *get_args(hint))
+    choices = next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
+    if choices and value not in choices:
+        raise InputError(f"a {flag} out of {', '.join(map(str, choices))}", repr(value))
+    try:
+        if typed is not None:
+            return typed.instance_from_str([value] if isinstance(value, str) else typed.str_from_instance(value))
+        if any(get_origin(kind) is tuple for kind in kinds):
+            return (value,) if isinstance(value, str | Path) else tuple(value)
+        read = next((kind for kind in (int, float, Path) if kind in kinds), None)
+        return value if read is None or (isinstance(value, int | float) and read is not Path) else read(value)
+    except (TypeError, ValueError, AttributeError) as error:
+        said = str(error) if isinstance(error, ValueError) and str(error).startswith("expected") else ""
+        form = getattr(typed, "metavar", getattr(hint, "__name__", str(hint)))
+        raise InputError.about(Exception(f"{flag}: {said or f'expected {form}; got {value!r}'}"), "") from None
 
 
 class CommandOptions(Flags):

@@ -195,9 +195,9 @@ class ExportConfig(CommandOptions):
     """The recording."""
     to: ExportFormat | None = None
     """The format. mcap needs `pip install 'deformscope[mcap]'`."""
-    out: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
+    out: flags.NewFolder = None
     """Output folder, new or empty. It appears once all is written."""
-    images: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
+    images: flags.NewFolder = None
     """Short for --to images --out FOLDER, without `export.json`; each of several cameras has its own folder. File names
     are indices in the camera's stream, distances are 16 bit PNG in the camera's unit."""
     only: Annotated[tuple[str, ...], arg(metavar="ENTITY...", help_behavior_hint="")] = ()
@@ -295,6 +295,18 @@ class ArmConfig(RecordedOptions):
     """Let a real arm move without asking, once the checks have passed."""
     trust_rig: flags.TrustFlag = False
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class CompletionConfig(CommandOptions):
+    """Print what makes a shell complete commands, flags, their values, samples and scenes. For bash and zsh, add
+    `eval "$(deformscope completion bash)"` to ~/.bashrc or ~/.zshrc; for fish, write it to
+    ~/.config/fish/completions/deformscope.fish."""
+
+    shell: Annotated[Literal["bash", "zsh", "fish"], Positional]
+    """The shell."""
+    line: Annotated[str | None, flags.one_word("TEXT", str), flags.unset] = None
+    """Print the possible next words of this command line instead, one a line; the shell calls this."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ from deformscope.config import flags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, either
 from deformscope.errors import InputError
 
-FolderFlag = Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset]
 NAME = flags.Rule(
     lambda name: not name or (len(name) <= 64 and all(letter.isalnum() or letter in "-_." for letter in name)),
     "a name of letters, digits, -, _ and . after {flag}",
@@ -40,7 +39,7 @@ class SqueezeConfig(RecordedOptions):
     container: NameFlag = ""
     """Name of the container, such as box-07: trials of one container are never split between training and test. In the
     laboratory its name begins with box or cylinder."""
-    dataset: FolderFlag = None
+    dataset: flags.NewFolder = None
     """Add the trial to this data set, with its recording unless --keep says otherwise."""
     keep: Literal["trial", "features"] = "trial"
     """Stored part of a trial: its whole recording and its features, or only these."""

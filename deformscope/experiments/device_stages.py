@@ -524,7 +524,7 @@ def fit_contact(
     fit = fit_approach(time_s, tip_m, force_n, normal, tip=tip, set_force_n=set_force_n, arm=arm)
     along, force_n, tip_m = -(tip_m @ normal)[: peak + 1], force_n[: peak + 1], tip_m[: peak + 1]
     return TouchEstimate(
-        number=0,
+        number=1,
         xyz_m=tip_m[peak],
         normal=normal,
         approach_m=along - along[0],

@@ -6,6 +6,7 @@ their results. It is the same for simulated, recorded and real robots and stages
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ from deformscope.stages.map.exploration import (
     TouchForecast,
 )
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
+
+_logger = logging.getLogger(__name__)
 
 ESTIMATES_FAILED = "estimates failed"
 AT_END = "recording at its end"
@@ -104,6 +107,36 @@ class Unsteered:
     def refuse(self, reason: str) -> None: ...
 
     def look(self) -> None: ...
+
+
+class TouchPlanner(Protocol):
+    """A planner of one's own, for `deformscope.explore(..., planner=...)`. Its touches are checked as all are, and
+    recorded, so that a replay repeats them."""
+
+    def __call__(self, planned: PlannedTouch, so_far: Exploration) -> Sequence[float] | None:
+        """The next place (x, y) on the surface [m]; None = as planned.
+
+        planned: by "regions", with gain, cost [s] and exclusion of each cell; so_far: the surface, touches and maps.
+        A place that cannot be touched leaves the planned one.
+        """
+
+
+class PlannedBy(Unsteered):
+    """Touches where a planner says."""
+
+    def __init__(self, planner: TouchPlanner, so_far: Exploration) -> None:
+        self._planner, self._so_far, self._refused = planner, so_far, False
+
+    def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
+        refused, self._refused = self._refused, False
+        if plan is None or plan.target_m is None or refused:
+            return _resolved(NextMove())
+        place = self._planner(plan, self._so_far)
+        return _resolved(NextMove() if place is None else NextMove("touch", np.asarray(place, np.float64)))
+
+    def refuse(self, reason: str) -> None:
+        _logger.warning("no touch at the place of the planner, but as planned: %s", reason)
+        self._refused = True
 
 
 class RecordedSteering(Unsteered):

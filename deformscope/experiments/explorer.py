@@ -411,7 +411,7 @@ class Explorer:
             given = touched.approach, contact.fit, self.surface, self._arm, options
             under = self._stage("touch surface", lambda: touch_surface(*given))
         return TouchPerception(
-            number=len(self.touches) - 1,
+            number=len(self.touches),
             masks=None if touched.pixels is None else touched.pixels.masks(),
             surface=under,
             error=beta.curve,
@@ -450,7 +450,7 @@ class Explorer:
             self.search = self.search.with_beta(beta.dented_m, beta.value)
         return touch_estimate(
             touched,
-            number=len(self.touches),
+            number=len(self.touches) + 1,
             height_m=None if aimed is None else aimed[0],
             contact=contact,
             creep=creep,

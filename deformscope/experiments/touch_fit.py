@@ -117,7 +117,7 @@ def touch_estimate(
     shape: LocalShape | None,
     tip_radius_m: float,
 ) -> TouchEstimate:
-    """The reported estimate of a touch. number: from 0; height_m: of the surface as it was seen there, None = not
+    """The reported estimate of a touch. number: from 1; height_m: of the surface as it was seen there, None = not
     known: then as low as the tip came; contact: None where it could not be fitted"""
     along, force_n, nan = _along(touched), _force_along(touched), float("nan")
     lowest_m = float(touched.position_m[:, 2].min()) - tip_radius_m

@@ -15,7 +15,7 @@ import numpy as np
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.file_io import ending_of, resolve
+from deformscope.file_io import ending_of, nearest_sample, resolve
 from deformscope.files.video_check import VideoCheck
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image, to_rgb
@@ -132,7 +132,8 @@ def open_source(
 
     path = resolve(paths[0])
     if not path.exists():
-        raise InputError("a video, a folder of frames, or image files", "nothing there", where=path)
+        expected = "a video, a folder of frames, or image files"
+        raise InputError(expected, "nothing there", nearest_sample(path), path)
     if path.is_dir():
         return _images(images_in(path), str(path), stride, fps, mask)
     if path.suffix.lower() == RECORDING_SUFFIX:

@@ -29,8 +29,10 @@ from __future__ import annotations
 import difflib
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -286,6 +288,32 @@ class Scene:
     def truth(self) -> IntArray:
         """(rows, columns) the label of each cell's centre."""
         return self.label(self.cells_m())
+
+
+class OwnScene(Protocol):
+    """A simulated table of one's own, for `deformscope.explore(scene)`: foams of `THICKNESS_M` side by side.
+
+    name: of it in recordings; hardnesses: of each foam in N, as in the names of scenes: "60", "110c30p20", "rigid"
+    """
+
+    name: str
+    hardnesses: Sequence[str]
+
+    def label(self, xy_m: FloatArray) -> IntArray:
+        """(n,) which of the foams is at places (n, 2) [m], from 0 to `SIZE_M`."""
+
+
+def scene_of(own: OwnScene, seed: int = 0) -> Scene:
+    """A scene as explorations take it. Raises InputError for labels that are of no foam."""
+    scene = Scene(own.name, seed, tuple(map(Piece.named, own.hardnesses)), {}, _label=partial(_own_label, own))
+    found, last = np.unique(scene.truth()), len(own.hardnesses) - 1
+    if found.min() < 0 or found.max() > last:
+        raise InputError(f"labels from 0 to {last}", str(found.tolist()), "a hardness for each label")
+    return scene
+
+
+def _own_label(own: OwnScene, xy_m: FloatArray) -> IntArray:
+    return np.asarray(own.label(xy_m.reshape(-1, 2)), np.int64).reshape(xy_m.shape[:-1])
 
 
 BUILT_IN = {

@@ -36,7 +36,7 @@ OTHER_VERDICT = "#b01818"
 
 APART = 0.02
 """Largest distance of a posterior's peak from the estimate, as a share of the range, for which it has no mark of its
-own."""
+own; a peak outside of the interval has none either."""
 NARROW = 0.05
 """An interval below this share of the range is drawn once more, enlarged."""
 
@@ -225,7 +225,7 @@ def _draw_posterior(axes: Axes, estimate: Estimate, size: int) -> None:
     (low, high), (lowest, highest) = estimate.interval, estimate.bounds
     posterior = estimate.posterior
     likeliest = float(posterior.parameter[np.argmax(posterior.density)])
-    if abs(likeliest - estimate.value) > APART * (highest - lowest):
+    if low <= likeliest <= high and abs(likeliest - estimate.value) > APART * (highest - lowest):
         peak, lowest_error = f"most likely, marginally: {likeliest:.3g}", f"lowest error: {estimate.value:.3g}"
         axes.plot([likeliest], [posterior.density.max()], "v", color=POSTERIOR, ms=7, label=peak)
         axes.plot([estimate.value], [0.0], "D", color=MINIMUM, ms=7, label=lowest_error, clip_on=False)

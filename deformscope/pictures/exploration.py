@@ -74,6 +74,8 @@ PLACE = (0.12, 0.12, 0.7, 0.69)
 ROWS_OF_WORDS = 3
 UNIT_LETTERS = 8
 """A longer label of a colour bar is part of the label of x."""
+NEAR_EDGE = 0.12
+"""Share of a map's side from its far edge on in which a touch's number is written on the other side of the touch."""
 LEAST_SURE = 0.25
 """Probability of a label at which its colour is as pale as it gets."""
 
@@ -179,8 +181,7 @@ def draw_regions(axes: Axes, maps: MapEstimate) -> None:
     _draw_outline(axes, maps.labels, maps.cell_m, "black")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
     _draw_keys(axes, maps)
-    title = f"{format_verdict(maps)} found ({format_claim(maps.claimed)})"
-    _title(axes, title, "the paler, the less certain")
+    _title(axes, f"{format_verdict(maps)} found", f"{format_claim(maps.claimed)}; the paler, the less certain")
 
 
 def draw_truth(axes: Axes, maps: MapEstimate) -> None:
@@ -259,7 +260,7 @@ def _height_range(height_mm: FloatArray) -> tuple[float, float]:
 
 
 def draw_force(axes: Axes, touch: TouchEstimate, name: str = "") -> None:
-    name = name or f"Touch {touch.number + 1}"
+    name = name or f"Touch {touch.number}"
     if not touch.usable:
         _title(axes, f"{name}: {touch.stiffness_text}", f"{touch.dent_text}; {touch.beta_text}")
         axes.plot(touch.approach_m * 1e3, touch.approach_n, ".", color=hexadecimal(OBSERVED), ms=5)
@@ -297,7 +298,7 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
         axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
     if touch.usable and not touch.rigid:
         axes.plot([0.0], [-touch.depth_m * 1e3], "v", color="black", ms=7, label="tip", zorder=5)
-    _title(axes, f"Dent of touch {touch.number + 1}", "over the surface at rest; " + touch.beta_text)
+    _title(axes, f"Dent of touch {touch.number}", "over the surface at rest; " + touch.beta_text)
     if not axes.lines:
         _say(axes, "no points were measured")
         return
@@ -311,7 +312,7 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
 
 
 def draw_error(axes: Axes, perception: TouchPerception) -> None:
-    name = f"E(beta) of touch {perception.number + 1}"
+    name = f"E(beta) of touch {perception.number}"
     if perception.error is None or perception.estimate is None:
         _title(axes, name, "")
         _say(axes, "no model was fitted")
@@ -372,7 +373,7 @@ def draw_touch_comparison(
         (recorded, RECORDED, "o", "recorded", -0.1),
         (other, OTHER, "s", name, 0.1),
     ):
-        known = [(one.number + 1 + aside, *found) for one in touches if (found := _with_interval(one, quantity))]
+        known = [(one.number + aside, *found) for one in touches if (found := _with_interval(one, quantity))]
         at, value, low, high = np.array(known).reshape(-1, 4).T
         ends = np.maximum([value - low, high - value], 0.0)
         handles.append(axes.errorbar(at, value, ends, fmt=mark, color=hexadecimal(color), ms=5, capsize=3, label=whose))
@@ -570,10 +571,13 @@ def _draw_contacts(axes: Axes, contacts_m: FloatArray, tip_radius_m: float, *, p
             )  # fmt: skip
     else:
         axes.plot(*at.T, "o", color="white", mec="black", ms=4, zorder=5)
-    for number, (x, y) in enumerate(at, start=1):
+    limits = np.array([axes.get_xlim(), axes.get_ylim()])
+    for number, place in enumerate(at, start=1):
+        inward = np.where(place > limits @ [NEAR_EDGE, 1.0 - NEAR_EDGE], -1.0, 1.0)  # else it is over the edge
         axes.annotate(
-            str(number), (x + 80 * tip_radius_m, y + 80 * tip_radius_m), xytext=(1, 0), textcoords="offset points",
-            ha="left", va="bottom", fontsize=10, weight="bold", color="black", zorder=6,
+            str(number), tuple(place + 80 * tip_radius_m * inward), xytext=(inward[0], 0), textcoords="offset points",
+            ha="left" if inward[0] > 0 else "right", va="bottom" if inward[1] > 0 else "top",
+            fontsize=10, weight="bold", color="black", zorder=6,
             path_effects=[withStroke(linewidth=2.2, foreground="white")], annotation_clip=True,
         )  # fmt: skip
 
@@ -593,19 +597,26 @@ def _draw_excluded(axes: Axes, excluded: BoolArray, cell_m: float) -> None:
 
 
 def _draw_keys(axes: Axes, maps: MapEstimate) -> None:
-    """Each region's stiffness, and loss where it is mapped, in its place."""
+    """Each region's number, stiffness, and loss where it is mapped, in its place within the axes."""
     from matplotlib.patheffects import withStroke
 
+    axes.apply_aspect()  # else the axes have another place until they are drawn
+    room = axes.get_window_extent()
     for label, region in enumerate(maps.regions):
         inside = maps.labels == label
         if inside.any():
             x, y = _middle(inside, maps.cell_m, maps.contacts_m)
             stiff = f"{region.level_text}\nN/mm\n{region.modulus_text}".strip()
-            words = "\n".join(one for one in (region.loss_text.split(" (")[0], stiff) if one)
-            axes.text(
-                x, y, words, ha="center", va="center", fontsize=11,
+            words = "\n".join(one for one in (f"region {label + 1}", region.loss_text.split(" (")[0], stiff) if one)
+            text = axes.text(
+                x, y, words, ha="center", va="center", fontsize=10,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
+            drawn = text.get_window_extent()
+            ends, around = np.array(drawn.get_points()), np.array(room.get_points())
+            over = np.maximum(around[0] - ends[0], 0.0) + np.minimum(around[1] - ends[1], 0.0)
+            x, y = axes.transData.inverted().transform(axes.transData.transform((x, y)) + over)
+            text.set_position((float(x), float(y)))
 
 
 def _middle(inside: BoolArray, cell_m: float, avoid_m: FloatArray) -> tuple[float, float]:

@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import tomllib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,6 +34,7 @@ class Facts:
     losses: by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
     until_s: session time of the last row [s], None without one; damage: reason for the end of reading, empty = none
     discarded: its discarded parts (`deformscope.recording.discards`)
+    absent: devices that it names and of which no frame was read
     """
 
     application: str = ""
@@ -43,6 +45,7 @@ class Facts:
     until_s: float | None = None
     damage: str = ""
     discarded: list[dict[str, Any]] = field(default_factory=list)
+    absent: list[str] = field(default_factory=list)
 
 
 def salvage(path: Path, readable: Path) -> tuple[Facts, str]:
@@ -109,10 +112,15 @@ def gather_facts(path: Path, *, brief: bool = False) -> Facts:
 
     facts: dict[str, Any] = {}
     counts: Counter[str] = Counter()
+    named: set[str] = set()
     try:
         replay = Replay(path, trust=True)
         facts["application"], facts["recording"] = replay.identity
+        if {"rig", "label"} <= (settings := json.loads(replay.properties.get("settings", "{}"))).keys():
+            named |= tomllib.loads(settings["rig"]).get("devices", {}).keys()  # `record` opens all of them
         for chunk in replay.chunks("/**"):
+            if chunk.is_static and "stream" in chunk.to_record_batch().schema.names:
+                named.add(chunk.entity_path.rpartition("/")[2])
             if chunk.is_static or "session" not in chunk.timeline_names:
                 continue
             batch = chunk.to_record_batch()
@@ -129,7 +137,7 @@ def gather_facts(path: Path, *, brief: bool = False) -> Facts:
         facts["damage"] = str(error).split(" | ")[0]
     except Exception as error:  # damaged bytes make the readers raise what they like
         facts["damage"] = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-    return Facts(counts=dict(counts), **facts)
+    return Facts(counts=dict(counts), absent=sorted(one for one in named if not counts[f"{one}/frames"]), **facts)
 
 
 def _counted(entity: str, columns: list[str]) -> str | None:

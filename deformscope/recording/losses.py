@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from deformscope.frames import HealthReport
 from deformscope_drivers.device import JOINING_BYTES, RAW_DROPPED
@@ -86,3 +86,8 @@ def to_text(lost: Mapping[str, float]) -> str:
 def named(losses: Mapping[str, Mapping[str, float]]) -> str:
     """All devices' losses in one line."""
     return "; ".join(f"{device}: {to_text(lost)}" for device, lost in losses.items())
+
+
+def without_frames(devices: Sequence[str]) -> dict[str, str]:
+    """What is said of each device that a recording names and of which no frame was read."""
+    return dict.fromkeys(devices, "all frames: the recording names it, and holds none")

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from deformscope.errors import InputError
-from deformscope.file_io import resolve
+from deformscope.file_io import nearest, nearest_sample, resolve
 from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
@@ -304,7 +304,8 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
         came = getattr(error, "strerror", None) or (
             "a file without text" if isinstance(error, UnicodeDecodeError) else _line(error)
         )
-        raise InputError("a rig file (TOML), or lab:NAME", came.lower(), EXAMPLE, text) from error
+        near = nearest(text, scenario_names(), LAB_SCHEME) or nearest_sample(text) or EXAMPLE
+        raise InputError("a rig file (TOML), or lab:NAME", came.lower(), near, text) from error
     return parse_rig(content, text, trusted=trusted)
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import shutil
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -148,8 +146,6 @@ class CalibrationResult(SourceResult):
 
     def tables(self) -> tuple[Table, ...]:
         parameter, rows = self.estimate.parameter, self.source_rows()
-        if self.recording is not None and self.recording.path is not None:
-            rows.append(("to show it", f"{rerun_command()} --bind 127.0.0.1 {self.recording.path}"))
         title = f"{parameter} of {self.name}" if self.name else f"Estimate of {parameter}"
         first, *others = estimate_tables(self.estimate, title)
         tables = [Table([*first.rows, *rows], caption=first.caption), *others]
@@ -159,17 +155,6 @@ class CalibrationResult(SourceResult):
 
     def figures(self) -> tuple[Figure, ...]:
         return (Figure(self.picture(), self.estimate.verdict_text()),)
-
-
-def rerun_command() -> str:
-    """This user's command of rerun's viewer: its name if it is on the PATH, else its path in this Python's folder."""
-    beside = Path(sys.executable).with_name("rerun")
-    if shutil.which("rerun") is not None or not beside.exists():
-        return "rerun"
-    try:
-        return str(beside.relative_to(Path.cwd()))
-    except ValueError:
-        return str(beside)
 
 
 def calibrate(

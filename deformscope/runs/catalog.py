@@ -284,7 +284,7 @@ def _touches(path: Path) -> dict[str, Any]:
 
     found: dict[str, Any] = {}
     for row in read_results(path, (TouchEstimate,), trust=True):
-        found |= {f"touch {row.item.number + 1}.{name}": value for name, value in cells_of(row.item).items()}
+        found |= {f"touch {row.item.number}.{name}": value for name, value in cells_of(row.item).items()}
     return found
 
 

@@ -64,7 +64,7 @@ class TouchOutcome:
     """A touch, and its effect on the exploration.
 
     ended_s: since the session began; iou: of the map after it; failed: failures on it, as text
-    asked_for: by a person, on the page
+    asked_for: by a person on the page, or by a planner of one's own
     """
 
     touch: TouchEstimate = field(metadata=reported(flat=True))

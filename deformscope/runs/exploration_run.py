@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.errors import InputError
+from deformscope.experiments.explore import TouchPlanner as TouchPlanner
 from deformscope.interruption import until_interrupted
+from deformscope.lab.scenes import OwnScene as OwnScene
+from deformscope.lab.scenes import scene_of
 from deformscope.log.exploration.layout import EXPLORATION, ExplorationLayout
 from deformscope.results.render import to_line
 from deformscope.runs.exploration_result import NOT_KNOWN, ExplorationResult, LayerThickness, TouchOutcome, TruthScore
@@ -65,9 +68,15 @@ class ExplorationEnd:
     losses: dict[str, dict[str, float]] = field(default_factory=dict)
 
 
-def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None]) -> ExplorationResult | None:
+def explore_on(
+    config: ExploreConfig,
+    report: Callable[[ExplorationResult], None],
+    planner: TouchPlanner | None = None,
+    scene: OwnScene | None = None,
+) -> ExplorationResult | None:
     """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
 
+    planner: instead of the built-in one; scene: of the rig's name, where that is not built in
     In any case, the arm is halted, and the results are reported before the recording is closed.
     """
     from deformscope.config.explore import ExploreFlags
@@ -90,6 +99,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
         plan_version=NEWEST_PLAN,
         relaxation_version=NEWEST_RELAXATION,
+        go_on=planner is not None,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]
     opening = setup_of(
@@ -104,9 +114,12 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         robot=config.robot,
         removal=config.removal,
         tangential=config.tangential,
+        scene=None if scene is None else scene_of(scene, options.seed),
     )
     setup, options = opening.setup, opening.options
     _check_first(config, setup)
+    if planner is not None and (opening.recorded is not None or config.output.viewer == "page"):
+        raise InputError("a robot without a page, for a planner of one's own", "a recording, or a page")
     if opening.recorded is not None and (config.dry_run or config.output.viewer == "page"):
         raise InputError("a robot, for --dry-run and --viewer page", "a recording", "deformscope replay --viewer page")
     to_come = FaultsToCome(opening.faulty_lab, faults, options.seed) if faults else None
@@ -119,7 +132,7 @@ def explore_on(config: ExploreConfig, report: Callable[[ExplorationResult], None
         open_recorder(config.output, settings, EXPLORATION, real_time=setup.runs_itself) as recorder,
     ):
         try:
-            _run(config, setup, options, found, recorder, asked, to_come, ending, opening.recorded)
+            _run(config, setup, options, found, recorder, asked, to_come, ending, opening.recorded, planner)
         except BaseException as error:
             ending.error = error
         if found.stop is not None:
@@ -165,12 +178,13 @@ def _run(
     to_come: FaultsToCome | None,
     ending: ExplorationEnd,
     recorded: RecordedTouches | None,
+    planner: TouchPlanner | None,
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises.
 
     recorded: touches that were made before: nothing moves
     """
-    from deformscope.experiments.explore import AT_END, explore
+    from deformscope.experiments.explore import AT_END, PlannedBy, explore
     from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
     from deformscope.pictures.render_process import render_process
@@ -235,7 +249,8 @@ def _run(
                         robot.on_phase = to_come.phase_began
                     if page is not None:
                         robot.reason_to_stand = page.reason_to_stand
-                    explored = explore(setup.clock, stage, found, permit(robot, page), page)
+                    steered = page if planner is None else PlannedBy(planner, found)
+                    explored = explore(setup.clock, stage, found, permit(robot, page), steered)
                     experiment = _with_messages(explored, run.line, options.budget, page)
                     run_session(run.source, experiment, run.recorded, robot, beside)
             finally:
@@ -328,9 +343,9 @@ def _remarks(result: object, made: int, budget: int, spent_s: float) -> Iterator
     elif isinstance(result, TouchForecast):
         low, high = result.stiffness_interval
         expected = f"{result.stiffness_n_per_mm:.2g} N/mm expected ({low:.2g} to {high:.2g})"
-        yield f"requested on the page: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
+        yield f"requested: a touch at {_cm(result.xyz_m[:2])} cm, {expected}"
     elif isinstance(result, SteeringDecision):
-        yield f"page: {result.kind} at {_cm(result.xy_m)} cm{': ' * bool(result.reason)}{result.reason}"
+        yield f"decided: {result.kind} at {_cm(result.xy_m)} cm{': ' * bool(result.reason)}{result.reason}"
     elif isinstance(result, TouchEstimate):
         yield f"  measured at {_cm(result.xyz_m[:2])} cm: {to_line(result)}"
         if result.creep is not None:
@@ -416,11 +431,11 @@ def _thickness(exploration: Exploration, options: ExploreOptions) -> LayerThickn
 
 
 def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> TouchOutcome:
-    number = one.number + 1
+    number, at = one.number, one.number - 1
     return TouchOutcome(
         one,
-        ended_s=(exploration.ended_ns[one.number] - start_ns) / 1e9,
-        iou=exploration.iou[one.number] if one.number < len(exploration.iou) else None,
+        ended_s=(exploration.ended_ns[at] - start_ns) / 1e9,
+        iou=exploration.iou[at] if at < len(exploration.iou) else None,
         failed=exploration.failed(number),
         asked_for=number in exploration.asked,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.errors import InputError
+from deformscope.file_io import nearest
 from deformscope.terminal import say
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from deformscope.experiments.recorded_touches import RecordedTouches
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.randomized_rig import RandomizedRig
+    from deformscope.lab.scenes import Scene
     from deformscope.lab.touch_lab import TouchLab
     from deformscope.rig.rig_file import Rig
     from deformscope.robot.description import Removal
@@ -58,13 +60,14 @@ def setup_of(
     robot: str = "plain",
     removal: Removal | None = None,
     tangential: Literal["held", "free"] | None = None,
+    scene: Scene | None = None,
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, closed, or of a recording.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: no hidden
     errors in the laboratory; camera: error model of its camera; robot: the robot's model in the images;
     removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file says, in the
-    laboratory free where `options` are the thesis's
+    laboratory free where `options` are the thesis's; scene: of a name that is not built in
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m
@@ -75,7 +78,7 @@ def setup_of(
         from deformscope.lab.session_errors import LabErrors
         from deformscope.robot.description import AS_CAPSULES
 
-        scene = built_in(name.removeprefix(LAB), options.seed)
+        scene = scene or built_in(name.removeprefix(LAB), options.seed)
         across = tangential or ("free" if options.planner == "thesis" else "held")
         options = dataclasses.replace(options, thickness_m=scene.thickness_m, tangential=across)
         if set_force_n is not None:
@@ -104,8 +107,8 @@ def setup_of(
     from deformscope.recording.target import SUFFIX
     from deformscope.rig.rig_file import load_rig
 
-    if not Path(name).exists() and _is_scene(name):
-        raise InputError("a rig file, or lab:NAME", repr(name), f"{LAB}{name}")
+    if not Path(name).exists() and (near := _nearest_scene(name)):
+        raise InputError("a rig file, or lab:NAME", repr(name), near)
     is_recording = name.lower().endswith(SUFFIX)
     rig = recorded_rig(Path(name)) if is_recording else load_rig(name, trusted=trusted)
     options = dataclasses.replace(
@@ -227,10 +230,10 @@ def squeeze_setup_of(
     return SqueezeOpening(setup, settings, between.content, between.container)
 
 
-def _is_scene(name: str) -> bool:
-    from deformscope.lab.scenes import built_in
+def _nearest_scene(name: str) -> str:
+    """The scene of this name, or of the most similar one; empty = none."""
+    from deformscope.lab.scenes import BUILT_IN, BURIED, built_in
 
     with contextlib.suppress(InputError):
-        built_in(name)
-        return True
-    return False
+        return f"{LAB}{built_in(name).name}"
+    return nearest(name, BUILT_IN | BURIED, LAB)

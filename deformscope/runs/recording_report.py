@@ -124,7 +124,7 @@ def _exploration(replay: Replay) -> Drawn:
     surfaces = [Figure(drawn_of.height_png(one), "height of the surface (eq. 4.3, 4.4)") for one in looks]
     touched: list[Part] = [_by_touch(touches)] if touches else []
     for one in touches[-SHOWN:]:
-        number = one.number + 1
+        number = one.number
         force = Figure(drawn_of.force_png(one), f"touch {number}: force over depth")
         dent = Figure(drawn_of.section_png(one), f"touch {number}: its dent (as fig. 4.4, 4.6)")
         sweeps = (of for of in seen if of.number == one.number and of.error is not None)
@@ -145,7 +145,7 @@ def _exploration(replay: Replay) -> Drawn:
 
 
 def _by_touch(touches: Sequence[TouchEstimate]) -> Figure:
-    nan, at = float("nan"), np.array([one.number + 1 for one in touches])
+    nan, at = float("nan"), np.array([one.number for one in touches])
     stiffness = [(one.stiffness_n_per_mm, *one.stiffness_interval) for one in touches]
     beta = [(nan if one.beta is None else one.beta, *(one.beta_interval or (nan, nan))) for one in touches]
     panels = [_with_interval(*one, at) for one in (("stiffness [N/mm], 90 %", stiffness), ("beta [-], 90 %", beta))]

@@ -12,7 +12,7 @@ from deformscope.pictures.report import Table
 from deformscope.recording.facts import Facts, read_facts, run_rrd, salvage
 from deformscope.recording.ledger import read_counts, write_ledger
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.losses import to_text
+from deformscope.recording.losses import to_text, without_frames
 from deformscope.recording.reader import check_exists, check_magic
 from deformscope.recording.rrd_file import write_outcome
 from deformscope.recording.target import remove_strays
@@ -75,13 +75,15 @@ def _write_ending(ending: Path, facts: Facts, path: Path) -> None:
 def _report(path: Path, out: Path, facts: Facts, damage: str) -> FoundResult:
     """damage: where reading ended before the end of the file; empty = nowhere"""
     then = read_counts(path)
-    missing = {name: then[name] - count for name, count in facts.counts.items() if then.get(name, 0) > count}
+    there = {name: facts.counts.get(name, 0) for name in then if name in facts.counts or name.endswith("/frames")}
+    missing = {name: then[name] - count for name, count in there.items() if then[name] > count}
     until = "" if facts.until_s is None else f"until {facts.until_s:.2f} s"
+    lost = {name: to_text(counts) for name, counts in facts.losses.items()} | without_frames(facts.absent)
     rows = [
         ("recovered", f"{out} ({out.stat().st_size / 1e6:.1f} MB), with its ledger"),
-        ("there is", f"everything {until}"),
+        ("there is", f"everything {until}" + (f", but no frame of {', '.join(facts.absent)}" if facts.absent else "")),
         *((name, str(count)) for name, count in sorted(facts.counts.items())),
-        *((f"{name} lost", to_text(lost)) for name, lost in sorted(facts.losses.items())),
+        *((f"{name} lost", words) for name, words in sorted(lost.items())),
         ("lost", ", ".join(f"{count} {name}" for name, count in missing.items()) or "what came after"),
         *((("damage", f"{damage}: nothing after it is readable"),) if damage else ()),
         ("original", f"{path}: unchanged"),
@@ -92,6 +94,7 @@ def _report(path: Path, out: Path, facts: Facts, damage: str) -> FoundResult:
         "until_s": facts.until_s,
         "counts": facts.counts,
         "losses": facts.losses,
+        "absent": facts.absent,
         "missing": missing,
         "damage": damage,
     }

@@ -157,7 +157,7 @@ def _beside(
         for one in results:
             if isinstance(one, TouchEstimate):
                 beta = "no beta" if one.beta is None else f"beta {one.beta:.2f}"
-                found[f"touch {one.number + 1}"] = f"{one.stiffness_text} ({one.interval_text}), {beta}"
+                found[f"touch {one.number}"] = f"{one.stiffness_text} ({one.interval_text}), {beta}"
             elif isinstance(one, MapEstimate):
                 found["map"] = f"{format_verdict(one)} ({format_claim(one.claimed)})"
         return found

@@ -13,7 +13,7 @@ from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
 from deformscope.recording.ledger import LedgerCheck, check_recording, read_counts
 from deformscope.recording.lock import is_being_written
-from deformscope.recording.losses import named, to_text
+from deformscope.recording.losses import named, to_text, without_frames
 from deformscope.recording.provenance import left_out
 from deformscope.recording.reader import Replay, check_exists, check_magic
 from deformscope.runs.result import FoundResult
@@ -73,6 +73,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     unfinished = unfinished and not problems
     counts = (read_counts(path) if differs == [] else {}) or facts.counts  # a damaged ledger says nothing
     reached = "" if facts.until_s is None else f" until {facts.until_s:.1f} s"
+    gone = f", but no frame of {', '.join(facts.absent)}" if facts.absent else ""
     tables = [Table(_rows(facts, check, structure, reached, counts, unfinished=unfinished), caption=str(path))]
     found: dict[str, Any] = {
         "recording": path,
@@ -87,6 +88,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
         "counts": counts,
         "outcome": outcome,
         "losses": facts.losses,
+        "absent": facts.absent,
         "discarded": facts.discarded,
     }
     remarks: list[str] = []
@@ -97,9 +99,9 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     error = None
     if problems:
         hint = f"an intact copy, or its readable part: deformscope recover {path}"
-        error = Damaged("a whole recording", "; ".join(dict.fromkeys(problems)), hint, path)
+        error = Damaged("a whole recording", "; ".join(dict.fromkeys(problems)) + gone, hint, path)
     elif unfinished:
-        kept = f"everything{reached} is there" if reached else "its readable part exists"
+        kept = f"everything{reached} is there{gone}" if reached else "its readable part exists"
         came = f"one of an interrupted run; {kept}"
         error = Damaged("a finished recording", came, f"deformscope recover {path}", path)
     losses = _losses(facts, checked=differs is not None, reached=reached) if error is None else []
@@ -161,19 +163,20 @@ def _rows(
         ended = f"recovered from {facts.outcome['recovered']}, which was truncated"
     stopped = facts.outcome.get("stopped")
     devices = {name.rsplit("/", 1)[0] for name in counts if name.endswith("/frames")} | set(facts.losses)
+    lost = {name: to_text(facts.losses.get(name, {})) or "nothing" for name in devices} | without_frames(facts.absent)
     return [
         ("bytes", UNCHECKED if check is None else _bytes(check)),
         ("structure", structure or "readable to the end"),
         ("run", f"{ended}{reached}" + (f"; ended {stopped}" if stopped else "")),
         *(("discarded", str(Discard(**one))) for one in facts.discarded),
         *((name, str(count)) for name, count in sorted(counts.items()) if count),
-        *((f"{name} lost", to_text(facts.losses.get(name, {})) or "nothing") for name in sorted(devices)),
+        *((f"{name} lost", lost[name]) for name in sorted(lost)),
     ]
 
 
 def _losses(facts: Facts, *, checked: bool, reached: str) -> list[str]:
     """The faults of a recording that is readable to its end."""
-    remarks = []
+    remarks = [f"{name}: {lost}" for name, lost in without_frames(facts.absent).items()]
     if facts.losses:
         remarks.append(f"losses: {named(facts.losses)}")
     if "recovered" in facts.outcome:

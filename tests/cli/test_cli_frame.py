@@ -107,7 +107,7 @@ DATASET = {f"dataset {what}" for what in ("list", "relabel", "discard", "merge",
 BY_ITSELF = {"arm where", "arm home", "arm files"}
 ONLY_LOOK = (
     {"devices", "doctor", "verify", "recover", "double", "bench", "export", "discard", "report", "catalog"}
-    | {"catalog compare", "sweep"}
+    | {"catalog compare", "completion", "sweep"}
     | DATASET
     | BY_ITSELF
 )
@@ -569,7 +569,7 @@ def test_the_table_is_on_stdout_otherwise(
     assert cli.main([*command(talk), "--json", "r.json"]) == 0
     out, err = capsys.readouterr()
     assert "[0.5]" in out
-    assert err == ""
+    assert err == "JSON: r.json; open it with: python -m json.tool r.json\n"
     assert json.loads(Path("r.json").read_text()) == {"beta": 0.5}
 
 

@@ -16,7 +16,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
-from deformscope.frames import ColorFrame, InputFile
+from deformscope.frames import ColorFrame, InputFile, Stream
+from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording import facts as recording_facts
 from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path, read_ledger, write_ledger
 from deformscope.recording.reader import Replay
@@ -227,3 +228,33 @@ def test_truncated_is_told_from_damaged_and_from_a_run_cut_short(
     status, found, said = verified(killed, capsys)
     assert (status, found["truncated"], found["damaged"]) == (2, True, [])
     assert "from 0.000 s of camera on" in said
+
+
+def test_devices_without_a_frame_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that was described, and one that only the rig file names; of the recording, and of what is recovered."""
+    whole, killed = tmp_path / "r.rrd", tmp_path / "killed.part.rrd"
+    rig = "".join(f'[devices.{name}]\ndriver = "webcam"\n' for name in ("front", "side", "top"))
+    with Recorder(whole, settings={"rig": rig, "label": ""}, application=RIG) as recorder:
+        recorder.start(RigLayout((Stream("front", "color", "webcam"), Stream("side", "color", "webcam"))), 0)
+        recorder.write([ColorFrame(Stamp(0), 0, np.zeros((8, 8), np.uint8), "front")])
+        assert recorder._outputs.file is not None
+        recorder._put(recorder._encoder.write_rest, 0)
+        recorder._put(recorder._outputs.file.flush, 0)
+        written = threading.Event()
+        recorder._put(written.set, 0)
+        assert written.wait(PATIENCE_S)
+        shutil.copy(tmp_path / "r.part.rrd", killed)
+    status, found, said = verified(whole, capsys)
+    assert (status, found["absent"], found["ok"]) == (3, ["side", "top"], True)
+    assert said.count("all frames: the recording names it, and holds none") == 4  # in the table, and in a line
+    assert "front lost" in said
+    status, found, said = verified(killed, capsys)
+    assert (status, found["absent"]) == (2, ["side", "top"])
+    assert "is there, but no frame of side, top" in said
+
+    write_ledger(killed, {"frames": 3, "front/frames": 1, "side/frames": 2})
+    assert main(["recover", str(killed), "--json", "-"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["absent"] == ["side", "top"]
+    assert json.loads(said.out)["missing"] == {"frames": 2, "side/frames": 2}
+    assert "but no frame of side, top" in said.err

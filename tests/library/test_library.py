@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ pytest.importorskip("warp")
 
 import deformscope as ds
 from deformscope.cli import main
+from deformscope.config import BetaConfig, ExportConfig
 from deformscope.stages.msm import reference
 from tests.patience import PATIENCE_S
 from tests.stages import reference_states
@@ -63,6 +65,39 @@ def test_options_are_those_of_the_commands(arrays: dict[str, np.ndarray]) -> Non
         ds.calibrate_beta("sample:pair", grid=[3, 4])
     with pytest.raises(ds.InputError, match="a goal out of regions, inclusions; got 'gold'"):
         ds.explore("lab:disc", goal="gold")  # type: ignore[arg-type]
+
+
+def test_the_text_of_the_command_line_is_taken_too() -> None:
+    typed = BetaConfig.of(
+        sources="a.mp4", roi="400,20,75,35", grid="7x15", held="top,left", beta_range="0.1,0.9", candidates="30"
+    )
+    given = BetaConfig.of(
+        sources=["a.mp4"],
+        roi=(400, 20, 75, 35),
+        grid=[7, 15],
+        held=["left", "top"],
+        beta_range=(0.1, 0.9),
+        candidates=30,
+    )
+    assert typed == given
+    assert typed.images.held == ("top", "left")
+    assert ExportConfig.of(recording="r.rrd", to="csv", out="a", only="tactile").only == ("tactile",)
+    for options, says in (
+        ({"roi": "400,20"}, "roi: expected x,y,width,height in pixels, such as 400,200,750,350; got '400,20'"),
+        ({"roi": 5}, "roi: expected X,Y,WIDTH,HEIGHT; got 5"),
+        ({"grid": (7,)}, "grid: expected ROWSxCOLS, such as 7x15; got '7'"),
+        ({"candidates": "many"}, "candidates: expected int; got 'many'"),
+    ):
+        with pytest.raises(ds.InputError, match=re.escape(says)):
+            ds.calibrate_beta("sample:tension", **options)
+    with pytest.raises(ds.InputError, match="at as numbers, or as text with ',' between them"):
+        ds.predict("none.npz", at="0.1;0.2", depth_m=0.001)
+    with pytest.raises(ds.InputError, match="merge NAME=A,B, each NAME once; got 'water'"):
+        ds.classify("sample:table", merge="water")
+    with pytest.raises(ds.InputError, match="transfer TRAINED:TESTED; got 'box'"):
+        ds.classify("sample:table", transfer="box")
+    with pytest.raises(ds.InputError, match="vary as a dict"):
+        ds.sweep(ds.calibrate_beta, [], out="none", vary="cluster_size=3")  # type: ignore[arg-type]
 
 
 def test_importing_it_loads_nothing_else() -> None:

@@ -109,7 +109,7 @@ def touch(number: int) -> TouchEstimate:
         for layer in range(3)
     ]
     return TouchEstimate(
-        number=number,
+        number=number + 1,
         xyz_m=np.array([x, y, z]),
         normal=np.array([0.05, -0.03, 0.998]) / np.linalg.norm([0.05, -0.03, 0.998]),
         approach_m=way,
@@ -239,7 +239,7 @@ def bare_touch() -> TouchEstimate:
     """A touch to which no beta was fitted, with nothing seen around its dent."""
     way, nothing = np.linspace(0.0, 0.01, 5), np.zeros((0, 3))
     return TouchEstimate(
-        number=0,
+        number=1,
         xyz_m=np.zeros(3),
         normal=np.array([0.0, 0.0, 1.0]),
         approach_m=way,

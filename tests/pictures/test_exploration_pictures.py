@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgb
 from deformscope.arrays import ImageArray
 from deformscope.images import decode_image
 from deformscope.pictures import exploration as pictures
+from deformscope.pictures.figures import canvas
 from deformscope.stages.map.exploration import MapEstimate
 from tests.log import synthetic_exploration as synthetic
 
@@ -105,6 +106,23 @@ def test_unsure_cells_are_pale() -> None:
     assert share_of(pictures.REGIONS[0], sure) > 0.1
     assert share_of(pictures.REGIONS[0], unsure) < 0.001
     assert unsure.mean() > sure.mean()
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (-1, -1)])
+def test_regions_have_the_numbers_of_the_terminal_within_the_map(corner: tuple[int, int]) -> None:
+    maps = synthetic.maps(2)
+    labels = np.zeros_like(maps.labels)
+    rows, columns = (slice(None, 3) if end == 0 else slice(-3, None) for end in corner)
+    labels[rows, columns] = 1
+    axes = canvas(4.4, 3.3).add_axes((0.12, 0.12, 0.7, 0.69))
+    pictures.draw_regions(axes, dataclasses.replace(maps, labels=labels))
+    shown = [text for text in axes.texts if text.get_text().startswith("region")]
+    assert [text.get_text().split("\n")[0] for text in shown] == ["region 1", "region 2"]
+    around = axes.get_window_extent()
+    for text in shown:
+        drawn = text.get_window_extent()
+        assert (drawn.min >= around.min - 1.0).all()
+        assert (drawn.max <= around.max + 1.0).all()
 
 
 def test_cells_that_may_not_be_touched_are_grey_and_the_target_red() -> None:

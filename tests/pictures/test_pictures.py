@@ -92,15 +92,16 @@ def test_the_heat_map_is_bright_where_the_error_is() -> None:
 
 def test_a_posterior_that_peaks_elsewhere_than_the_lowest_error_says_so() -> None:
     said = []
-    for middle in (estimate().value, 0.25):
+    for middle, low in ((estimate().value, 0.2), (0.25, 0.2), (0.25, 0.3)):
         axes = Figure().subplots()
-        found = dataclasses.replace(estimate(), posterior=posterior(middle, 0.1))
+        found = dataclasses.replace(estimate(), posterior=posterior(middle, 0.1), interval=(low, 0.7))
         _draw_posterior(axes, found, 11)
         legend = axes.get_legend()
         said.append([] if legend is None else [text.get_text() for text in legend.get_texts()])
     assert said[0] == []
     assert any("most likely" in one and "0.25" in one for one in said[1])
     assert any(f"lowest error: {estimate().value:.3g}" in one for one in said[1])
+    assert said[2] == []  # what the interval leaves out is not marked
 
 
 def test_evidence_with_and_without_posterior_and_very_narrow() -> None:

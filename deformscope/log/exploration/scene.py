@@ -83,8 +83,8 @@ def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
 
 def log_contact(now: ResultBatch, touch: TouchEstimate) -> None:
     """A mark with its number and the normal along which it was touched; marks stay."""
-    at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number + 1}"
-    now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number + 1)])
+    at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number}"
+    now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number)])
     arrow = rr.Arrows3D(origins=[at], vectors=[touch.normal * ARROW_M], colors=NORMAL, radii=LINE_M)
     now.show(f"{path}/normal", arrow)
 

@@ -141,9 +141,8 @@ def calibrate(
     known = identifiability(seen, comparisons, inferred)
     noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
     rank = inferred.posterior.rank(value) if model.version > 1 else None
-    numbers = found_in_numbers(
-        model.parameter, value, ends, bounds, known, converged=converged, noise=noise, rank=rank, version=model.version
-    )
+    judge = partial(found_in_numbers, model.parameter, value, ends, bounds, known, seen=seen, version=model.version)
+    numbers = judge(converged=converged, noise=noise, rank=rank)
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, known.misfit, inferred.noise)] if model.parameter == "theta" else []

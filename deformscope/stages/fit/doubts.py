@@ -2,8 +2,9 @@
 
 Which of them lower a verdict, and why:
 
-- `not-converged`, less than 30 % of the motion explained, rest and deformed of two sizes, columns swapped or mirrored,
-  two materials: the value describes nothing in the data, so the parameter is unidentified.
+- `not-converged`, less than 30 % of the motion explained (`nothing-moved` where all of it is noise), rest and deformed
+  of two sizes, columns swapped or mirrored, two materials: the value describes nothing in the data, so the parameter is
+  unidentified.
 - Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
   of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. These are
   compromises that depend on how errors are summed, or on the load of the body, so at most weak.
@@ -45,6 +46,13 @@ LIKE_NOISE = 1.5
 """Residuals at most so many times as large as the noise that was stated are noise: they hold errors of prescribed
 positions too."""
 
+STAYS, BACKGROUND = 3.0, 0.3
+"""A particle that moved at most so many times its noise stayed. From this share on they may lie on a background."""
+
+TREMBLES, MOST = 0.03, 0.95
+"""Motion in images, as a share of the particles' spacing, that may be an error of the flow where the model explains
+nothing of it; share of the free particles that stay where nothing moved."""
+
 RESCALED = 2.0
 """A deformed shape that is larger or smaller than the rest shape by this factor has another unit."""
 
@@ -81,12 +89,13 @@ def found_in_numbers(
     noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
     rank: float | None = None,
     version: int = 1,
+    seen: Sequence[Observation] = (),
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
     noise: size of the residuals in units of the known noise, if any; their own noise [unit], if it is known apart from
     a misfit; and the source of the known noise; rank: mass of the posterior below the value, where there is a
-    posterior; version: see `model.NEWEST_FIT`
+    posterior; version: see `model.NEWEST_FIT`; seen: as of `little_explained`
     """
     ratio, shown, source = noise
     # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
@@ -94,13 +103,13 @@ def found_in_numbers(
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
     return [
         *not_converged(converged),
-        *little_explained(identifiability.explained, left_is_noise=left_is_noise),
+        *little_explained(identifiability.explained, left_is_noise=left_is_noise, seen=seen if version > 2 else ()),
         *(value_at_end(name, value, ends, bounds, rank) if sharp else ()),
         *noise_contradicted(ratio, source),
     ]
 
 
-CAUSES: tuple[DoubtCode, ...] = ("axes-swapped", "units", "two-materials")
+CAUSES: tuple[DoubtCode, ...] = ("nothing-moved", "axes-swapped", "units", "two-materials")
 """Causes, rather than consequences."""
 
 
@@ -110,7 +119,9 @@ def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
     return tuple(sorted(reasons, key=lambda one: (rank[one.allows], one.code not in CAUSES)))
 
 
-OF_STIFFNESS: tuple[DoubtCode, ...] = ("axes-swapped", "two-materials", "not-converged", "little-explained")
+OF_STIFFNESS: tuple[DoubtCode, ...] = (
+    *("nothing-moved", "axes-swapped", "two-materials", "not-converged", "little-explained"),
+)
 """What leaves no stiffness either: it is the model's of those very positions."""
 
 
@@ -125,15 +136,54 @@ def not_converged(converged: bool) -> Iterator[Doubt]:
         yield Doubt("not-converged", "a simulation did not settle", "unidentified")
 
 
-def little_explained(share: float, *, left_is_noise: bool = False) -> Iterator[Doubt]:
+def little_explained(share: float, *, left_is_noise: bool = False, seen: Sequence[Observation] = ()) -> Iterator[Doubt]:
     """share: of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: what is left is no
-    larger than noise, for which the interval allows"""
+    larger than noise, for which the interval allows; seen: what was fitted, to say whether anything moved"""
     words = f"the model explains {max(share, 0.0):.0%} of the motion"
-    if share < EXPLAINED_LEAST:
-        yield Doubt("little-explained", f"{words}; misfit or noise are as large as the motion itself", "unidentified")
+    if seen and (still := _still(seen, share)):
+        yield Doubt("nothing-moved", still, "unidentified")
+    elif share < EXPLAINED_LEAST:
+        text = f"{words}; misfit or noise are as large as the motion itself{_background(seen)}"
+        yield Doubt("little-explained", text, "unidentified")
     elif share < EXPLAINED_LOW and not left_is_noise:
         left = f"{np.sqrt(1.0 - share):.0%} of its root mean square is left"
-        yield Doubt("little-explained", f"{words} only ({left})", "weak")
+        yield Doubt("little-explained", f"{words} only ({left}){_background(seen)}", "weak")
+
+
+def _background(seen: Sequence[Observation]) -> str:
+    """A hint where many particles of images stay where they are; empty = few do, or these are no images."""
+    each = []
+    for one in seen:
+        if one.unit != "px" or one.noise is None:
+            return ""
+        moved = np.abs(one.deformed - one.rest).max(axis=1)
+        each.append((moved <= STAYS * one.noise)[one.observed])
+    share = float(np.mean(np.concatenate(each))) if each else 0.0
+    found = f"; {share:.0%} of the particles do not move: --roi or --mask leaves out a background"
+    return found if share >= BACKGROUND else ""
+
+
+def _still(seen: Sequence[Observation], share: float) -> str:
+    """In words, that all motion beyond a common one is noise; empty where it is more, or where the noise is not known
+    and there is some. share: as of `little_explained`: motion that the model explains must be less to be noise"""
+    held, every, noise = 0.0, list[FloatArray](), list[float]()
+    for one in seen:
+        known, size = known_of(one), size_of(one.rest)
+        moved = one.deformed - one.rest
+        away = np.linalg.norm(moved - np.median(moved[known], axis=0), axis=1)
+        scatter = 0.0 if one.noise is None else one.noise
+        limit = np.maximum(scatter if share >= EXPLAINED_LEAST else STAYS * scatter, 1e-6 * size)
+        if one.unit == "px" and share < EXPLAINED_LEAST:  # errors of flow exceed its noise where little is seen
+            limit = np.maximum(limit, TREMBLES * size / len(away) ** (1.0 / one.rest.shape[1]))
+        stays = away <= limit
+        if not stays[one.held].all() or np.mean(stays[one.free_observed]) < MOST:
+            return ""
+        held, every = max(held, float(away[one.held].max(initial=0.0))), [*every, away[known]]
+        noise += [] if one.noise is None else [float(np.median(one.noise[known]))]
+    unit = seen[0].unit
+    beside = f"; the noise of a position is {np.median(noise):.2g} {unit}" if noise else ""
+    moved_most = f"{np.quantile(np.concatenate(every), MOST):.2g} {unit}"
+    return f"nothing moved: the held particles by {held:.2g} {unit} at most, {MOST:.0%} of all by {moved_most}{beside}"
 
 
 def value_at_end(

@@ -33,6 +33,7 @@ SHOWN = 121
 
 DoubtCode = Literal[
     "not-converged",
+    "nothing-moved",
     "little-explained",
     "value-at-interval-end",
     "noise-contradicted",

@@ -356,6 +356,7 @@ class _Joint:
             converged=self.converged,
             noise=noise,
             version=options.model.version,
+            seen=self.seen,
         )
         here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
         reasons = ordered([*numbers, *doubts, *here])

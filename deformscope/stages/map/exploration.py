@@ -46,7 +46,7 @@ class SurfaceEstimate:
 class TouchEstimate:
     """Measurement of one touch.
 
-    number: from 0; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
+    number: from 1; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
     approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
     fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began, on the same axis
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound

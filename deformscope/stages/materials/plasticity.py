@@ -510,9 +510,10 @@ class _YieldFit:
         rows = np.flatnonzero(self.judged.any(axis=1))
         frames = [self.frame(row) for row in rows]
         ratio = residual_ratio(frames, list(simulated[rows]), self.resolved)
+        left_is_noise, seen = ratio is not None and ratio < LIKE_NOISE, frames if self.options.version > 2 else ()
         found = [
             *not_converged(converged),
-            *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE),
+            *little_explained(explained, left_is_noise=left_is_noise, seen=seen),
             *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
             *noise_contradicted(ratio, self.motion.noise_source),
             *shape_doubts(frames),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -117,6 +118,31 @@ def test_reasons_that_lower_most_come_first_and_causes_before_effects() -> None:
 )
 def test_half_of_the_motion_left_is_no_identification(share: float, allows: Verdict | None) -> None:
     assert [one.allows for one in little_explained(share)] == ([] if allows is None else [allows])
+
+
+def test_what_only_trembles_did_not_move() -> None:
+    moved = seen_sheet(0.6)
+    noise = np.random.default_rng(1).normal(0.0, NOISE_M, moved.rest.shape)
+    for still in (
+        dataclasses.replace(moved, deformed=moved.rest + noise + 0.01),  # as a whole it may move
+        dataclasses.replace(moved, deformed=moved.rest, noise=None),
+    ):
+        found = fitted(still)
+        assert (found.verdict, codes(found.reasons)[0]) == ("unidentified", "nothing-moved")
+        assert "unidentified: nothing moved: the held particles by" in found.verdict_text()
+    (reason,) = little_explained(0.2, seen=[moved])
+    assert reason.code == "little-explained"
+
+
+def test_particles_of_images_that_stay_are_named_with_the_flag_that_leaves_them_out() -> None:
+    seen = seen_sheet(0.6)
+    stays = seen.rest[:, 0] < np.quantile(seen.rest[:, 0], 0.5)
+    half = dataclasses.replace(seen, deformed=np.where(stays[:, None], seen.rest, seen.rest + 0.05), unit="px")
+    (reason,) = little_explained(0.5, seen=[half])
+    assert re.search(r"; \d\d% of the particles do not move: --roi or --mask leaves out a background$", reason.text)
+    for other in (dataclasses.replace(half, unit="m"), dataclasses.replace(half, deformed=seen.rest + 0.05)):
+        (reason,) = little_explained(0.5, seen=[other])
+        assert "--roi" not in reason.text
 
 
 def test_what_noise_leaves_is_no_misfit() -> None:
