@@ -52,7 +52,7 @@ COMP_LINE='{line}'; COMP_POINT={len(line)}; _deformscope; printf '%s\\n' "${{COM
         (["explore", "two-60-l50"], "try: lab:two-60-150"),
         (["explore", "lab:two-6o-150"], "try: two-60-150"),
         (["calibrate", "beta", "tension"], "try: sample:tension"),
-        (["calibrate", "beta", "sample:tention"], "try: sample:tension"),
+        (["calibrate", "beta", "sample:tensio"], "try: sample:tension"),
         (["calibrate", "both", "pairs"], "try: sample:pair"),
         (["record", "bensh"], "try: lab:bench"),
         (["explor"], "try: deformscope explore"),

@@ -39,7 +39,7 @@ def test_a_sample_is_its_file_or_the_folder_of_its_images() -> None:
     assert ending_of("sample:video") == ".mp4"
     assert resolve("sample:tension").is_dir()
     assert resolve("sample:tension/frame_152.png") == sample_path("tension") / "frame_152.png"
-    with pytest.raises(ds.InputError, match="one of pair, poke"):
+    with pytest.raises(ds.InputError, match="pair, poke"):
         resolve("sample:nothing")
 
 

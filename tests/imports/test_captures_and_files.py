@@ -44,6 +44,7 @@ def imported(source: Path, text: str, out: Path, status: int = 0) -> Path:
 
 
 def refused(source: Path, text: str, out: Path, capfd: pytest.CaptureFixture[str]) -> str:
+    capfd.readouterr()  # of imports before
     imported(source, text, out, status=2)
     error = capfd.readouterr().err
     assert len(error.strip().splitlines()) == 1
