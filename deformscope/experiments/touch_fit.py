@@ -22,7 +22,8 @@ from deformscope.stages.regions.touches import StiffnessSample
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 CLOCK_SD_S = 0.002
-"""Of the force's times against the arm's [assumed: a millisecond or two are left by `calibrate time`]."""
+"""Standard deviation of the force's times against the arm's [s; assumed: a millisecond or two are left by `calibrate
+time`]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ def fit_contact(
 
 
 def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance) -> CreepFit | None:
-    """Of a touch that was measured with its hold; None of any other."""
+    """Creep of a touch that was measured with a hold; None of any other touch."""
     if touched.loading is None or touched.held is None:
         return None
     return fit_creep(

@@ -45,7 +45,7 @@ feature. Upright ones would press with the middle of their pads."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerLab:
-    """A setup, closed, its container, and the laboratory behind it, which has the truth."""
+    """A setup, not opened, its container, and the laboratory behind it, which has the truth."""
 
     setup: SqueezeSetup
     content: str

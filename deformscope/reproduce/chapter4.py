@@ -46,7 +46,7 @@ from deformscope.stages.map.touch_beta import (
 from deformscope.stages.regions.touches import MapGrid
 
 HARDNESSES_N = (30, 60, 110, 150, 300)
-"""Of figure 4.5: the thesis's 60, 110 and 150 N, one softer and one firmer."""
+"""Hardnesses of figure 4.5: the thesis's 60, 110 and 150 N, one softer and one firmer."""
 
 Hold = Literal[
     "single layer, one particle",

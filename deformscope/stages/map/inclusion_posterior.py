@@ -40,7 +40,7 @@ EXISTS = 0.5
 """Probability before any touch that there is an inclusion: as likely as not. The same of a further one."""
 RADII_M = (0.01, 0.015, 0.02, 0.025, 0.03, 0.04)
 DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
-"""Of the uppermost points."""
+"""Depths of the uppermost points."""
 DEEP_M = 0.0125
 """An inclusion is called deep where its uppermost point is farther down, shallow where it is not."""
 TIMES = (4.0, 20.0)
@@ -215,7 +215,7 @@ class FoundInclusion:
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: of
     90 % [m]; stiff: rather than soft; probability: that there is one
-    deep: that it is (DEEP_M); log_shift: its effect on log stiffness right above it
+    deep: probability that it is (DEEP_M); log_shift: its effect on log stiffness right above it
     posterior: (j,) over the guesses
     """
 
