@@ -162,7 +162,7 @@ def off_seen_m(touched: TouchMeasurement, estimate: TouchEstimate, tip_radius_m:
 
 
 def _speed_m_s(touched: TouchMeasurement, fit: ContactFit) -> float | None:
-    """Of the tip from contact to the peak of the force."""
+    """Speed of the tip from contact to the peak of the force [m/s]."""
     along, force = _along(touched), _force_along(touched)
     until = int(np.argmax(force))
     since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))

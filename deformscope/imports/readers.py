@@ -297,7 +297,7 @@ class FolderReader:
 
 
 def _name(place: PurePath) -> str:
-    """Of a topic, which a map in UTF-8 can hold."""
+    """Name of a topic, in a form that a map in UTF-8 can hold."""
     return place.as_posix().encode(errors="backslashreplace").decode()
 
 

@@ -84,7 +84,7 @@ POSE_COLUMNS = (
     *(f"position_{axis}_m" for axis in CARTESIAN),
     *(f"rotation_{axis}_rad" for axis in CARTESIAN),
 )
-"""Of `ForcePose`; the rotation is a vector."""
+"""Columns of `ForcePose`; the rotation is a vector."""
 TRANSFORMS = "transforms"
 TRANSFORM_COLUMNS = (*(f"{axis}_m" for axis in CARTESIAN), "qx", "qy", "qz", "qw")
 MOST_COLUMNS = 24

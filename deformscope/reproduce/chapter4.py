@@ -69,7 +69,7 @@ SCENARIOS: dict[str, tuple[int, int]] = {
     "two-150-rigid": (4, 2),
     "three-60-110-rigid": (4, 3),
 }
-"""Of table 4.1: the thesis's number of interactions at Th = 0.06, and of regions."""
+"""Table 4.1 of the thesis: number of interactions at Th = 0.06, and of regions."""
 
 MOST_TOUCHES = 10
 AROUND_M = 2.0 * THESIS_SIDE_M

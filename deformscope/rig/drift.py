@@ -24,7 +24,7 @@ Axes = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 
 class TareDrift:
-    """Of one sensor, since `tare`, or since its first reading."""
+    """Drift of one sensor, since `tare`, or since its first reading."""
 
     def __init__(self) -> None:
         self.tare()

@@ -33,8 +33,8 @@ FARTHEST = 1e6
 """Largest distance of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. No robot
 reaches it: a file beyond is damaged."""
 TIMEOUT_S, MEMORY_BYTES = 120.0, 8 << 30
-"""Of the process that reads: more than any file of the allowed size takes. A hostile file ends it there, and not the
-machine's memory or a person's patience."""
+"""Time and memory of the process that reads: more than any file of the allowed size takes. A hostile file ends it
+there, and not the machine's memory or a person's patience."""
 
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:

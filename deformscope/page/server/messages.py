@@ -229,7 +229,7 @@ class CommandReply(ToPage, frozen=True, tag="reply"):
 
 
 class DriftState(msgspec.Struct, frozen=True):
-    """Of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
+    """Drift of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
 
     now: by axis; line: its length at equal distances in time, from the tare to now; empty before it is known
     loaded: the force changes faster than any drift, so something touches it; `now` and `line` are of before

@@ -31,7 +31,7 @@ POWERS, POWER_SD = (0.05, 0.2, 0.35, 0.5), 0.09
 BEGINS = (1.0 / 40.0, 0.5)
 """Where a spectrum begins, over the approach's duration."""
 ENDLESS_SPACING, ENDLESS_HOLDS = 0.9, 30.0
-"""Of its log times; and how many holds they go to, in place of no end."""
+"""Spacing of its log times, and how many holds they reach in place of no end."""
 
 LARGEST_LOG = 15.0
 

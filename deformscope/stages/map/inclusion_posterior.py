@@ -64,8 +64,8 @@ EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.005, 1
 """Standard deviations of exponents: of a touch with an exact fit, of the foam's, of a touch before any was made, and of
 one that was not fitted."""
 DRIFT_SD = 0.001
-"""Of log stiffness, from touch to touch, evenly, in the same direction: a force sensor's gain drifts by some 1 % in ten
-touches."""
+"""Deviation of log stiffness, from touch to touch, evenly, in the same direction: a force sensor's gain drifts by some
+1 % in ten touches."""
 CENTRE_CELL_M, MOST_CENTRES = 0.01, 700
 ASIDE_M = np.append(np.arange(0.0, 0.08, 0.004), [0.08, 0.1, 0.12, 0.2, 2.0])
 """Distances at which the footprint is computed; between them it is interpolated."""

@@ -154,7 +154,7 @@ class CreepLaw:
         )
 
     def _draws(self, spectrum: Spectrum, drawn: FloatArray, random: np.random.Generator) -> CreepDraws:
-        """Of one spectrum, from parameters (d, k)."""
+        """Draws of one spectrum, from parameters (d, k)."""
         strength, retarded_s = spectrum.filters(drawn[:, SHAPE:])
         branches = strength.shape[1]
         log_felt = np.log1p(strength.sum(axis=1))

@@ -40,7 +40,7 @@ MOST_REGIONS = 5
 FIRST_REGIONS = 3
 """Largest number of regions of the maps that are followed from the first touch."""
 MORE_SHARE = 0.5
-"""Of as many maps as of these, where more are followed: for time's sake."""
+"""Share of as many maps as of these, where more are followed: it saves time."""
 MORE_FROM = 0.2
 """Probability of four from which five are followed."""
 MET = 0.5

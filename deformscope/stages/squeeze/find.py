@@ -240,7 +240,7 @@ def _fitted(
 
 
 def _rms(off: FloatArray) -> float:
-    """Of all but the worst tenth, as for Gaussian errors."""
+    """Root mean square of all but the worst tenth, corrected for Gaussian errors."""
     kept = np.sort(np.abs(off))[: max(1, int(0.9 * len(off)))]
     return float(np.sqrt(np.mean(kept**2))) * 1.24
 

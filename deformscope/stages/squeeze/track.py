@@ -462,5 +462,5 @@ def _compared(
 
 
 def _length(motion: FloatArray, lever: float) -> float:
-    """Of a motion (6,) [m], rotation times its lever added."""
+    """Length of a motion (6,) [m]: translation, and rotation times its lever."""
     return float(np.hypot(np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:]) * lever))
