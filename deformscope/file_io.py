@@ -48,7 +48,7 @@ def sample_path(name: str) -> Path:
 
 
 def refusal(error: OSError) -> str:
-    """The system's reason, as a message has it."""
+    """The operating system's reason for an error, in lower case for a message."""
     return (error.strerror or str(error)).lower()
 
 

@@ -68,8 +68,8 @@ from deformscope.stages.squeeze.trial import (
 )
 
 FORMAT = 2
-"""Of a recording, in its properties: which entities and components it has. Any change that a reader of the old format
-would misread makes the next number."""
+"""Format of a recording, in its properties: which entities and components it has. Any change that a reader of the old
+format would misread makes the next number."""
 READABLE = (1, FORMAT)
 """Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
 

@@ -122,7 +122,7 @@ class SessionRobot(Protocol):
         """Begin with a command. keep: to be called now and then by a robot that is done before it returns"""
 
     def reports(self) -> list[Step]:
-        """Its new actions since the last call."""
+        """New actions since the last call."""
 
 
 class Inline(Executor):

@@ -18,7 +18,7 @@ from deformscope.stages.msm.fit import fit_beta
 from deformscope.stages.msm.solver import Msm
 
 TRUE_BETA, NOISE = 0.637, 0.02
-"""Of the sheet that is fitted; noise in spacings."""
+"""True beta and noise of the fitted sheet; noise in spacings."""
 SETTLED = 1e-6
 """The thesis's time stepping has arrived: rms of goal - position, as a share of the extent."""
 STEPS_MOST = 1_000_000

@@ -21,7 +21,7 @@ from deformscope.bench_cases import Case
 from deformscope.errors import InputError
 
 FORMAT = 1
-"""Of the JSON; a change that breaks readers raises it."""
+"""Version of the JSON; a change that breaks readers raises it."""
 
 Earlier: TypeAlias = "Mapping[tuple[str, str, str, str], Mapping[str, Any]]"
 
@@ -58,7 +58,7 @@ def measure(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """One run, as its JSON has it. complete: whether it ran to its end."""
+    """One run, as in its JSON. complete: whether it ran to its end."""
 
     format: int
     complete: bool
@@ -68,7 +68,8 @@ class Report:
 
 
 def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlier: Earlier | None = None) -> Report:
-    """All of it. The machine's load is that of the end. earlier: rows of another run, which these are compared with."""
+    """The report of a run. The machine's load is that of the end. earlier: rows of another run, which these are
+    compared with."""
     then = {} if earlier is None else earlier
     plain = tuple(row.plain(then.get((row.case, row.what, row.who, row.unit))) for row in rows)
     return Report(FORMAT, complete, machine(plan.device), plan, plain)

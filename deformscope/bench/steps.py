@@ -27,7 +27,7 @@ CONTEXT_AT = 1331
 SETUP_MOST_S = 40.0
 COPIED_BYTES, COPIES = 1 << 28, 8
 CACHES_BYTES = 1 << 27
-"""Of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
+"""Size of a step's arrays, below which they may stay in a cache and memory's bandwidth bounds nothing."""
 READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
 """Fields of a lattice's passes: of particles, and intermediate results between passes."""
 MEMORY_LEAST = 10_000

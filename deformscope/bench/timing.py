@@ -77,7 +77,7 @@ class TimingRow:
         return ""
 
     def plain(self, against: Mapping[str, Any] | None = None) -> dict[str, object]:
-        """As in the JSON. against: the row of an earlier run that did the same, as its JSON has it."""
+        """As in the JSON. against: the row of an earlier run that did the same, as in its JSON."""
         then = None if against is None else against["median"]
         return {
             "case": self.case,

@@ -172,7 +172,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
-    """The exit status of a dispatcher of command lines, as `main` has it."""
+    """The exit status of a dispatcher of command lines, as in `main`."""
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(_Printable())
     with _ended_by_signals() as signals:

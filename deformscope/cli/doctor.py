@@ -191,7 +191,7 @@ def _placing(rig: Rig) -> list[Finding]:
 
 
 def _shape(rig: Rig) -> list[Finding]:
-    """Whether the robot can be taken out of the camera's pictures as [shape] has it."""
+    """Whether the robot can be taken out of the camera's pictures as in [shape]."""
     from deformscope.robot.setup import description_of, only_device
 
     known = description_of(rig, only_device(rig, "arm")) if rig.shape != type(rig.shape)() else None

@@ -142,7 +142,7 @@ def _signed(value: float | None) -> str:
 def as_json(
     setup: FoamSetup, results: Sequence[FoamResult], trends: Sequence[Trend], tried: Sequence[Control]
 ) -> dict[str, Any]:
-    """All of it but the images."""
+    """The results for JSON, without the images."""
     return {
         "setup": setup,
         "foams": [

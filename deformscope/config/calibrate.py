@@ -330,7 +330,7 @@ class UnloadingFlags(Flags):
     released: flags.HeldFlag = None
     """The held parts that are released at the end; default: contact."""
     force: flags.CameraFlag = None
-    """Of a recording with several force sensors: the sensor on the tool."""
+    """For a recording with several force sensors: the sensor on the tool."""
 
     def check(self) -> None:
         if self.at is not None and self.force is not None:
@@ -360,7 +360,7 @@ class AxesConfig(MaterialOptions):
     turn_deg: float = 0.0
     """Angle of the material's first axis to x, in the plane of x and y [degrees]; in images y points down."""
     frame: Annotated[flags.SomeFlag, arg(name="at")] = None
-    """Of images: the frame to fit, counted from 0 after --stride; default: the last one."""
+    """For images: the frame to fit, counted from 0 after --stride; default: the last one."""
     cluster_size: flags.ClusterFlag = 3
     """Particles along each side of a cluster."""
 
@@ -371,7 +371,7 @@ class FieldConfig(MaterialOptions):
     is smooth or of a few materials, with a beta for each place; a force gives stiffness in N/m."""
 
     frame: Annotated[flags.SomeFlag, arg(name="at")] = None
-    """Of images: the frame to fit, counted from 0 after --stride; default: the last one."""
+    """For images: the frame to fit, counted from 0 after --stride; default: the last one."""
     force_n: flags.PositiveFlag = None
     """Magnitude of the net force on the moved held particles, in that frame [N]; default: the pair file's."""
 

@@ -58,7 +58,7 @@ class ImageOptions(ParticleFlags):
     stride: flags.ManyFlag = 1
     """Take every n-th frame."""
     camera: flags.CameraFlag = None
-    """Of a recording or a rig with several cameras: the camera to use."""
+    """For a recording or a rig with several cameras: the camera to use."""
     fps: flags.PositiveFlag = None
     """Frame rate of images without one [Hz]; default: the video's."""
     flow: Literal["dis", "farneback"] = "dis"

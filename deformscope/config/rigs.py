@@ -249,7 +249,7 @@ class ImportConfig(RecordedOptions):
     inspect: bool = False
     """List topics with types, rates, gaps and clocks, and a map, as TOML; import nothing."""
     pairs: Annotated[Path | None, flags.one_word("FOLDER", Path), flags.unset] = None
-    """Of a folder of meshes with forces (PokeFlex): write pair files and a motion file, into a new folder."""
+    """For a folder of meshes with forces (PokeFlex): write pair files and a motion file, into a new folder."""
     unseen: Annotated[int, flags.least(2)] = 4
     """With --pairs: every n-th frame is left out of the motion, for tests."""
     particles: Annotated[int, flags.least(8)] = 300

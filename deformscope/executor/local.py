@@ -58,7 +58,8 @@ class ThreadWorkers(HereWorker):
 
 
 class LocalWorkers:
-    """So many processes, begun as they are needed; one that ends is replaced. An attempt is the pipe to its process."""
+    """A number of processes, begun as they are needed; one that ends is replaced. An attempt is the pipe to its
+    process."""
 
     def __init__(self, count: int) -> None:
         self.capacity = count

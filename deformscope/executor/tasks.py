@@ -21,7 +21,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 ATTEMPTS = 3
-"""Of a task, where its worker or the system was at fault: another attempt may do."""
+"""Attempts of a task, where its worker or the system was at fault: another attempt may do."""
 
 
 class WorkerLost(Exception):
@@ -64,7 +64,7 @@ class Workers(Protocol):
         """Wait a little for any of them; which ended."""
 
     def result(self, attempt: Any) -> Any:
-        """Its return value. Raises its error, or WorkerLost."""
+        """The task's return value. Raises its error, or WorkerLost."""
 
     def give_up(self, attempt: Any) -> None:
         """End it; it is then lost."""

@@ -17,7 +17,7 @@ from deformscope.stages.map.surface import fit_surface
 from deformscope.stages.poke.contact import ArmCompliance, calibrate_compliance, fit_approach
 
 SURE_SD = 0.1
-"""Of a compliance that is to be taken off dents, at most this share of it should be unknown."""
+"""Largest unknown share of a compliance that is subtracted from dents."""
 
 DOME_AT_MOST = 3.5e-4
 """Dent at 1 N that may be the tip's own [m/N^(2/3)]. A rubber dome of 10 mm radius that yields 2 mm at 40 N has 1.7e-4,

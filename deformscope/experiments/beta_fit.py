@@ -49,7 +49,7 @@ class BetaEstimate:
 def fit_beta(
     touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
 ) -> BetaEstimate:
-    """Of a touch whose contact was fitted. Raises InputError where the dent does not say it."""
+    """Beta of a touch whose contact was fitted. Raises InputError where the dent does not determine it."""
     if options.beta_model == "none":
         return BetaEstimate("not asked for")
     as_thesis = options.planner == "thesis"
@@ -126,7 +126,7 @@ def _swept(
 
 
 def _under(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, cell_m: float) -> TouchSurface:
-    """The dent as the thesis has it: the touch surface's own process, with virtual points where the ball is."""
+    """The dent as in the thesis: the touch surface's own process, with virtual points where the ball is."""
     tactile = tactile_points(ball.lowest_m, ball.radius_m, ball.depth_m, normal=touched.normal)
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < THESIS_ROI_M
     pressed = fit_surface(touched.after_m[near], known_m=tactile, known_noise_m=np.full(len(tactile), TACTILE_NOISE_M))

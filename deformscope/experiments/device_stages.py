@@ -42,9 +42,9 @@ PARTICLES_ALONG = 9
 CANDIDATES = 12
 """Values of beta that the sweep tries before it refines: a finer one finds the same."""
 NOISE_SHARE = 0.005
-"""Of a tactile sensor's full scale, below which a texel is not in contact."""
+"""Share of a tactile sensor's full scale, below which a texel is not in contact."""
 CELL_M = 0.01
-"""Of the map of a surface."""
+"""Cell size of the map of a surface [m]."""
 DEPTH_ALONG = 160
 """Pixels that are taken of a depth image's longer side: lone points are found among 12 000 in 0.1 s."""
 ABOVE_M, BELOW_M = 0.02, 0.03

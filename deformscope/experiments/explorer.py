@@ -75,7 +75,7 @@ class Computed:
     """Results of one computation of an exploration.
 
     results: in their order; touch: that comes next, None where there is none; given_up: why it makes no sense to touch
-    on; region_probability: of each number of regions; seconds: that it took; refused: why a place cannot be touched
+    on; region_probability: of each number of regions; seconds: computing time; refused: why a place cannot be touched
     """
 
     results: tuple[Result, ...]

@@ -15,7 +15,7 @@ from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector
 
 KINDS = (WrenchFrame, TactileFrame, SessionNote, PhaseStart)
-"""Its source."""
+"""Kinds of frames and notes that first contact is found from."""
 FOLLOW_S = 5.0
 """Time constant by which the force without contact follows the readings [s]."""
 

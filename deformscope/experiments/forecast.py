@@ -24,7 +24,7 @@ def forecast_touch(
     shift: ShapeShift | None,
     touches: int,
 ) -> TouchForecast:
-    """Of a touch where the map has this log stiffness [N/mm], with the deviation of one touch's measurement.
+    """Forecast of a touch where the map has this log stiffness [N/mm], with the deviation of one touch's measurement.
 
     exponent: of the law of force over depth; shift: as of `SeenSurface.shift`; touches: made so far
     """

@@ -38,7 +38,7 @@ AT_ONCE_S = 1.0
 AGAIN_S = 10.0
 """A reason that comes and goes is said again after this at the earliest."""
 LEFT_OUT_LEAST = 3
-"""So many frames are left out before a stage is said not to keep up."""
+"""Frames that are left out before a note says that a stage does not keep up."""
 NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
 """Reasons that differ in numbers alone are the same."""
 
@@ -81,7 +81,7 @@ class StageCounts:
         return dict(zip(("p50", "p95", "max"), (1e3 * np.percentile(self.late_s, (50, 95, 100))).tolist(), strict=True))
 
     def as_json(self) -> dict[str, object]:
-        """All of it."""
+        """All fields."""
         counts = {"frames": self.frames, "results": self.results, "failures": self.failures, "skipped": self.skipped}
         skipped_by = {"newer": self.left, "ended": self.skipped - self.left}
         more = {"rate_hz": self.rate_hz, "skipped_by": skipped_by, "reasons": self.reasons, "nothing": self.nothing}
@@ -210,7 +210,7 @@ class _Running:
         return counts
 
     def notes(self) -> list[SessionNote]:
-        """Its present notes."""
+        """The present notes."""
         since_ns = self._frames[-1].stamp.host_ns if self._frames else self._began_ns
         if not self._counts.results and self._clock() - since_ns >= AT_ONCE_S * 1e9:
             self._say(self._lack)

@@ -42,7 +42,7 @@ from deformscope.stages.see.particles import select_held
 MaterialEstimate = AxisEstimate | FieldEstimate | YieldEstimate | RecoveryEstimate
 
 MOST_FRAMES = 8
-"""Of a camera's motion that yielding is fitted to: a history of loads takes seconds a frame."""
+"""Most frames of a camera's motion that yielding is fitted to: a history of loads takes seconds a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +233,8 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 
 
 def recovery_of_motion(motion: Motion, level: float, seed: int, version: int = NEWEST_RELAXATION) -> MaterialFit:
-    """Of a motion file: particles that are held at the greatest depth and no longer at the end are released, from then
-    on. version: see `NEWEST_RELAXATION`"""
+    """The recovery in a motion file: particles that are held at the greatest depth and no longer at the end are
+    released, from then on. version: see `NEWEST_RELAXATION`"""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])

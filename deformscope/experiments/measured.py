@@ -52,7 +52,7 @@ the ball."""
 DENT_M = 0.08
 """Half the side of the observed area around a dent."""
 SOFT_STOP_SHARE = 0.75
-"""Of the soft stop, at most this share is pressed with: noise and overshoot must not reach it."""
+"""Largest set force, as a share of the soft stop: noise and overshoot must not reach it."""
 DWELL_S, DWELL_AT_MOST_S = 0.5, 3.0
 """Time at rest during a touch, and the largest such time after the requested hold."""
 COARSE_M = 0.02

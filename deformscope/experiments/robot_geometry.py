@@ -58,7 +58,8 @@ class Geometry(Protocol):
 
 
 class AsMeasured:
-    """Of robots that give measurements rather than frames, and reach the places of `reachable`, all by default."""
+    """Geometry of robots that give measurements rather than frames, and reach the places of `reachable`, all by
+    default."""
 
     def __init__(self, size_m: tuple[float, float], reachable: Callable[[MapGrid], BoolArray] | None = None) -> None:
         self.size_m = size_m
@@ -80,7 +81,7 @@ class AsMeasured:
 
 
 class FromFrames:
-    """Of an arm, a force sensor and a camera: everything is computed from their frames."""
+    """Geometry of an arm, a force sensor and a camera: everything is computed from their frames."""
 
     def __init__(self, setup: SetupGeometry, options: ExploreOptions) -> None:
         self.size_m = setup.size_m

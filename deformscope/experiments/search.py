@@ -180,7 +180,7 @@ class InclusionSearch(SurfaceSearch):
         return partial(plan_inclusion_touch, self.posterior)
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
-        """Of a place (2,) [m], with the exponent, which was left free."""
+        """The stiffness sample of a place (2,) [m], with the exponent, which was left free."""
         sample = super().sample(xy_m, fit)
         if fit.rigid:
             return sample

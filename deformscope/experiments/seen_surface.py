@@ -86,7 +86,7 @@ class SeenSurface:
 
     @property
     def perception(self) -> LookPerception | None:
-        """Its input; None unless requested."""
+        """The input of the surface; None unless requested."""
         if self.options.detail == "lean":
             return None
         masks = None if self.pixels is None else self.pixels.masks(self.process.used)
@@ -97,7 +97,7 @@ class SeenSurface:
         return float(self.process.at(xy_m[None]).mean[0]), self.process.normals(xy_m[None])[0]
 
     def highest_m(self, start_m: FloatArray, goal_m: FloatArray) -> float:
-        """Its greatest height on the straight path from a place (2,) to another [m]."""
+        """The surface's greatest height on the straight path from a place (2,) to another [m]."""
         way = goal_m - start_m
         along = ((self.grid.centres_m - start_m) @ way / max(float(way @ way), 1e-12)).clip(0.0, 1.0)
         off_m = np.linalg.norm(self.grid.centres_m - start_m - along[..., None] * way, axis=-1)
@@ -115,7 +115,7 @@ class SeenSurface:
         return self.layer.uneven or self.on_level_layer
 
     def shape(self, xy_m: FloatArray) -> LocalShape | None:
-        """Of the foam at a place (2,) [m]; None where it counts as level, and nothing asks how wide."""
+        """Local shape of the foam at a place (2,) [m]; None where it counts as level, and no result needs its width."""
         layer, edge_m = self.layer, float(np.min([xy_m, self.grid.size_m - xy_m]))
         if layer.thickness_m is None:
             return None
@@ -135,7 +135,7 @@ class SeenSurface:
         return shape_shift(shape, depth_m, reference_m=thickness_m, radius_m=options.tip_radius_m)
 
     def modulus(self, n_per_mm: float, interval: tuple[float, float]) -> LayerModulus | None:
-        """Of the level layer, by its stiffness at the set force; None where its thickness is not known."""
+        """Modulus of the level layer, by its stiffness at the set force; None where its thickness is not known."""
         options = self.options
         return modulus_of(self.layer, n_per_mm, interval, force_n=options.set_force_n, radius_m=options.tip_radius_m)
 

@@ -19,7 +19,7 @@ from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacemen
 from deformscope.stages.squeeze.trial import ContentPosterior, SqueezePhase, SqueezeStop
 
 Name = Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
-"""Of all features by modality: the modalities used, labels, and their probabilities (k,)."""
+"""Names a content from all features by modality: the modalities used, labels, and their probabilities (k,)."""
 
 FEATURES_FAILED = "features not computed"
 

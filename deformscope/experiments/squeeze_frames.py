@@ -31,8 +31,8 @@ POSTERIOR_S = 0.1
 FrameT = TypeVar("FrameT", TactileFrame, HandFrame, DepthFrame)
 
 Predict = Callable[[float, Mapping[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
-"""Of a time since first contact [s] and features then by modality, (72,) `tactile` and (121,) `vision_small` where it
-is known: the modalities used, labels, and their probabilities (k,)."""
+"""Prediction from a time since first contact [s] and features then by modality, (72,) `tactile` and (121,)
+`vision_small` where it is known: the modalities used, labels, and their probabilities (k,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,10 +69,10 @@ def _distal(pads: Sequence[Pad], finger: int, device: str) -> int:
 
 @dataclass
 class SqueezeFrames:
-    """Of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air, at
-    rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
+    """Frames of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air,
+    at rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
     arm: the last state before it of the arm that carries the hand; arm_now: its newest
-    T_hand_container: (4, 4) where an arm has placed the hand [m]; None: as the setup has it
+    T_hand_container: (4, 4) where an arm has placed the hand [m]; None: as in the setup
     all_images: depth images are stored from `air_ns` on, however long before the first contact that is
     """
 
@@ -108,7 +108,7 @@ class SqueezeFrames:
                 self.depth.pop(0)
 
     def during(self, frames: Sequence[FrameT]) -> list[FrameT]:
-        """Those from when the fingertips were in the air until they opened, in order of time."""
+        """The frames from when the fingertips were in the air until they opened, in order of time."""
         until_ns = self.open_ns or np.inf
         return sorted((one for one in frames if self.air_ns <= frame_ns(one) < until_ns), key=frame_ns)
 
@@ -126,7 +126,7 @@ class SqueezeFrames:
 
 
 def frame_ns(frame: Frame) -> int:
-    """Its arrival, on the host's clock [ns]."""
+    """Arrival of a frame, on the host's clock [ns]."""
     return frame.stamp.host_ns
 
 

@@ -22,7 +22,8 @@ from deformscope.stages.regions.touches import StiffnessSample
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 CLOCK_SD_S = 0.002
-"""Of the force's times against the arm's [assumed: a millisecond or two are left by `calibrate time`]."""
+"""Standard deviation of the force's times against the arm's [s; assumed: a millisecond or two are left by `calibrate
+time`]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ def fit_contact(
 
 
 def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance) -> CreepFit | None:
-    """Of a touch that was measured with its hold; None of any other."""
+    """Creep of a touch that was measured with a hold; None of any other touch."""
     if touched.loading is None or touched.held is None:
         return None
     return fit_creep(
@@ -161,7 +162,7 @@ def off_seen_m(touched: TouchMeasurement, estimate: TouchEstimate, tip_radius_m:
 
 
 def _speed_m_s(touched: TouchMeasurement, fit: ContactFit) -> float | None:
-    """Of the tip from contact to the peak of the force."""
+    """Speed of the tip from contact to the peak of the force [m/s]."""
     along, force = _along(touched), _force_along(touched)
     until = int(np.argmax(force))
     since = min(int(np.searchsorted(np.maximum.accumulate(along), fit.contact_m)), max(until - 1, 0))

@@ -74,7 +74,7 @@ def _column(parts: list[pa.ChunkedArray]) -> pa.ChunkedArray:
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """As Parquet, in one go."""
+    """Write a table as Parquet."""
     with replacing(path) as file:
         pq.write_table(table, file, compression="zstd")
 

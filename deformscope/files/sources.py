@@ -23,7 +23,7 @@ from deformscope_drivers.clock import Stamp
 
 DEFAULT_FPS = 30.0
 FAILED_READS = 8
-"""So many in a row are the end of a video: single frames may be damaged."""
+"""Failed reads in a row that are the end of a video: single frames may be damaged."""
 IMAGE_SUFFIXES = frozenset(
     {".avif", ".bmp", ".dib", ".gif", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"}
     | {".pgm", ".png", ".pnm", ".ppm", ".ras", ".sr", ".tif", ".tiff", ".webp"}

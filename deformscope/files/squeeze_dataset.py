@@ -46,7 +46,7 @@ class TrialEntry:
     """One squeeze in the index.
 
     trial: its name, unlike any other; content, container, container_type: of the squeezed container; fill: share of the
-    height session, operator; T_hand_container: (16,) row by row, planned pose of the hand; seed: that it was drawn from
+    height session, operator; T_hand_container: (16,) row by row, planned pose of the hand; seed: of its random errors
     software: versions; recorded_at: ISO 8601, UTC; recording: path from the folder, or empty
     first_s, steady_s: the events, since the recording's start [s], nan = none
     discarded: why it is left out, None = it is not

@@ -150,7 +150,7 @@ class FrameBuilder:
             raise InputError(f"{name} in {wanted}", f"{unit}", f"columns and units of {self.stream.device} in the map")
 
     def _factor(self, column: str, field: str, said: str) -> float:
-        """Factor of a field. said: its unit as the source has it, or empty"""
+        """Factor of a field. said: its unit as in the source, or empty"""
         wanted = UNITS.get(split_unit(column)[1], "")
         if not wanted or wanted in ("ns", "ticks"):
             return 1.0

@@ -21,7 +21,7 @@ from deformscope.rig.rig_file import SECTIONS
 ASKED: Final = "?"
 """The value of a key that the source does not decide."""
 MOST_NS: Final = 1 << 62
-"""Of times: 146 years from 0."""
+"""Largest time [ns]: 146 years from 0."""
 HOW = "deformscope import --inspect SOURCE > map.toml"
 
 
@@ -77,8 +77,8 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All of it. start_ns: the stamp at which the recording begins [ns]; None = the first; skip_rows: lines of CSV
-    tables before their header; rig: sections of a rig file, as `tool` and `camera`"""
+    """How foreign data become devices. start_ns: the stamp at which the recording begins [ns]; None = the first;
+    skip_rows: lines of CSV tables before their header; rig: sections of a rig file, as `tool` and `camera`"""
 
     streams: tuple[MappedStream, ...]
     start_ns: Annotated[int, msgspec.Meta(ge=-MOST_NS, le=MOST_NS)] | None = None
@@ -86,7 +86,7 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rig: dict[str, dict[str, Any]] = {}
 
     def to_toml(self) -> str:
-        """As in a file, without default values."""
+        """The map as TOML, without default values."""
         usual = MappedStream(device="", kind="wrench", topics=())
         lines = [f"start_ns = {self.start_ns}"] if self.start_ns is not None else []
         lines += [f"skip_rows = {self.skip_rows}"] if self.skip_rows else []
@@ -99,7 +99,7 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
-        """The devices whose bytes are imported, and where all is, as a rig file has it; empty without either."""
+        """The devices whose bytes are imported, and where all is, as in a rig file; empty without either."""
         sections = {f"devices.{one.device}": {"driver": one.driver, **one.config} for one in self.streams if one.driver}
         return lines_of(sections | self.rig, digits="")
 

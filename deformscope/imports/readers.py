@@ -26,7 +26,7 @@ CANDUMP = re.compile(r"\((\d+)\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([0-9A-Fa-f]*)(
 TABLE_TYPES = ("csv", "parquet")
 BATCH_ROWS = 4096
 PACKAGE = "deformscope_msgs/msg/"
-"""Of the messages of our own exports."""
+"""Package of the messages in deformscope's own exports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,8 @@ class Reader(Protocol):
     def topics(self) -> dict[str, Topic]: ...
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Those of these topics in the order in which they were recorded; those of tables one table after the other."""
+        """Messages of these topics in the order in which they were recorded; those of tables one table after the
+        other."""
 
 
 @contextlib.contextmanager
@@ -296,7 +297,7 @@ class FolderReader:
 
 
 def _name(place: PurePath) -> str:
-    """Of a topic, which a map in UTF-8 can hold."""
+    """Name of a topic, in a form that a map in UTF-8 can hold."""
     return place.as_posix().encode(errors="backslashreplace").decode()
 
 

@@ -153,7 +153,7 @@ class _Stream(Counted):
             raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
 
     def describe(self) -> Stream:
-        """Its kind if an export does not describe it."""
+        """The stream's kind, where no export describes it."""
         forces, torques = (columns_of(one, self._builder.columns) for one in ("force_n", "torque_nm"))
         channels, about = max(len(forces) // 3, 1), self.stream
         return Stream(about.device, about.kind, DRIVER, pads=about.pads, channels=channels, torques=bool(torques))
@@ -164,7 +164,7 @@ class _Stream(Counted):
         return None if first is None or not first.log_ns else (first.log_ns - self._when(first)) / 1e9
 
     def frames(self, reader: Reader) -> Iterator[Frame]:
-        """Of tables and files: all rows, those of all topics in order of time."""
+        """Frames of tables and files: all rows, those of all topics in order of time."""
         rows = (
             ((self._when(message, at), message) for at, message in enumerate(reader.messages([name])))
             for name in self.stream.topics
@@ -273,7 +273,7 @@ class _Stream(Counted):
 
 
 def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:
-    """The stamp of each file, as the text file of the map has it."""
+    """The stamp of each file, as in the text file of the map."""
     if stream.time in ("header", "log", ASKED) or not isinstance(reader, FolderReader):
         raise stream.missing("time", "a text file with a stamp in each line, or rate_hz", stream.time)
     path, files = reader.path / stream.time, [message.value for message in reader.messages(stream.topics)]

@@ -14,7 +14,8 @@ from deformscope_drivers.clock import Clock
 
 ARM_CYCLE_NS = 10_000_000
 ARM_STIFFNESS_N_M, ARM_DOUBT = 5000.0, 0.1
-"""Of a simulated arm under a push, which its joints do not see; the share of it that a calibration leaves unknown."""
+"""Stiffness of a simulated arm under a push, which its joints do not measure; the share of it that a calibration leaves
+unknown."""
 SOLVED_N = 2e-3
 SOLVED_AT_MOST = 60
 FIRST_M = 2e-5

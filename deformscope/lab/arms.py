@@ -43,7 +43,7 @@ class ArmBody(PushedArm, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, closed; body: the moving arm; person: places it; None = an arm with motors
+    """arm: the driver's device, not opened; body: the moving arm; person: places it; None = an arm with motors
     wire: between them, to be entered before the arm is opened, None = no thread or process runs
     """
 

@@ -103,7 +103,7 @@ class StandingContainer(SqueezedContainer):
         self.place(pose, toppled=self.toppled)
 
     def topple(self, way: npt.ArrayLike) -> None:
-        """It falls over towards a direction (2,) on the table."""
+        """Let the container fall over towards a direction (2,) on the table."""
         pose, half_m = self.T_table_container, self.shape.half_m
         out = np.array([*(np.asarray(way, float) / np.linalg.norm(way)), 0.0])
         own = pose[:3, :3].T @ out
@@ -210,8 +210,8 @@ class _Wire(MemoryTransport):
 
 
 class CarriedHandLab(SqueezeLab):
-    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, closed; functions: of a Jaco's vendor, wire: of a
-    KUKA, which can be disturbed; scheduled: events at moments of the clock"""
+    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, not opened; functions: of a Jaco's vendor, wire: of
+    a KUKA, which can be disturbed; scheduled: events at moments of the clock"""
 
     simulated: StandingContainer
 
@@ -272,7 +272,7 @@ class CarriedHandLab(SqueezeLab):
 
 
 def chain_of_arm(arm: str) -> Chain:
-    """Of the laboratory's arm of a kind. Raises InputError for another."""
+    """Kinematic chain of the laboratory's arm of a kind. Raises InputError for another."""
     if arm not in T_BASE_TABLE:
         raise InputError("an arm of the laboratory: jaco or kuka", repr(arm))
     return J2N6S300 if arm == "jaco" else KUKA[KukaConfig().model]

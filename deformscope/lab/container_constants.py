@@ -157,7 +157,7 @@ CYLINDER_M: Final = (0.035, 0.160)
 """Radius and height; assumed: a bottle of 0.62 litres."""
 
 TABLE_FRICTION: Final = 0.35
-"""Of cardboard or plastic on a table; assumed within the 0.2 to 0.5 that handbooks give for both."""
+"""Friction of cardboard or plastic on a table; assumed within the 0.2 to 0.5 that handbooks give for both."""
 
 # Fingertips and hand ------------------------------------------------------------------------------------------------
 
@@ -177,8 +177,8 @@ PAD_STIFFNESS_PA_M: Final = 4.0e8
 """Pressure over compression of the pad's foam cover: 1 MPa over 2.5 mm; assumed for a closed-cell rubber."""
 
 TORQUE_NM_PER_A: Final = (0.0, 2.1, 1.4, 2.1, 1.4, 2.1, 1.4)
-"""Of each axis at the limit of its current, by axis; ROBWORK's limits over the 1 A that Schunk's library allows. The
-base axis carries no load here."""
+"""Torque of each axis at the limit of its current, by axis; ROBWORK's limits over the 1 A that Schunk's library allows.
+The base axis carries no load here."""
 GEAR_LOSS: Final = 0.15
 """Share of the torque that friction in motor and gear takes, in the mean; assumed."""
 GEAR_LOSS_SD: Final = 0.02
@@ -196,7 +196,7 @@ NOISE_COUNTS: Final = 4.0
 """Standard deviation of a texel; as the DSA double assumes it."""
 
 TEMPERATURE_SD_K: Final = 2.0
-"""Of the room between sessions, and of a container since it was closed; assumed."""
+"""Variation of the room's temperature between sessions, and of a container since it was closed; assumed."""
 
 # Grasp --------------------------------------------------------------------------------------------------------------
 

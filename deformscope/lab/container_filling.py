@@ -63,7 +63,7 @@ class Patches:
 
     @classmethod
     def of(cls, content: Content, depth_m: FloatArray, half_width_m: float) -> Patches:
-        """Of patches (p,) so far below the content's surface; those above it have none."""
+        """Resistance of patches (p,) at a depth below the content's surface; patches above it have none."""
         under = depth_m > 0.0
         none = np.zeros(depth_m.shape)
         if content.shear_modulus_pa > 0.0:

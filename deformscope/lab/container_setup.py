@@ -38,14 +38,14 @@ KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
 """In words, by the form of a container."""
 CAMERA_HZ = 30.0
 OPEN_DEG, DISTAL_DEG = -24.0, 32.0
-"""Of the proximal axes: the open fingertips are a centimetre or more from the containers of this laboratory. Angle of
-the distal axes: the fingertips lean in by about 15 deg at contact, and press with their first six rows, which are the
-feature. Upright ones would press with the middle of their pads."""
+"""Angle of the proximal axes: the open fingertips are a centimetre or more from the containers of this laboratory.
+Angle of the distal axes: the fingertips lean in by about 15 deg at contact, and press with their first six rows, which
+are the feature. Upright ones would press with the middle of their pads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerLab:
-    """A setup, closed, its container, and the laboratory behind it, which has the truth."""
+    """A setup, not opened, its container, and the laboratory behind it, which has the truth."""
 
     setup: SqueezeSetup
     content: str

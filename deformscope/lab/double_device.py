@@ -43,7 +43,7 @@ _numbers = itertools.count(1)
 
 @contextlib.contextmanager
 def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
-    """A device of this driver, closed, that a running double is behind; it runs until the end of the context.
+    """A device of this driver, not opened, that a running double is behind; it runs until the end of the context.
 
     config: as for the real device; the double has the address that it gives, and no hardware or CAN of the kernel's is
     needed

@@ -15,7 +15,7 @@ from deformscope_drivers.sdh.double import Port, SdhDouble
 CYCLE_S = 0.01
 ANGULAR_VELOCITY = 8
 SWINGS = ((12.0, 9.0), (8.0, 7.0), (-9.0, 6.0), (6.0, 5.0), (-8.0, 4.0), (14.0, 3.0))
-"""Of each joint: the greatest rate [deg/s] and the period [s]; each swings to and fro and goes nowhere."""
+"""For each joint: the greatest rate [deg/s] and the period [s]; each swings to and fro and goes nowhere."""
 
 
 @contextlib.contextmanager

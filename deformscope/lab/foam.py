@@ -51,7 +51,7 @@ class Foam:
 
     @property
     def name(self) -> str:
-        """As the thesis calls it: density/hardness."""
+        """Name of the foam in the thesis: density/hardness."""
         return f"{self.density:g}/{self.hardness:g}"
 
     def law(self) -> OgdenFoam:

@@ -167,7 +167,7 @@ class LiveLab:
 
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
-        """Devices of drivers over the doubles, closed, by name; the table lives until the end of the context."""
+        """Devices of drivers over the doubles, not opened, by name; the table lives until the end of the context."""
         made: dict[str, Device[Any]] = {}
         with contextlib.ExitStack() as stack:
             stack.enter_context(until_done("simulated arm", self._move))

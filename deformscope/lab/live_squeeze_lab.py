@@ -37,7 +37,7 @@ PICTURES_HZ = 10.0
 
 
 class LiveSqueezeLab:
-    """`with LiveSqueezeLab(case) as lab:` and its devices are there, closed; `lab.source()` opens them.
+    """`with LiveSqueezeLab(case) as lab:` and its devices are there, not opened; `lab.source()` opens them.
 
     hand, pads, camera: the real drivers' devices; clock, wait_until: the host's
     `devices` makes them those of a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)
@@ -80,8 +80,8 @@ class LiveSqueezeLab:
 
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
-        """The devices by their names in a rig file, with its settings, closed; the container is present until the end
-        of the context."""
+        """The devices by their names in a rig file, with its settings, not opened; the container is present until the
+        end of the context."""
         configs = {entry.driver.name: entry.config for entry in entries}
         self._configs = configs["sdh"], configs["dsa"]
         with self:

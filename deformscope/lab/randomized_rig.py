@@ -28,7 +28,7 @@ from deformscope_drivers.manual_arm import StandDouble
 
 UP = np.array([0.0, 0.0, 1.0])
 BOARD_SQUARES, BOARD_SQUARE_M = (5, 4), 0.05
-"""The board on the arm: as `deformscope calibrate camera` has it by default."""
+"""The board on the arm: as in `deformscope calibrate camera` by default."""
 TILT_DEG = 22.0
 TOUCH_M, BALL_M = (5e-4, 5e-4, 2e-4), 3e-4
 """How far a person is off a corner along x, y and z, and a ball moves in its cone: deviations."""

@@ -22,7 +22,7 @@ NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
 NEAREST_M = 0.01
 """Corners nearer than this to the plane of the camera are sought in all of its picture."""
 COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 152, 110]], dtype=np.float64)
-"""Of each of them, lit along the view; all foams look alike."""
+"""Colour of each material, lit along the view; all foams look alike."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from deformscope_drivers.device import Device
 
 @contextlib.contextmanager
 def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
-    """The rig's devices, closed; doubles run for those with double = true, until the end of the context.
+    """The rig's devices, not opened; doubles run for those with double = true, until the end of the context.
 
     In lab:containers a container is between the doubles.
     """
@@ -36,7 +36,7 @@ def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
 
 @contextlib.contextmanager
 def member_of(entry: RigDevice) -> Iterator[RigMember]:
-    """One device of a rig, closed; its double, if requested, runs until the end of the context.
+    """One device of a rig, not opened; its double, if requested, runs until the end of the context.
 
     Raises InputError where there is none to be made.
     """

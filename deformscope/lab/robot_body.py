@@ -24,7 +24,7 @@ from deformscope_drivers.jaco.chains import J2N6S300
 FOLDER = Path(__file__).parent / "robots"
 URDF = "j2n6s300-stick.urdf"
 CLOSED = 0.62
-"""So far the fingers are closed on the stick's neck."""
+"""How far the fingers are closed on the stick's neck."""
 CLOSED_OFF = 0.03
 """Deviation of that: 2.6 degrees."""
 CABLE_M = (

@@ -47,8 +47,8 @@ UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class SceneLab:
-    """The laboratory with a scene in it, closed. lab: its devices and faults; setup: to explore it; drawn: its hidden
-    errors"""
+    """The laboratory with a scene in it, not opened. lab: its devices and faults; setup: to explore it; drawn: errors
+    that the seed drew, hidden from the exploration"""
 
     def __init__(
         self,

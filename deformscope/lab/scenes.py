@@ -172,8 +172,8 @@ class Piece:
 
     @classmethod
     def named(cls, name: str, times: float = 1.0) -> Piece:
-        """Of a hardness in N ("110", "110c30p20" where 30 % relaxes and 20 % of each dent stays, or "110y20" that
-        yields), times a factor, or "rigid"."""
+        """The piece of a hardness in N ("110", "110c30p20" where 30 % relaxes and 20 % of each dent stays, or "110y20"
+        that yields), times a factor, or "rigid"."""
         if name == "rigid":
             return cls(name, RIGID_PA, rigid=True)
         linear, _, plateau_exponent = name.partition("y")

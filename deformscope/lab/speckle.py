@@ -77,7 +77,7 @@ class SpeckleMotion:
         self.depth_px = 0.0 if pressed is None else pressed.depth_m * view.px_per_m
 
     def displacement(self, rest: FloatArray) -> FloatArray:
-        """Of points (k, 2) at rest, (k, 2) [px]; beyond the foam, that of its nearest point."""
+        """Displacements (k, 2) [px] of points (k, 2) at rest; beyond the foam, that of its nearest point."""
         x, y = np.clip(rest, self._low, self._high).T
         return np.column_stack([spline.ev(y, x) for spline in self._spline])
 

@@ -14,7 +14,7 @@ NAMES = {
     "residual": "Residuals: from simulated to observed",
     "heat": "Where the model is wrong: error over the body",
 }
-"""Of the views, by the entity that they show."""
+"""Names of the views, by the entity that they show."""
 CHART = "Error and posterior over the parameter"
 
 PAPER = [232, 235, 240]

@@ -27,7 +27,7 @@ NET = 1.2
 """Largest distance, in spacings, of a surface's particles that a net joins."""
 
 CELLS, OVER_IMAGE = 192, 0.75
-"""Of the heat map in the plane: cells along its longer side, and how much of it covers an image."""
+"""The heat map in the plane: cells along its longer side, and how much of it covers an image."""
 
 BANDS = 32
 """Colours of the heat map: steps that the eye can follow, and that are stored small."""

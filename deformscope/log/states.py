@@ -20,10 +20,10 @@ timeline **beta** or **theta**: the bottom left chooses it, and it counts hundre
 timeline that its view's title begins with, and rests on the other.
 """
 STEPS = 100
-"""Of a parameter's timeline from 0 to 1, which counts whole steps."""
+"""Steps of a parameter's timeline from 0 to 1, which counts whole steps."""
 FPS = 20.0
 UNIT_M, MARGIN = 0.01, 0.12
-"""Of the ruler; around a body, as a share of its size."""
+"""Unit of the ruler [m]; margin around a body, as a share of its size."""
 
 
 def log_states(rec: rr.RecordingStream, states: StateSweeps) -> None:

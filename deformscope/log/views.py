@@ -16,7 +16,7 @@ SOMETIMES = "sometimes"
 
 @dataclass(frozen=True, slots=True)
 class ShownStage:
-    """A stage of computation, as recordings have it.
+    """A stage of computation: its name, and where recordings store its results.
 
     name: as its costs are named; chapter: of the thesis, 0 = records of the run itself; gives: in words
     entity: place of its rows, with entities below it, "" = that of its type of result

@@ -56,7 +56,7 @@ class CatalogServer(PageServer):
 
 
 def serve_catalog(title: str, html: str, recordings: Sequence[Path]) -> CatalogServer:
-    """Its address is printed. Until `close`, or the end of the process."""
+    """Serve the catalog and print its address, until `close`, or the end of the process."""
     page = CatalogServer(title, html, recordings)
     page.open()
     print(page.where, file=sys.stderr, flush=True)

@@ -52,7 +52,7 @@ class ShownDevices:
                 self._session.remark(words, bad=bad)
 
     def tared(self, device: str) -> None:
-        """Its drift starts again."""
+        """Start the drift of a tared device again."""
         self._drifts.pop(device, None)
 
     def _state(self, name: str, health: Health) -> DeviceState:

@@ -49,9 +49,9 @@ from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import Msm
 
 FIRST_S = 10.0
-"""So long it waits for the first picture."""
+"""Longest wait for the first picture."""
 VALUES, COARSELY = 25, 5
-"""Of the error curve: one after the other while nothing changes, every fifth of them first."""
+"""Values of the error curve: one after the other while nothing changes, every fifth of them first."""
 QUIET_S = 0.3
 """Time without a change after which it begins."""
 SWIFT_S = 0.15
@@ -216,7 +216,7 @@ class PageFit:
     # What is shown ---------------------------------------------------------------------------------------------------
 
     def _set(self, asked: SetFit, pictures: tuple[str, ...] = ()) -> None:
-        """Simulate the requested settings, and show the result. pictures: that are new"""
+        """Simulate the requested settings, and show the result. pictures: the new ones"""
         self._curve, self._shown = [], asked
         try:
             self.config = config = self._config_of(asked.settings)

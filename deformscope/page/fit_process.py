@@ -1,4 +1,4 @@
-"""A fit on a page, as the page's side has it: all is computed in a process of its own (`deformscope.page.fit`)."""
+"""The page's side of a fit: all is computed in a process of its own (`deformscope.page.fit`)."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
 
 WIDTH_PX, RIM_PX = 800.0, 40.0
-"""Of the picture of a pair."""
+"""Width and margin of the picture of a pair."""
 EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
 """From x, y, z of a body in space to a picture of it: from the front, a little from the right and above."""
 
@@ -90,7 +90,7 @@ FitSubject = ImagesSubject | PairSubject
 
 
 def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> FitSubject:
-    """Of the files that a command's options name. note: of the present step, as text"""
+    """The subject in the files that a command's options name. note: of the present step, as text"""
     if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
     images = images_of(config)

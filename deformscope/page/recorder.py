@@ -81,7 +81,7 @@ class EpisodeNotes:
         self._waiting.append(SessionNote(monotonic_ns(), about, text))
 
     def take(self) -> list[SessionNote]:
-        """Those that wait, which then wait no more."""
+        """The waiting notes, which are then removed."""
         notes, self._waiting = self._waiting, []
         return notes
 
@@ -269,7 +269,7 @@ class PageRecorder:
                 self._take.recorder.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
-        """Of the last file; without one, of the whole view."""
+        """Summary of the last file; without a file, of the whole view."""
         return self.summaries[-1] if self.summaries else self._watch.summary()
 
     def _lose_file(self, take: _FileTake, error: RecordingError) -> None:

@@ -36,7 +36,7 @@ class RobotPage(ABC):
 
     @abstractmethod
     def go_on(self) -> None:
-        """It was agreed to, at the page or elsewhere, or need not be."""
+        """Go on after a person agreed, at the page or elsewhere, or where no agreement is needed."""
 
     def is_agreed(self) -> bool:
         """Whether a person at the page has confirmed it."""

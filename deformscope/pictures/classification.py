@@ -24,13 +24,13 @@ MARKERS = "osD^vP*Xhp"
 NUMBERED = 12
 """Largest number of classes whose confusion matrices have a number in each cell."""
 NAMED = 30
-"""So many classes are named in a legend."""
+"""Most classes that a legend names."""
 SHOWN_IMAGES = 15
 """Classes of which a mean image is shown."""
 ABREAST = 4
 """Confusion matrices in a row."""
 UNITS = {"tactile": (1.0, "counts"), "vision": (1e3, "mm"), "vision_small": (1e3, "mm")}
-"""Of the features of a data set of squeezes: factor and unit as they are drawn."""
+"""Units of the features of a data set of squeezes: factor and unit as they are drawn."""
 PADS, PAD_SIDE = 36, 6
 """Cells of a fingertip's tactile array in a feature, 6 by 6 (Thesis 2.5.1)."""
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
 ERROR, INTERVAL, MINIMUM, POSTERIOR = "#1f5fd0", "#9db8e8", "#d92b2b", "#5b3fa0"
-"""Of the charts: the curve, the shaded interval, the marked minimum, the density."""
+"""Colours of the charts: the curve, the shaded interval, the marked minimum, the density."""
 
 VERDICT_COLORS = {"identified": "#177a2b", "weak": "#a86400"}
 OTHER_VERDICT = "#b01818"

@@ -57,7 +57,7 @@ EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
 BETA_STEP = 0.2
 """Where a scale of beta may begin and end."""
 LEAST_RANGE_MM = 4.0
-"""Of a scale of heights."""
+"""Smallest range of a scale of heights."""
 LEAST = 1e-9
 """Stiffness [N/mm] below which there is none."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
@@ -70,7 +70,7 @@ WIDE, HIGH = 4.4, 3.3
 """One picture [inch]."""
 DPI = 130
 PLACE = (0.12, 0.12, 0.7, 0.69)
-"""Of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
+"""Place of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
 UNIT_LETTERS = 8
 """A longer label of a colour bar is part of the label of x."""
@@ -709,7 +709,7 @@ error_png = _picture(draw_error, (0.17, 0.155, 0.79, 0.66))
 section_png = _picture(draw_section, (0.17, 0.155, 0.79, 0.62))
 """The dent around the tip, observed and simulated: height over the distance from the contact."""
 height_png = _picture(draw_height)
-"""The surface as its Gaussian process has it: height, and lines of equal standard deviation [mm]."""
+"""The surface as in its Gaussian process: height, and lines of equal standard deviation [mm]."""
 region_comparison_png = _picture(draw_region_comparison, (0.12, 0.12, 0.84, 0.62))
 """Where the regions end: of a recorded map, and of the one that other settings, which are named, give."""
 touch_comparison_png = _picture(draw_touch_comparison, (0.16, 0.14, 0.8, 0.62))

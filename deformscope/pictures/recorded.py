@@ -16,7 +16,8 @@ MARKED = 30
 """Fewer points are marked each."""
 PHASES = ("#eef3f8", "#dfe6ee")
 APART = 0.024
-"""Of the names of phases, as a share of the axis: short phases follow one another within some tenths of a second."""
+"""Distance between the names of phases, as a share of the axis: short phases follow one another within some tenths of a
+second."""
 DATA_AXES = "data", "axes fraction"
 
 

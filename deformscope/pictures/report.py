@@ -43,7 +43,7 @@ class ReportVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A cell that leads to a file or a page. to: as a URL has it, relative to the page; png: shown above the text"""
+    """A cell that leads to a file or a page. to: as in a URL, relative to the page; png: shown above the text"""
 
     text: str
     to: str

@@ -25,9 +25,9 @@ from deformscope.recording.rrd_index import Portion, read_index
 
 FORMAT, OLD_FORMAT = "deformscope-ledger-2", "deformscope-ledger-1"
 BLOCK_BYTES = 1 << 20
-"""Bytes of which nothing is known are at most so many in a block."""
+"""Most bytes of a block whose contents are unknown."""
 SEVERAL = 4
-"""So many streams are named of a block that holds more."""
+"""Most streams that are named of a block."""
 
 
 def ledger_path(recording: Path) -> Path:

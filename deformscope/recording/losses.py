@@ -89,5 +89,5 @@ def named(losses: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def without_frames(devices: Sequence[str]) -> dict[str, str]:
-    """What is said of each device that a recording names and of which no frame was read."""
+    """The loss of each device that a recording names, and of which no frame was read."""
     return dict.fromkeys(devices, "all frames: the recording names it, and holds none")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from deformscope.recording.rrd_file import RecordingFile
 
 COSTS_AT_ONCE = 200
-"""So many rows of costs are written together."""
+"""Rows of costs that are written together."""
 
 
 class Outputs:

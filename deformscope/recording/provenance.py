@@ -16,7 +16,7 @@ VERSIONED = ("deformscope", "rerun-sdk", "numpy", "opencv-python-headless", "war
 
 
 def versions() -> dict[str, str]:
-    """Of Python and of the packages that results depend on."""
+    """Versions of Python and of the packages that results depend on."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
         try:

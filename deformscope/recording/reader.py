@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Pace = Literal["fast", "real", "step"]
 RRD_MAGIC = b"RRF"
 APPLICATION_PREFIX = "deformscope"
-"""Of rerun's applications of ours (`deformscope.log.application`)."""
+"""Prefix of deformscope's application names in rerun (`deformscope.log.application`)."""
 BLOB = "EncodedImage:blob"
 IMAGE_FIELDS = {BLOB: "image", "EncodedDepthImage:blob": "depth", "DepthFrame:color": "color"}
 """Kind of the images in each component."""

@@ -161,7 +161,7 @@ class Recorder:
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
         """From here on devices are recorded, and results computed from them.
 
-        layout: how, as the experiment has it; start_ns: the host's clock at session time 0
+        layout: how, from the experiment; start_ns: the host's clock at session time 0
         lossless: devices whose colour images are stored without loss
         """
         if not self.active:

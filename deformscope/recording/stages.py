@@ -33,7 +33,7 @@ LIVE_MS = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class RecordedStage:
-    """A stage as a recording has it.
+    """A stage as in a recording.
 
     timelines: of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms: median delay
     of its results behind the newest frame; live: whether that is soon; None where it was not recorded

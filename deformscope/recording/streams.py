@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 SCHEMA_VERSION = 1
-"""Of every export: which streams, columns and messages it has. Any change that a reader would misread makes the next
-number."""
+"""Version of every export: which streams, columns and messages it has. Any change that a reader would misread makes the
+next number."""
 
 UNITS = {
     "m": "m",
@@ -84,13 +84,13 @@ POSE_COLUMNS = (
     *(f"position_{axis}_m" for axis in CARTESIAN),
     *(f"rotation_{axis}_rad" for axis in CARTESIAN),
 )
-"""Of `ForcePose`; the rotation is a vector."""
+"""Columns of `ForcePose`; the rotation is a vector."""
 TRANSFORMS = "transforms"
 TRANSFORM_COLUMNS = (*(f"{axis}_m" for axis in CARTESIAN), "qx", "qy", "qz", "qw")
 MOST_COLUMNS = 24
-"""A frame's array of so many values at most has a column for each; a longer one is a list."""
+"""Most values of a frame's array with a column for each; a longer array is a list."""
 BATCH_ROWS, BATCH_BYTES = 1 << 16, 4 << 20
-"""Rows are gathered until they are so many, or so much."""
+"""Rows and bytes that are gathered before they are written."""
 KEPT_TEXT = {
     *("verdict", "beta_verdict", "stiffness_verdict", "stage", "name", "parameter", "about", "link", "unit"),
     *("gain_unit", "modality", "labels", "state", "parent_frame", "child_frame"),

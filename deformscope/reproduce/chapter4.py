@@ -46,7 +46,7 @@ from deformscope.stages.map.touch_beta import (
 from deformscope.stages.regions.touches import MapGrid
 
 HARDNESSES_N = (30, 60, 110, 150, 300)
-"""Of figure 4.5: the thesis's 60, 110 and 150 N, one softer and one firmer."""
+"""Hardnesses of figure 4.5: the thesis's 60, 110 and 150 N, one softer and one firmer."""
 
 Hold = Literal[
     "single layer, one particle",
@@ -69,7 +69,7 @@ SCENARIOS: dict[str, tuple[int, int]] = {
     "two-150-rigid": (4, 2),
     "three-60-110-rigid": (4, 3),
 }
-"""Of table 4.1: the thesis's number of interactions at Th = 0.06, and of regions."""
+"""Table 4.1 of the thesis: number of interactions at Th = 0.06, and of regions."""
 
 MOST_TOUCHES = 10
 AROUND_M = 2.0 * THESIS_SIDE_M

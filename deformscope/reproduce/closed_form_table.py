@@ -27,7 +27,7 @@ from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 FORCE_N = 3.0
 FIT_SD = 0.012
-"""Of log stiffness, the depth's uncertainty in a fit to 3 N (sd .2 to 2.2 % of a sphere)."""
+"""Deviation of log stiffness: the depth's uncertainty in a fit to 3 N (sd .2 to 2.2 % of a sphere)."""
 LOG_N_PER_MM_60 = float(np.log(0.55))
 """Stiffness of foam of 60 N at 3 N under a ball of 1 cm; others follow as the power 2/3 of their modulus (Hertz)."""
 RIGID_LOG = float(
@@ -46,7 +46,7 @@ def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:
 
 
 def run_closed_form(job: TableJob, prior: RegionPrior | None = None) -> TableRun:
-    """Explore one scene. prior: of the estimator, None = as `explore` has it"""
+    """Explore one scene. prior: of the estimator, None = as in `explore`"""
     began = time.perf_counter()
     scene, options = built_in(job.scene, job.seed), PlanOptions(planner=job.planner, budget=job.touches)
     truth, random = _truth(scene), np.random.default_rng([job.seed, 0xC10])

@@ -91,7 +91,7 @@ def squeeze_jobs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezedTrial:
-    """One squeeze with all that is known of it. made: the laboratory, closed; frames: of the devices"""
+    """One squeeze with all that is known of it. made: the laboratory, not opened; frames: of the devices"""
 
     entry: TrialEntry
     made: ContainerLab

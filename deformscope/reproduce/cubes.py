@@ -47,7 +47,7 @@ SAME_DEPTH = 1e-3
 """Depths that differ by less than this share are one depth in the tables."""
 
 CG_STEPS = 25
-"""Of the thesis's SOFA-CG (3.5.1.6)."""
+"""Steps of the thesis's SOFA-CG (3.5.1.6)."""
 
 STEPS = 200
 """Time steps that are timed together."""

@@ -161,7 +161,7 @@ def draw_clusters(path: Path, found: Sequence[CubeResult], cluster_size: int) ->
 
 
 def _draw_side(panel: Any, one: CubeResult, many: str) -> None:
-    """The middle line of a side, from plate to plate, as it is and as both models have it."""
+    """The middle line of a side, from plate to plate, as simulated and by both models."""
     assert one.overlapping is not None
     row, along, out = side_line(one.cube)
     rest = one.cube.seen.rest[row]

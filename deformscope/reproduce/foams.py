@@ -251,7 +251,7 @@ def trend(results: Sequence[FoamResult], source: Source, held: Held, cluster_siz
 
 
 def format_order(value: FloatArray, same: float = 0.0) -> str:
-    """How values (n,) of foams change, the softest first; same: that they may differ by and count as one."""
+    """How values (n,) of foams change, the softest first; same: the largest difference of equal values."""
     steps = np.diff(value)
     if np.ptp(value) <= same:
         return "is the same for all"

@@ -15,10 +15,10 @@ from deformscope.reproduce.foams import HELD, PX_PER_CM, Control, FoamResult, He
 from deformscope.stages.fit.estimate import Estimate
 
 COLOURS = ("#d55e00", "#e69f00", "#009e73", "#0072b2", "#aa3377")
-"""Of the foams in their order; distinct to colour-blind readers too (Okabe and Ito 2008)."""
+"""Colours of the foams in their order; distinct to colour-blind readers too (Okabe and Ito 2008)."""
 
 SIZE_COLOURS = ("#7f3b08", "#2d8fbd", "#8073ac", "#5a5a5a")
-"""Of the cluster sizes."""
+"""Colours of the cluster sizes."""
 
 HOLDING: dict[Held, str] = {
     "one": "one particle below the clamp held, as in the thesis",

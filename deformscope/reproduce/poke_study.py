@@ -48,7 +48,8 @@ class PokeStudyPlan:
 
 TIP, FITTED_FORCE = (0.02, 0.02), 3.0
 OTHER_TIPS, OTHER_FORCES = ((0.03, 0.03), (0.015, 0.015), (0.04, 0.02)), (4.0, 2.0, 5.0, 1.5)
-"""Of unseen pokes, in turn [m], [N]: the same tip with another force differs by nothing but the place."""
+"""Tips and forces of unseen pokes, in turn [m], [N]: the same tip with another force differs by nothing but the
+place."""
 
 
 def plan_of(drawn: PokedSlab, tips: Sequence[tuple[float, float]] = OTHER_TIPS) -> PokeStudyPlan:

@@ -30,7 +30,7 @@ from deformscope.stages.squeeze.trial import SqueezeFeatures
 T = TypeVar("T")
 
 LOST_SHARE = 0.1
-"""Of the frames and readings of each device, at random, and besides one run of `LOST_RUN` of them."""
+"""Share of each device's frames and readings that is lost at random, and besides one run of `LOST_RUN` of them."""
 LOST_RUN = 5
 PERIODS, SHIFT_M, TURN_DEG = 2.0, 0.002, 1.0
 """Tolerances of an event, and of a pose in the observed directions."""

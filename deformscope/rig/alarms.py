@@ -40,7 +40,8 @@ WRENCH_END, TEXEL_END = 32767, 4095
 """The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 PICTURE_ENDS = (("its brightest", 0.5), ("black", 0.98))
-"""So much of a picture at one end, and it is saturated: a dark room is not, a lens with its cap is."""
+"""Share of a picture's pixels at one end of the range from which it is saturated: a dark room is not, a lens with its
+cap is."""
 PICTURE_STEP = 8
 """Step between the checked pixels of a picture, along both sides."""
 
@@ -103,7 +104,7 @@ class _Watched:
 class SensorAlarms:
     """`look` at all that devices give, in its order; the alarms that begin and end come back as notes.
 
-    stuck_after_s: by device, as the rig has it; None = it may stay the same for ever
+    stuck_after_s: by device, as in the rig; None = it may stay the same for ever
     """
 
     def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:

@@ -14,7 +14,7 @@ from deformscope.frames import WrenchFrame
 
 MEAN_NS = 10**9
 POINTS = 120
-"""Of the line at most: where it would have more, every second one goes."""
+"""Most points of the line: where it would have more, every second one is removed."""
 LOAD_SDS, LEAST_LOAD, FASTEST = 4.0, {"N": 0.05, "counts": 2.0}, 0.2
 """A second is loaded if its mean differs from the last unloaded one by this number of standard deviations of a reading,
 at least by this force, and by this share of it for each second between the two. It is also loaded if its readings
@@ -24,7 +24,7 @@ Axes = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 
 class TareDrift:
-    """Of one sensor, since `tare`, or since its first reading."""
+    """Drift of one sensor, since `tare`, or since its first reading."""
 
     def __init__(self) -> None:
         self.tare()

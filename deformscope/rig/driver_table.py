@@ -27,7 +27,7 @@ class Driver:
     probed: bool = False
 
     def make(self, config: object) -> Any:
-        """A device with this configuration, closed."""
+        """A device with this configuration, not opened."""
         return self._find(self.device)(config)
 
     def config_class(self) -> Any:

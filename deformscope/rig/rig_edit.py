@@ -19,7 +19,7 @@ TomlValue = bool | int | float | str | datetime.date | Sequence[Any]
 Values = Mapping[str, Mapping[str, TomlValue]]
 """By section ("tool", "calibrated.tip"), then by key."""
 DIGITS = ".9g"
-"""Of numbers in a rig file."""
+"""Format of numbers in a rig file."""
 HEADER = re.compile(r"\s*\[+\s*[\w\"'.-]+\s*\]+\s*(#.*)?$")
 
 

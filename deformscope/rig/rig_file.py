@@ -34,7 +34,7 @@ EXAMPLE = "deformscope doctor --example"
 NAME_HINT = "letters, digits, - and _, 64 at most"
 NAME_CHARACTERS = 64
 FILE_BYTES = 100_000
-"""Of a rig file at most: of a larger one, TOML can be made whose reading takes minutes."""
+"""Largest rig file: a larger TOML file can be made so that reading it takes minutes."""
 PLACE_CHARACTERS = 80
 DEEPEST = 16
 """Tables and lists within one another; a rig needs half."""
@@ -58,8 +58,8 @@ class RigDevice:
     late_ns: int = 0
 
     def make(self) -> Device[Any]:
-        """The real device, closed. Raises InputError if its section is incomplete, as without port and bus, or names a
-        library outside of the system's folders while the rig is not trusted."""
+        """The real device, not opened. Raises InputError if its section is incomplete, as without port and bus, or
+        names a library outside of the system's folders while the rig is not trusted."""
         config = self.config
         try:
             if getattr(config, "library", None) and not self.trusted:
@@ -173,7 +173,8 @@ class SurfaceSection:
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """Range of the tip, and limits of its force and speed. The defaults are far below harm.
+    """Range of the tip, and limits of its force and speed. The default force and speed are far below those that injure
+    a person.
 
     low_m, high_m: corners of a box in the arm's base frame [m]
     arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none
@@ -270,7 +271,7 @@ SECTIONS: dict[str, Any] = {
 class Rig:
     """A rig as its file says it.
 
-    name: of the file, for titles; text: the file, for recordings; folder: that it is in, from which its paths count
+    name: of the file, for titles; text: the file, for recordings; folder: that of the file, from which its paths count
     """
 
     name: str

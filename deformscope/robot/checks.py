@@ -61,7 +61,7 @@ class Check:
 
     @property
     def hint(self) -> str:
-        """Its remedy; empty if it has passed."""
+        """The check's remedy; empty if it has passed."""
         return "" if self.passed else next((hint for name, hint in HINTS.items() if self.name.startswith(name)), "")
 
 

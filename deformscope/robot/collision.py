@@ -33,9 +33,9 @@ STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
 """Joints have the same motion within this speed, and this share of a second's travel: else friction and inertia change
 too."""
 CURRENT_NOISE = 7.0
-"""Deviations of their noise by which currents are off in a collision. With 7, a dead sensor lets doubles of 5, 20 and
-100 N/mm press with 8.2, 13.0 and 7.6 N (`docs/results/safety.md`). A smaller value stops for ripple, a larger one
-presses harder."""
+"""A current farther off than this, in standard deviations of its noise, is a collision. With 7, a dead sensor lets
+doubles of 5, 20 and 100 N/mm press with 8.2, 13.0 and 7.6 N (`docs/results/safety.md`). A smaller value stops for
+ripple, a larger one presses harder."""
 
 
 class CollisionWatch:

@@ -17,8 +17,9 @@ PRESS_N, LEAST_N = 5.0, 2.5
 1.6 times, because a person with a kitchen scale is within a third. It distinguishes a sensor whose scale is wrong by
 two or more; a wider band accepts it, a narrower one refuses correct presses."""
 ASTRAY_DEG = 30.0
-"""Greatest angle of that push to straight up. Exchanged or reversed axes appear at 90 or 180 deg, and no person presses
-exactly upright. A larger limit detects such axes less reliably, a smaller one refuses correct presses."""
+"""Greatest angle between the person's push and straight up. Exchanged or reversed axes appear at 90 or 180 deg, and no
+person presses exactly upright. A larger limit detects such axes less reliably, a smaller one refuses correct
+presses."""
 BEGUN_N = 0.3
 """Above this [N] a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
 HELD_PERIODS = 40

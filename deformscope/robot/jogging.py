@@ -16,7 +16,7 @@ SPEED_M_S = 0.02
 """Speed of the tip's centre: the limit near contact, because by keys the tip may touch something anywhere. Faster, it
 goes further after the last key (GRACE_S); slower, a step of 10 mm takes more than half a second."""
 STEPS_M = {"1": 0.001, "2": 0.005, "3": 0.01}
-"""Of a press, by the key that chooses it."""
+"""Motion of a press, by the key that chooses it."""
 TURN_PER_M = 6.0
 """Rotation of a press for each metre of its translation [rad/m]: 5 mm and 1.7 degrees."""
 GRACE_S = 0.15

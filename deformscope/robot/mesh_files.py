@@ -23,18 +23,18 @@ from deformscope.errors import InputError
 Mesh = tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]
 
 MESH_BYTES = 50_000_000
-"""Of a mesh file at most: a million triangles of a binary STL (50 bytes each). Larger files are refused before they are
+"""Largest mesh file: a million triangles of a binary STL (50 bytes each). Larger files are refused before they are
 read, which bounds the time and memory that a file from anywhere takes."""
 TRIANGLES = 2000
-"""Of one mesh: finer ones are made coarser, as they are recorded with every session. An arm's link is then off by less
-than 1 mm; fewer are further off, more make every recording larger."""
+"""Most triangles of one mesh: finer ones are made coarser, as they are recorded with every session. An arm's link is
+then off by less than 1 mm; fewer are further off, more make every recording larger."""
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
 FARTHEST = 1e6
-"""Of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. No robot reaches it: a
-file beyond is damaged."""
+"""Largest distance of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. No robot
+reaches it: a file beyond is damaged."""
 TIMEOUT_S, MEMORY_BYTES = 120.0, 8 << 30
-"""Of the process that reads: more than any file of the allowed size takes. A hostile file ends it there, and not the
-machine's memory or a person's patience."""
+"""Time and memory of the process that reads: more than any file of the allowed size takes. A hostile file ends it
+there, and not the machine's memory or a person's patience."""
 
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:

@@ -28,8 +28,8 @@ from deformscope_drivers.arm.kinematics import (
 )
 
 SLOW_DEG = 10.0
-"""So far before its margin a joint begins to slow down, linearly to zero at the margin: a velocity damper (Faverjon and
-Tournassoud 1987)."""
+"""Distance before its margin at which a joint begins to slow down, linearly to zero at the margin: a velocity damper
+(Faverjon and Tournassoud 1987)."""
 LEAST_SHARE = 0.05
 """A joint's margin that leaves less of a velocity than this is in its way."""
 SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0

@@ -102,7 +102,7 @@ def sleep_until(until_ns: int) -> None:
 
 
 class Robot:
-    """Opened devices, where they are to one another, and a supervisor; `cycle` is one control period.
+    """Opened devices, their relative poses, and a supervisor; `cycle` is one control period.
 
     The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
 

@@ -171,7 +171,7 @@ class SimulatedDevices(Protocol):
     def opener(self) -> Callable[[], None] | None: ...
 
     def devices(self, entries: Sequence[RigDevice]) -> AbstractContextManager[dict[str, Device[Any]]]:
-        """Doubles of these devices, closed, by name."""
+        """Doubles of these devices, not opened, by name."""
 
 
 class SimulatedTable(SimulatedDevices, Protocol):

@@ -19,8 +19,8 @@ from deformscope_drivers.sdh.kinematics import fingertips
 LIMIT_DEG = 1.0
 """An axis this near to the end of its range is at it: reported angles are precise to 0.5 deg."""
 TOO_HOT_C = 70.0
-"""Of a motor. Assumed: Schunk's firmware switches off at some higher temperature (error 29); no source gives the
-value."""
+"""Largest temperature of a motor. Assumed: Schunk's firmware switches off at some higher temperature (error 29); no
+source gives the value."""
 LATE_NS = 100_000_000
 """A judgement this long after the last one, five control periods, was late (`LatchingSupervisor`)."""
 

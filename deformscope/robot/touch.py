@@ -208,14 +208,14 @@ STILL_S = 0.3
 """Time over which force and place must hold [s], and over whose last their means are taken. Shorter, a dent that still
 creeps counts as still; longer, every touch takes longer: its dwell is 0.5 s of 13.4 s (`docs/results/maps.md`)."""
 STILL_FORCE, STILL_FORCE_N, STILL_M = 0.03, 0.03, 1.5e-4
-"""Allowed variation meanwhile: share of the set force, force [N], place [m]. 3 % of 3 N is nearly twice the noise of a
-reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch until it may dwell no
-longer; larger, creep counts as still, and as depth."""
+"""Allowed variation of force and place over STILL_S: share of the set force, force [N], place [m]. 3 % of 3 N is nearly
+twice the noise of a reading that the preflight lets pass (`preflight.NOISE_N`). Smaller, noise alone keeps a touch
+until it may dwell no longer; larger, creep counts as still, and as depth."""
 PAUSE_PERIODS = 3
 """Control periods at rest before the tip backs away from too large a force: an arm needs one to take a command and two
 to stop (`force_alone.ARM_CYCLES`). More press for longer; fewer turn round an arm that still moves on."""
 NEAR_M = 2e-4
-"""So near the greatest depth it counts as reached: the speed falls towards it."""
+"""Distance to the greatest depth at which it counts as reached: the speed falls towards it."""
 PRESS_AT_MOST_S = 8.0
 """Time limit of a press without its force [s]: the greatest depth of 15 mm takes 1.5 s at 10 mm/s, the rest is for soft
 foam, which is loaded slowly. A shorter one ends touches of soft foam; a longer one continues where the force is never

@@ -21,14 +21,14 @@ from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, tr
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 FILE_BYTES = 2_000_000
-"""Of a URDF at most: the largest of vendors' have a tenth. It bounds the time and memory that a file from anywhere
+"""Largest URDF file: the largest of vendors' have a tenth. It bounds the time and memory that a file from anywhere
 takes to parse."""
 LONGEST_M = 1000.0
 """Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it, and a file beyond is
 damaged."""
 SIDES = 24
-"""Of the prisms that stand for cylinders: their sides are less than 1 % of the radius inside of them. Fewer leave more
-of a cylinder in the picture; more are recorded with every session."""
+"""Sides of the prisms that replace cylinders: their sides are less than 1 % of the radius inside of them. Fewer leave
+more of a cylinder in the picture; more are recorded with every session."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -405,7 +405,7 @@ def time_arrays(found: Arrays) -> Taps:
 
 
 RECORDED_AT_MOST_S = 120.0
-"""Of a recording with taps: all of it is compared at every offset."""
+"""Longest recording with taps: all of it is compared at every offset."""
 
 
 def recorded_taps(path: Path, wrench: str, device: str, kind: type[ArmFrame | DepthFrame | ColorFrame]) -> Taps:

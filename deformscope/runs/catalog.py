@@ -274,7 +274,7 @@ NOT_RESULTS = {
     *("status", "damaged", "problem", "sha256", "kind", "recording", "command", "seed", "version", "devices"),
     *("complete", "frames", "label", "notes", "discarded", "parameter"),
 }
-"""Of a summary."""
+"""Columns of a summary that are no results."""
 
 
 def _touches(path: Path) -> dict[str, Any]:

@@ -43,12 +43,12 @@ class ClassificationResult(LibraryResult):
 
     @property
     def accuracy(self) -> float:
-        """Of the model of `model()`: late fusion of the modalities, in the strictest splits."""
+        """Accuracy of the model of `model()`: late fusion of the modalities, in the strictest splits."""
         return self.evaluation.best.accuracy.value
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Of that accuracy, in the containers that were squeezed."""
+        """Interval of that accuracy, in the containers that were squeezed."""
         return self.evaluation.best.accuracy.interval
 
     def __repr__(self) -> str:

@@ -95,7 +95,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def units(self) -> dict[str, str]:
-        """Of the JSON's values."""
+        """Units of the JSON's values."""
         return units_of((ExplorationResult, LayerThickness, TouchEstimate, MapRegion, DetectionLimit, MissProbability))
 
     set_force_n: float = field(metadata=reported(unit="N"))
@@ -118,7 +118,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def verdict_probability(self) -> float | None:
-        """Of the verdict and the number of regions."""
+        """Probability of the verdict and its number of regions."""
         return None if self.estimate is None else self.estimate.claimed
 
     @property
@@ -247,7 +247,7 @@ class ExplorationResult(LibraryResult):
         if (truth := self.truth) is not None and truth.iou is not None:
             off = "" if truth.boundary_m is None else f", border {100 * truth.boundary_m:.1f} cm off"
             true = counted(truth.region_count, "region")
-            rows.append(("truth", f"{true}; IoU of the map's with them {truth.iou:.3f}{off}"))
+            rows.append(("truth", f"{true}; IoU of map and truth {truth.iou:.3f}{off}"))
         elif truth is not None and not truth.region_count:
             rows.append(("truth", "no regions: the stiffness changes smoothly"))
         if felt := [one.touch for one in self.touches if one.touch.beta is not None]:

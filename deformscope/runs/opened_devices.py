@@ -62,7 +62,7 @@ def setup_of(
     tangential: Literal["held", "free"] | None = None,
     scene: Scene | None = None,
 ) -> Opening:
-    """The setup of `lab:NAME`, of a rig file, closed, or of a recording.
+    """The setup of `lab:NAME`, of a rig file, not opened, or of a recording.
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: no hidden
     errors in the laboratory; camera: error model of its camera; robot: the robot's model in the images;
@@ -148,7 +148,7 @@ def recorded_rig(path: Path) -> Rig:
 
 
 def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
-    """The setup of a rig file, closed. Raises InputError, which names missing keys."""
+    """The setup of a rig file, not opened. Raises InputError, which names missing keys."""
     from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
     from deformscope.lab.rig_members import member_of
     from deformscope.robot.setup import RigParts, rig_setup
@@ -163,7 +163,7 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
 
 
 def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, RandomizedRig | None]:
-    """The simulated table of a rig with a scene, closed, and where things truly are on it, where that is hidden."""
+    """The simulated table of a rig with a scene, not opened, and where things truly are on it, where that is hidden."""
     from deformscope.lab import live_lab
     from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.scenes import built_in
@@ -191,8 +191,8 @@ CONTAINERS = f"{LAB}containers"
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
 class SqueezeOpening:
-    """A setup to squeeze with, closed; settings: for its recording; content, container: the requested ones or, in the
-    laboratory, random ones"""
+    """A setup to squeeze with, not opened; settings: for its recording; content, container: the requested ones or, in
+    the laboratory, random ones"""
 
     setup: SqueezeSetup
     settings: dict[str, Any]

@@ -76,7 +76,7 @@ class OpenRecording(LibraryResult):
         return tuple(note for note in found if isinstance(note, SessionNote))
 
     def discarded(self) -> list[Discard]:
-        """Its discarded parts, with reasons; they are in the file nevertheless."""
+        """Discarded parts of the recording, with reasons; the file still has them."""
         return self._replay.discarded
 
     def discard(self, reason: str, episode: int = 0) -> None:

@@ -63,7 +63,7 @@ class RigCalibrationResult:
         return {**self.values, section: {"date": today(), **self.values.get(section, {})}}
 
     def findings(self, where: str) -> Findings:
-        """Its table and picture. where: the rig's name"""
+        """Table and picture of a calibration. where: the rig's name"""
         return Findings((Table(self.rows, caption=f"{self.kind} of {where}"),), (self.figure,))
 
 
@@ -141,7 +141,7 @@ def written_lines(found: RigCalibrationResult) -> str:
 
 
 def _devices(rig: Rig, task: SetupTask[Any], asked: Interruption) -> tuple[AbstractContextManager[RigSource], Station]:
-    """The devices, closed, and the operator: a person at a terminal, or the laboratory's."""
+    """The devices, not opened, and the operator: a person at a terminal, or the laboratory's."""
     if not rig.surface.scene:
         devices = {kind: only_device(rig, kind, "to measure with") for kind in task.needs}
         arm, wrench, camera = (devices[kind].name if kind in devices else "" for kind in ROLES)

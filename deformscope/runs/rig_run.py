@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 REPORT_EVERY_S = 10.0
 PAGE_HOLDS_S = 30.0
-"""So much of the last seconds a page can still record, unless the options say otherwise."""
+"""Seconds before now that a page can still record, unless the options say otherwise."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
     at_end = config.keep_last is not None and always_record
-    begun = ImageOptions(**config.stages.shared(ImageOptions))  # a fit on the page begins as the stages have it
+    begun = ImageOptions(**config.stages.shared(ImageOptions))  # a fit on the page begins as in the stages
     fit = FitPanel(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), begun)
     with (
         until_interrupted() as asked,
@@ -106,7 +106,7 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         last = opened.last
         assert last is not None
         if at_end and recent is not None and (taken := recent.taken()) is not None:
-            last = since(last, taken[0])  # as the recording has it
+            last = since(last, taken[0])  # as in the recording
         failures = dict(opened.source.failures)
         why = end.reason + "".join(f"; {name} failed: {reason}" for name, reason in failures.items())
         recorder.stopped_because(why)

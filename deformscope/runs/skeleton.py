@@ -76,7 +76,7 @@ class OpenRun:
         return make(session, shown)
 
     def losses(self) -> dict[str, dict[str, float]]:
-        """Of each device that lost something, once they are closed."""
+        """Losses of each device that lost something, once the devices are closed."""
         from deformscope.recording.losses import losses_of
 
         return {} if self.last is None else losses_of(self.last)
@@ -119,7 +119,8 @@ class WatchedRobot(Protocol):
 
 
 class Watch:
-    """Called in every control period: ends the run on request, and shows the robot's state. robot: once there is one;
+    """Called in every control period: ends the run on request, and shows the robot's state. robot: None until it is
+    opened;
     arm_stopped: whether the arm could be stopped, in the end"""
 
     def __init__(self, asked: Interruption, *shows: Callable[[str], None]) -> None:

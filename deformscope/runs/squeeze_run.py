@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 MODEL_INPUT = "model.npz"
 """The model, as an input in the recording."""
 TACTILE_BYTES, DEPTH_SHARE, TRIAL_S = 4_000, 0.19, 4.6
-"""Of a recorded tactile frame; of a depth image's pixels two bytes each as PNG; of a trial. Estimates, measured on
-recordings of lab:containers."""
+"""Size of a recorded tactile frame; share of two bytes a pixel that a depth PNG takes; time of a trial. Estimates,
+measured on recordings of lab:containers."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ from deformscope.terminal import Progress
 from deformscope.version import __version__
 
 ENDINGS = (RECORDING_SUFFIX, ".npz", ".mp4", ".avi", ".mov", ".mkv", ".webm", ".mpg", ".mpeg", ".m4v", ".wmv")
-"""Of recordings, pair files and videos."""
+"""Endings of recordings, pair files and videos."""
 JOURNAL, RESULTS, OVERVIEW, FILES = "tasks.jsonl", "results.parquet", "index.html", "files"
 TYPES = {name: pa.string() for name in ("source", "status", "reason", "key")} | {"seconds": pa.float64()}
 VARIED = "vary."
@@ -53,7 +53,7 @@ VARIED = "vary."
 PANELS, GROUPS, LISTED = 9, 6, 500
 """Quantities whose distribution is drawn, by this number of settings; rows of the overview."""
 EXIT_STATUS = "exit_status"
-"""Of a command that gave its JSON with another one than 0, as where devices lost frames."""
+"""Exit status of a command that wrote its JSON but did not end with 0, for example because devices lost frames."""
 GREEN, AMBER = "#1b7f4b", "#b3541e"
 
 
@@ -103,7 +103,7 @@ class SweepResult(LibraryResult):
 
     @property
     def failed(self) -> list[dict[str, Any]]:
-        """Those that have no result, with the reason."""
+        """Tasks without a result, with the reason."""
         rows = self.table.filter(pc.field("status") == "failed")
         names = [name for name in rows.schema.names if name in ("source", "reason") or name.startswith(VARIED)]
         found: list[dict[str, Any]] = rows.select(names).to_pylist()
@@ -389,7 +389,7 @@ def function_variations(
 
 
 def call_function(task: SweepTask) -> Any:
-    """Call it with the source, in a worker; its result as JSON has it."""
+    """Call it with the source, in a worker; its result as in JSON."""
     module, name, given = task.argument
     function = getattr(importlib.import_module(module), name)
     silent = {"progress": False} if "progress" in inspect.signature(function).parameters else {}

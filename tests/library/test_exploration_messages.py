@@ -73,7 +73,7 @@ def test_every_number_has_its_meaning() -> None:
     assert rows["region 1"] == "0.5 N/mm (0.45 to 0.55) at 3 N; modulus about 50 kPa if linear"
     assert rows["modulus"] == "no interval: foam on its plateau may have up to 2.8 times as much"
     assert rows["region 2"] == "> 8.57 N/mm (a lower bound: hardly dented)"
-    assert rows["truth"] == "3 regions; IoU of the map's with them 0.513, border 4.6 cm off"
+    assert rows["truth"] == "3 regions; IoU of map and truth 0.513, border 4.6 cm off"
     assert rows["ended"] == "the allowed number of touches is reached"
     assert rows["contact force"] == (
         "set to 3 N (5 N if the dent is below 2 mm); "

@@ -1,4 +1,4 @@
-"""An exploration's part of its recorder."""
+"""The layout of an exploration's recording."""
 
 from __future__ import annotations
 

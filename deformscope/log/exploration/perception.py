@@ -71,7 +71,7 @@ def log_no_touch(now: ResultBatch) -> None:
 
 
 def log_pixels(now: ResultBatch, perception: LookPerception | TouchPerception) -> None:
-    """Of the last image; the others are in the result."""
+    """Log the labels of the last image; the others are in the result."""
     if perception.masks is not None:
         now.show(PIXELS, rr.SegmentationImage(perception.masks.decode(-1)))
 

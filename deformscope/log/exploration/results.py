@@ -114,7 +114,7 @@ AIM, DECISION, PHASE, FAILED, STOPPED, INPUT = (
 PEAKS = rr.components.AggregationPolicy.MinMax
 
 CELL_M = 0.005
-"""Of maps that do not say it themselves."""
+"""Cell size of maps that state none [m]."""
 
 
 def log_exploration_start(

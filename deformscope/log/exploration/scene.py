@@ -82,7 +82,7 @@ def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
 
 
 def log_contact(now: ResultBatch, touch: TouchEstimate) -> None:
-    """A mark with its number and the normal along which it was touched; marks stay."""
+    """Log a touch's mark, its number and its normal. Marks of earlier touches stay visible."""
     at, path = touch.xyz_m, f"{SCENE}/contacts/{touch.number}"
     now.show_points(path, at[None], CONTACT, MARK_M, [str(touch.number)])
     arrow = rr.Arrows3D(origins=[at], vectors=[touch.normal * ARROW_M], colors=NORMAL, radii=LINE_M)

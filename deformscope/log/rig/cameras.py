@@ -18,7 +18,7 @@ from deformscope.log.rig.columns import Batch, Shown, frame_times, is_news, mome
 from deformscope.pictures.palette import BACKGROUND
 
 LOOK_EVERY, RARE, STEP_M = 8, 0.01, 0.05
-"""Of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
+"""The range of a depth image: which pixels its range is from, the share that may lie beyond, the range's steps [m]."""
 
 
 def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns: int, lossless: bool) -> None:

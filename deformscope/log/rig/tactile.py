@@ -33,7 +33,7 @@ OVER, BESIDE = 3.2, 4.5
 """Texels from a pad to its name."""
 BAR_STEPS = 128
 TEXEL_MM = 3.4
-"""Of a pad that nothing is known of."""
+"""Pitch of a pad whose geometry is unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@ people.
 
     squeeze/phase|stopped|events|features   one row a result, every field of it a component of the same name
     squeeze/fingertips|container|change|content    likewise, at the time of the frame that it is of
-    squeeze/sighting|placement              the container as the image has it, the grasp drawn, where an arm places
+    squeeze/sighting|placement              the container as in the image, the grasp drawn, where an arm places
     display/place/scene|image|words         the same on the table, over the image, and in words
     display/tactile/DEVICE/contact          centre of pressure and principal axis, on the picture of the hand (fig. 2.4)
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time

@@ -82,7 +82,7 @@ def log_particle_moments(batch: Batch, group: StageGroup) -> None:
 
 
 def log_fields(batch: Batch, group: StageGroup) -> None:
-    """Of each place that is determined a disc, dark where it is soft; a white dot of each other."""
+    """Log a disc for each determined place, dark where it is soft, and a white dot for each other place."""
     for one in group.drawn:
         found: FieldMoment = one.result
         path, when = root("display/stage/field", group.device), moments([one.host_ns], group.start_ns)

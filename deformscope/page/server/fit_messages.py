@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import msgspec
 
 MOST_CORNERS = 200
-"""Of an outline."""
+"""Most corners of an outline."""
 
 Pixels = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -51,16 +51,16 @@ class FitResult(msgspec.Struct, frozen=True):
 class FitState(msgspec.Struct, frozen=True):
     """A fit that is set on the page.
 
-    kind: of its subject; parameter: that is fitted; size_px: of the picture [px]; pictures: file names, rest and
+    kind: of its subject; parameter: the fitted one; size_px: of the picture [px]; pictures: file names, rest and
     deformed
-    settings: that are shown; number: of the `SetFit` that brought them, 0 = none yet; command: gives the same numbers
+    settings: the shown ones; number: of the `SetFit` that brought them, 0 = none yet; command: gives the same numbers
     problem: why they cannot be simulated, as text; the other fields are then of the earlier ones
     grid: rows, columns; spacing_px: between neighbours [px]
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
     held: which are; aee_free: average error of the free particles [unit]; the average of all that were seen is `aee`
     values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
     busy: the present computation, as text; found: the last whole fit; picture: the file that shows it, empty = none
-    camera: that is followed, empty = none; following: its newest picture is shown, which has no command line yet
+    camera: the followed one, empty = none; following: its newest picture is shown, which has no command line yet
     cameras: possible ones, besides the running fit
     """
 

@@ -13,7 +13,7 @@ import msgspec
 from deformscope.page.server.fit_messages import FitSettings, FitState
 
 VERSION = 1
-"""Of these messages. A page of another version is refused: it is to be loaded again."""
+"""Version of these messages. A page of another version is refused, and has to be loaded again."""
 LONGEST_MESSAGE = 16 << 10
 """Bytes of a message from a page."""
 
@@ -229,7 +229,7 @@ class CommandReply(ToPage, frozen=True, tag="reply"):
 
 
 class DriftState(msgspec.Struct, frozen=True):
-    """Of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
+    """Drift of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
 
     now: by axis; line: its length at equal distances in time, from the tare to now; empty before it is known
     loaded: the force changes faster than any drift, so something touches it; `now` and `line` are of before
@@ -343,7 +343,8 @@ class PageState(ToPage, frozen=True, tag="state"):
     commands: requests that are possible at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
     pending: waits for a confirm; next_place, curve: of an exploration; beat_s: time without a `Beat` after which
-    motions stop that a page confirmed [s]; playback: of a page that shows a recording; fit: that is set on the page
+    motions stop that a page confirmed [s]; playback: of a page that shows a recording; fit: the one that is set on the
+    page
     """
 
     version: int = VERSION

@@ -43,7 +43,7 @@ def viewer_executable() -> Path:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Of every process of rerun's: with it, none sends or asks anything beyond this machine."""
+    """Environment of rerun's processes: with it, none sends or asks anything beyond this machine."""
     return {name: value for name, value in os.environ.items() if name not in NOT_PASSED_ON} | SILENT
 
 

@@ -21,7 +21,7 @@ VIDEO_CODEC, VIDEO_SUFFIX = "vp09", ".mp4"
 """Free of patents, in OpenCV's own wheel, and shown by browsers."""
 Note = Callable[[str, int, int], None]
 ImageNames = Mapping[tuple[str, str], str]
-"""Of a folder or a file for images, by device and kind."""
+"""Name of a folder or a file for images, by device and kind."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from deformscope.frames import Stream
 from deformscope.recording.streams import SCHEMA_VERSION
 
 DRIVER = "imported"
-"""Of a stream that no driver gave."""
+"""Driver name of a stream without a driver."""
 
 
 class ExportedColumn(msgspec.Struct, frozen=True):

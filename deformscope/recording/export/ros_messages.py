@@ -19,7 +19,7 @@ _TYPES = {pa.float64(): "float64", pa.float32(): "float32", pa.string(): "string
 
 
 def definition(name: str) -> str:
-    """A standard message with all that it is made of, as an MCAP's schema has it."""
+    """A standard message with all that it is made of, as in an MCAP's schema."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(name.replace("/", "/msg/"), ros_version=2)[0]

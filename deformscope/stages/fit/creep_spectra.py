@@ -24,24 +24,25 @@ relaxation of 2 to 50 %, the range of flexible foams [assumed]."""
 FASTEST, SLOWEST = 1.0 / 8.0, 10.0
 """Retardation times range from this share of the approach's duration to this number of holds [assumed]."""
 NODES_APART, NODE_SD = 0.75, 0.6
-"""Of log times, about; deviation of a node's Gaussian over the distance of two: their sum is level within 1 %."""
+"""Distance of log times, about; deviation of a node's Gaussian over the distance of two: their sum is level within 1
+%."""
 POWERS, POWER_SD = (0.05, 0.2, 0.35, 0.5), 0.09
 """Exponents n of a spectrum: nodes, and the deviation of a node's Gaussian."""
 BEGINS = (1.0 / 40.0, 0.5)
 """Where a spectrum begins, over the approach's duration."""
 ENDLESS_SPACING, ENDLESS_HOLDS = 0.9, 30.0
-"""Of its log times; and how many holds they go to, in place of no end."""
+"""Spacing of its log times, and how many holds they reach in place of no end."""
 
 LARGEST_LOG = 15.0
 
 Filtered = Callable[[FloatArray, int], FloatArray]
-"""(..., m) force behind filters of log times (...,), or its derivative by log time."""
+"""(..., m) force after first-order filters with log time constants (...,), or its derivative by log time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Branches:
-    """So many filters; parameters (2 b,): log j, then log l of each. nodes: (n,) of log l; prior: probability, of all
-    choices of nodes together"""
+    """A number of filters; parameters (2 b,): log j, then log l of each. nodes: (n,) of log l; prior: probability, of
+    all choices of nodes together"""
 
     count: int
     nodes: FloatArray

@@ -43,11 +43,11 @@ NOISE_NAMED, NOISE_LOWERS = 3.0, 10.0
 one standard deviation of its prior (`noise.SCALE_SPREAD`)."""
 
 LIKE_NOISE = 1.5
-"""Residuals at most so many times as large as the noise that was stated are noise: they hold errors of prescribed
+"""Residuals at most this many times as large as the stated noise are noise: they hold errors of prescribed
 positions too."""
 
 STAYS, BACKGROUND = 3.0, 0.3
-"""A particle that moved at most so many times its noise stayed. From this share on they may lie on a background."""
+"""A particle that moved at most this many times its noise stayed. From this share on they may lie on a background."""
 
 TREMBLES, MOST = 0.03, 0.95
 """Motion in images, as a share of the particles' spacing, that may be an error of the flow where the model explains
@@ -278,7 +278,10 @@ def rescaled(rest: FloatArray, deformed: FloatArray) -> float:
 
 
 def mirrored(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> Iterator[Doubt]:
-    """Whether deformed (K, d), known (K,), is rest (K, d) mirrored: with columns swapped, or the sign of one turned."""
+    """A doubt if the deformed shape (K, d) is the rest shape (K, d) mirrored: two columns swapped, or one sign turned.
+
+    known: (K,) particles that were observed
+    """
 
     def left(shape: FloatArray) -> float:
         """Sum of squared distances of the deformed particles from a shape (K, d) moved as a rigid body."""

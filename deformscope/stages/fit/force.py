@@ -132,7 +132,8 @@ def stiffness_interval(
 
 
 def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:
-    """Of k [N/m], with the parameter's probability (g,) at each value; None where no finite force was simulated."""
+    """Posterior of k [N/m], with the parameter's probability (g,) at each value; None where no finite force was
+    simulated."""
     known = np.isfinite(found.value) & (share > 0.0)
     if not known.any():
         return None

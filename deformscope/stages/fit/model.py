@@ -1,4 +1,4 @@
-"""What is calibrated: one manipulation of a thing that was seen, the model that is fitted to it, and how."""
+"""Input of a fit: one observed manipulation of a body, the fitted model, and the method."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ SCALE_SETTLED = 1e-9
 """A step of the scale's logarithm shorter than this is the last."""
 
 SCALE_ROUNDS = 6
-"""Of finding the noise's scale from what errors of tool and camera leave, which depends on it."""
+"""Rounds that find the noise's scale from what errors of tool and camera leave, which depends on it."""
 
 OFFS = ((1.0, 1.0, 0.35), (2.5, 1.0, 0.15), (1.0, 2.5, 0.35), (2.5, 2.5, 0.15))
 """Possible standard deviations of errors of camera and tool, in units of `systematic`'s, and their prior: a

@@ -32,7 +32,7 @@ LEAST = 0.05
 """Displacement below which a held particle counts as right [spacings]."""
 
 SHARE_MOST = 0.34
-"""At most this share of the held particles counts as off: beyond, it is not they."""
+"""Largest share of held particles that counts as off. If more seem off, another cause is assumed."""
 
 ROUNDS = 4
 

@@ -10,7 +10,7 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.estimate import Doubt
 
 RAMP_STEPS = 60
-"""Of an approach, whose force is summed over."""
+"""Steps of an approach over which its force is summed."""
 KEPT_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 DOUBTED = 0.5
 """Probability of an unseen relaxed state from which that is a reason."""

@@ -92,7 +92,7 @@ class Together:
 
     @property
     def worth(self) -> float:
-        """Of how many of the best frame all of them are worth; 1 where errors are fully shared."""
+        """Number of best frames with the information of all frames together; 1 where errors are fully shared."""
         each = self.information
         return float(self.weight @ each**2 / np.max(each) ** 2) if each.any() else 1.0
 

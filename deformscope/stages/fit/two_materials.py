@@ -26,7 +26,7 @@ from deformscope.stages.fit.residuals import Residuals
 from deformscope.stages.msm.clusters import Clusters
 
 STEP = 0.2
-"""Of -log(1 - beta), by which each side's beta is changed for the derivative."""
+"""Change of -log(1 - beta) of each side, for the derivative."""
 
 ROUNDS, SMALL_STEP = 5, 0.1
 """Newton's steps to the likeliest betas at most; one of this share of a standard deviation is the last."""
@@ -52,7 +52,7 @@ the same tuning seeds two betas were reported in 91 and 73 of 100 instead of 81 
 Smaller residuals are those of smooth errors that the fit has taken in: gains are then of its last digits."""
 
 DIFFERENCE = 1e-2
-"""Of -log(1 - beta), for derivatives of the full fit."""
+"""Change of -log(1 - beta), for derivatives of the full fit."""
 
 
 @dataclass(frozen=True, slots=True)

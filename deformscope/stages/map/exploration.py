@@ -27,7 +27,7 @@ DISPLAY = "display"
 
 @dataclass(frozen=True, slots=True)
 class SurfaceEstimate:
-    """The surface as the camera saw it, and as the world Gaussian process has it (Thesis eq. 4.3, 4.4).
+    """The surface as the camera saw it, and as the world Gaussian process estimates it (Thesis eq. 4.3, 4.4).
 
     points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: of the grid
     layer_m, layer_sd_m: assumed thickness of a level layer of this foam, and its deviation [m]: as stated, or as
@@ -361,8 +361,8 @@ class InclusionsResult:
     covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: of that map
     size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found, were
     inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
-    prior, contrast, deepest_m: assumptions. An inclusion exists with `prior` before any touch, is `contrast` times as
-    stiff or as soft as the foam or more, and has its uppermost point at most so deep [m]
+    prior, contrast, deepest_m: assumptions. Before any touch an inclusion exists with probability `prior`. It is at
+    least `contrast` times as stiff or as soft as the foam. Its uppermost point is at most `deepest_m` down [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
     truth_m: (m, 4) where it is known: x, y, radius, depth of each [m]
     """
@@ -472,7 +472,7 @@ class TouchForecast:
     lowest point, down to it [m]; set_force_n: pressed with
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force, as one touch is expected to measure it in 90 %
     force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) of the dent at each, and its interval [m]
-    touches: that it rests on
+    touches: those of the estimate
     """
 
     xyz_m: FloatArray

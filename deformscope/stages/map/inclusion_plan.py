@@ -27,7 +27,7 @@ FEWEST = 3
 AT_ONCE = 64
 """Places that are weighed at once, with some 50 000 inclusions each: no more memory than that takes."""
 LEAST_VARIANCE = 2e-5
-"""Of a reading, however well it is known: 0.4 %."""
+"""Smallest variance of a reading's log: 0.4 % deviation."""
 
 
 def plan_inclusion_touch(

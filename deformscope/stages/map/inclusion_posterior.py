@@ -40,7 +40,7 @@ EXISTS = 0.5
 """Probability before any touch that there is an inclusion: as likely as not. The same of a further one."""
 RADII_M = (0.01, 0.015, 0.02, 0.025, 0.03, 0.04)
 DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
-"""Of the uppermost points."""
+"""Depths of the uppermost points."""
 DEEP_M = 0.0125
 """An inclusion is called deep where its uppermost point is farther down, shallow where it is not."""
 TIMES = (4.0, 20.0)
@@ -64,8 +64,8 @@ EXPONENT_LEAST_SD, EXPONENT_LEVEL_SD, EXPECTED_EXPONENT_SD, NOT_KNOWN = 0.005, 1
 """Standard deviations of exponents: of a touch with an exact fit, of the foam's, of a touch before any was made, and of
 one that was not fitted."""
 DRIFT_SD = 0.001
-"""Of log stiffness, from touch to touch, evenly, in the same direction: a force sensor's gain drifts by some 1 % in ten
-touches."""
+"""Deviation of log stiffness, from touch to touch, evenly, in the same direction: a force sensor's gain drifts by some
+1 % in ten touches."""
 CENTRE_CELL_M, MOST_CENTRES = 0.01, 700
 ASIDE_M = np.append(np.arange(0.0, 0.08, 0.004), [0.08, 0.1, 0.12, 0.2, 2.0])
 """Distances at which the footprint is computed; between them it is interpolated."""
@@ -215,7 +215,7 @@ class FoundInclusion:
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: of
     90 % [m]; stiff: rather than soft; probability: that there is one
-    deep: that it is (DEEP_M); log_shift: its effect on log stiffness right above it
+    deep: probability that it is (DEEP_M); log_shift: its effect on log stiffness right above it
     posterior: (j,) over the guesses
     """
 

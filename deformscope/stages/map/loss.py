@@ -22,9 +22,9 @@ from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 LEAST_LOSS = 0.02
-"""Of the energy: noise of force and place, and friction, give this share in a foam without losses."""
+"""Smallest share of the energy: noise of force and place, and friction, give this share in a foam without losses."""
 RIGID_LOSS_SD = 0.25
-"""Of the log of a rigid part's loss, which was not measured [assumed]."""
+"""Deviation of the log of a rigid part's loss, which was not measured [assumed]."""
 
 
 def loss_sample(xy_m: FloatArray, creep: CreepFit | None, *, rigid: bool) -> StiffnessSample:

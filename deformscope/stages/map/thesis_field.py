@@ -1,4 +1,4 @@
-"""The field of beta as the thesis has it: of all places that touches dented, each with its touch's beta (4.1 to 4.4).
+"""The field of beta as in the thesis: of all places that touches dented, each with its touch's beta (4.1 to 4.4).
 
     field = ThesisField().with_touch(dented_m, beta)
     found = field.on(grid)                     # mean and deviation (eq. 4.3, 4.4)
@@ -24,10 +24,10 @@ from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.regions.touches import MapGrid
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.6, 0.05
-"""Of the kernel (eq. 4.5) and of the noise. The thesis prints none of them ("empirically estimated based on a set of
-experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w determines n = 3. It
-was chosen on tuning seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1, where
-a touch dents a circle of 2.3 cm, on a grid of 1 cm. They take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
+"""Parameters of the kernel (eq. 4.5), and the noise. The thesis prints none of them ("empirically estimated based on a
+set of experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w determines n =
+3. It was chosen on tuning seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1,
+where a touch dents a circle of 2.3 cm, on a grid of 1 cm. They take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
 
 FINE_SIGMA_W_M = 0.5
 """The same on the thesis's grid of 0.5 cm, on which a dent has four times as many places, each of which counts as a

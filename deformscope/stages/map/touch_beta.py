@@ -64,7 +64,7 @@ class SurfaceHeights(Protocol):
     """A surface with known heights at requested places, such as a `HeightProcess`."""
 
     def at(self, places_m: FloatArray) -> ProcessPrediction:
-        """Of places (n, 2) [m]."""
+        """Prediction at places (n, 2) [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +220,7 @@ class SeenDent:
 
     @property
     def sunk_m(self) -> FloatArray:
-        """(p,) by how much the surface is lower [m]."""
+        """(p,) how far the touch lowered the surface [m]."""
         return np.asarray(self.before[:, 2] - self.after[:, 2])
 
     @property
@@ -278,7 +278,7 @@ def thesis_beta(
 ) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
-    thickness_m: layers down to a ground that is held, this far below; default a single layer, as the thesis has it
+    thickness_m: layers down to a ground that is held, this far below; default a single layer, as in the thesis
     cluster_size: particles a side; None: one cluster of all, which deforms quadratically (the thesis's "no cluster")
     step: of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any beta:
     on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents. One

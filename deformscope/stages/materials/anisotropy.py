@@ -27,10 +27,10 @@ RANGE = np.linspace(0.0, -np.log1p(-0.99), 13)
 """Values of -log(1 - beta): of these, the same along all axes, the best is where the search starts."""
 
 DIFFERENCE = 2e-3
-"""Of -log(1 - beta), for derivatives."""
+"""Change of -log(1 - beta), for derivatives."""
 
 HELD_REPEATS = 48
-"""Of the prescribed positions' noise."""
+"""Draws of the prescribed positions' noise."""
 
 SURE = 0.99
 """Level at which one beta for all axes is given up."""

@@ -28,7 +28,7 @@ from deformscope.errors import InputError
 Law = Literal["elastic", "beta"]
 
 GAUSS = 0.5 / np.sqrt(3.0)
-"""Of the quadrature's points from a cell's middle [cells]."""
+"""Distance of the quadrature's points from a cell's middle [cells]."""
 
 NU_STEP = 1e-4
 """Steps of Poisson's ratio, and of the anisotropy's parameters, for the derivatives."""
@@ -110,7 +110,7 @@ def elasticity(d: int, nu: float, bent: FloatArray | None = None) -> FloatArray:
 
 
 def directional_modulus(law: FloatArray, along: FloatArray) -> FloatArray:
-    """(n,) Young's modulus along directions (n, d) of unit length. law: as `elasticity` has it"""
+    """(n,) Young's modulus along directions (n, d) of unit length. law: as in `elasticity`"""
     d = along.shape[1]
     pairs = [(i, i) for i in range(d)] + [(i, j) for i in range(d) for j in range(i + 1, d)]
     stress = np.stack([along[:, i] * along[:, j] for i, j in pairs], axis=1)

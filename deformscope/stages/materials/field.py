@@ -96,7 +96,7 @@ SPLITS = (0.25, 0.5, 0.75)
 """Where a body that looks uniform is split, in shares of its places along each axis."""
 
 DRAWS = 40
-"""Of the field, for the scale that a force gives."""
+"""Draws of the field, for the scale that a force gives."""
 
 DETERMINED_LEAST = 0.5
 """Share of the places that must be determined, so that the whole has another verdict than unidentified."""

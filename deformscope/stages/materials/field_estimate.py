@@ -19,7 +19,7 @@ IDENTIFIED_FACTOR, WEAK_FACTOR = 1.5, 2.5
 
 
 def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
-    """Of each place, by the factor that its interval spans. interval: (C, 2) of a stiffness"""
+    """Verdict of each place, by the factor that its interval spans. interval: (C, 2) of a stiffness"""
     factor = interval[:, 1] / interval[:, 0]
     return tuple(
         "identified" if x <= IDENTIFIED_FACTOR else "weak" if x <= WEAK_FACTOR else "unidentified" for x in factor
@@ -28,7 +28,7 @@ def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
 
 @dataclass(frozen=True, slots=True)
 class DirectionalStiffness:
-    """Of a material that is stiffer along one direction. stiffest, softest: (d,) of unit length
+    """Stiffness of a material that is stiffer along one direction. stiffest, softest: (d,) of unit length
 
     ratio: of Young's moduli along these: an estimate that has no interval
     """

@@ -62,10 +62,10 @@ ROUNDS, SETTLED = 30, 1e-3
 thirtieth of their standard deviation, also along directions that the data hardly determine."""
 
 MOST_STEP = 1.5
-"""Of a log stiffness at once."""
+"""Largest change of a log stiffness in one step."""
 
 LEAST_MOTION = 1e-6
-"""Of a spacing: less is no deformation at all."""
+"""Smallest motion, as a share of a spacing: less is no deformation at all."""
 
 MOST_CELLS = 2500
 """Cells that are fitted at most: time grows with their cube, and 2500 take minutes."""
@@ -456,7 +456,8 @@ class Folds:
 
 
 def smooth_mean(prior: StiffnessPrior, y: FloatArray, w: FloatArray) -> FloatArray:
-    """(p,) parameters of a prior, of whitened rows: y (n,) targets, w (n, p) derivatives."""
+    """(p,) posterior mean of the parameters, from their prior and whitened rows: y (n,) targets, w (n, p)
+    derivatives."""
     own = w @ prior.root
     z = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ (y - w @ prior.mean))
     return np.asarray(prior.mean + prior.root @ z)

@@ -57,10 +57,11 @@ PROFILE = 41
 """Yield strains whose error makes the curve and the interval."""
 
 DIFFERENCE = 0.01
-"""Of log yield, log creep and -log(1 - beta), for derivatives: clusters yield one after the other, so not too small."""
+"""Change of log yield, log creep and -log(1 - beta), for derivatives: clusters yield one after the other, so not too
+small."""
 
 HELD_REPEATS = 48
-"""Of the prescribed positions' noise."""
+"""Draws of the prescribed positions' noise."""
 
 SETTLED = 3e-3
 """Share of the yield strain below which flow counts as over."""

@@ -58,7 +58,7 @@ end [chosen on tuning seeds]."""
 FORCE_SD = 0.01
 """Error of a force as a share of the largest, due to the one shape and its law."""
 BETWEEN_SD = 0.5
-"""Of where between its two frames the release lies, about the middle: anywhere."""
+"""Deviation of the time of release between its two frames, about their middle: it may be anywhere between them."""
 LEAST_AFTER = 4
 """Frames after the release that a recovery is fitted to."""
 CANDIDATES = 12

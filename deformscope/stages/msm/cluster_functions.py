@@ -246,7 +246,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     return r;"""
     )
     def turn_change_2d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
-        """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
+        """Change of the rotation R for a change c of A_pq; t is R - I, k the compliance. All are transposed."""
 
     @wp.func_native(
         f"""
@@ -273,7 +273,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     return r;"""
     )
     def turn_change_3d(t: squares.rows, k: compliances.rows, c: squares.rows) -> squares.rows:
-        """dR (transposed) for dA_pq = c (transposed), where t is R - I (transposed) and k the compliance."""
+        """Change of the rotation R for a change c of A_pq; t is R - I, k the compliance. All are transposed."""
 
     turn_change = turn_change_2d if dim == 2 else turn_change_3d
 

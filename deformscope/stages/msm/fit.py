@@ -18,10 +18,10 @@ LARGEST = 0.9999
 """Largest beta tried: at 1 nothing but the linear fit is left, and most bodies have no single static state."""
 
 STATE_TOLERANCE = 1e-5
-"""Of the static states of the search, as a share of the body's extent; the last one is relaxed to its default."""
+"""Tolerance of the search's static states, as a share of the body's extent; the last one is relaxed to its default."""
 
 DERIVATIVE_TOLERANCE = 1e-3
-"""Of d state / d beta in the search, as a share: it only gives the direction."""
+"""Tolerance of d state / d beta in the search, as a share: it only gives the direction."""
 
 
 @dataclass(frozen=True, slots=True)

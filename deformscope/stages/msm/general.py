@@ -214,7 +214,8 @@ class GeneralOperator(Operator):
         self.launch(self.arrays.kernels.flow, self.body.cluster_count, inputs, [self.strain, moved, size])
 
     def flowed(self) -> tuple[FloatArray, FloatArray]:
-        """Of the last flow, (B, C) each: the largest change of an entry of S^p, and |S - I|_2 before it."""
+        """Plastic flow of the last step, (B, C) each: the largest change of an entry of S^p, and |S - I|_2 before
+        it."""
         moved, size = (self._cluster_fields(each, 1)[..., 0] for each in self._flowed[:2])
         return moved, size
 

@@ -17,7 +17,7 @@ from deformscope.stages.msm.materials import LEAST_FACTOR
 from deformscope.stages.msm.members import kernel_in, members
 
 HALVINGS = 60
-"""Of the share that has to flow, down to rounding."""
+"""Halvings of the share that has to flow, down to rounding."""
 
 SHRINKS = 60
 """Steps of S^p toward its bound; each leaves at most about a tenth of the distance."""

@@ -46,7 +46,7 @@ TURN = 8
 """Evaluations of a search for beta in one launch; most searches need no more."""
 
 REPLAYS = {"cpu": 1, "cuda": 8}
-"""Iterations between checks which candidates still run: on a GPU, a check waits for the device."""
+"""Iterations between checks of which candidates still run. On a GPU, each check waits for the device."""
 
 TELL_EVERY_S = 0.2
 """Seconds between calls of `progress`."""

@@ -27,7 +27,7 @@ _FORCED = os.environ.get(FORCE_BITS, "512" if __cpu_features__.get("AVX512F") el
 if _FORCED not in ("256", "512"):
     raise InputError(f"{FORCE_BITS} = 256 or 512", repr(_FORCED))
 VECTOR_BITS = int(_FORCED)
-"""Of a vector of this processor. Where half of the lanes fit, a step takes 1.2 to 1.3 times as long."""
+"""Bits of a vector of this processor. Where half of the lanes fit, a step takes 1.2 to 1.3 times as long."""
 
 LANES = {wp.float32: VECTOR_BITS // 32, wp.float64: VECTOR_BITS // 64}
 """Numbers that a CPU's vector units take side by side."""

@@ -51,7 +51,7 @@ STIFFER = 1.25
 """By which a coarse level's energies are raised: corrections that are too small cost less than those too large."""
 
 DEGREE, RANGE = 2, 5.0
-"""Of Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
+"""Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
 
 LONGEST = 24
 """Cells along an axis of the coarsest level, whose equations take as many steps, at most."""

@@ -51,12 +51,12 @@ class Tip:
 
     @property
     def width(self) -> float:
-        """Its smallest side or its diameter [m]."""
+        """The tip's smallest side or its diameter [m]."""
         return min(self.size)
 
     @property
     def area(self) -> float:
-        """Of its footprint [m^2]; of a sphere its largest section."""
+        """Area of the tip's footprint [m^2]; of a sphere its largest section."""
         if self.shape == "flat":
             return self.size[0] * self.size[-1]
         return float(np.pi / 4.0 * self.size[0] ** 2)

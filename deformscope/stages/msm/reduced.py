@@ -282,8 +282,8 @@ class _Work:
         self._launches: dict[str, Any] = {}
 
     def run(self, name: Literal["relax", "differentiate"]) -> FloatArray:
-        """Of the rows, laid out as by `reduced_kernels`: (B, result_width) static states, or (B, 2, result_width) their
-        derivatives by beta and theta."""
+        """Results of the rows, laid out as by `reduced_kernels`: (B, result_width) static states, or (B, 2,
+        result_width) their derivatives by beta and theta."""
         body = self.body
         if name not in self._launches:  # recorded, it costs a fifth
             out = self._zeros(self.size, *((2,) if name == "differentiate" else ()), body._k.result_width)

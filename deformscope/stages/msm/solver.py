@@ -685,8 +685,8 @@ class Msm:
     def reaction(self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float = 0.0) -> FloatArray:
         """Force of each particle on its support, per unit of the body's stiffness k [m]: (B, K, d).
 
-        The gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters, with volume conserved by
-        projection since eq. 3.17 has no energy; at a static state 0 at the free particles.
+        It is the gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters. Volume is conserved
+        by projection, since eq. 3.17 has no energy. At a static state it is 0 at the free particles.
         position: (K, d) or (B, K, d)
         """
         pull = self._unheld.residual(position, beta, theta, volume="project")

@@ -26,7 +26,7 @@ class StateSweep:
     measure: FloatArray
 
     def to_text(self) -> str:
-        """Its measured values at both ends of the parameter."""
+        """The measured values at both ends of the parameter, as text."""
         ends = (f"{self.measure[at]:.1f} at {self.over} {self.value[at]:g}" for at in (0, -1))
         return f"{self.name}: {self.measured}: {', '.join(ends)}"
 

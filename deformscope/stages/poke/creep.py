@@ -11,9 +11,9 @@ compliance is a low-pass filter of the force with strength j_i and retardation t
 places are fitted, as in `contact`: the arm's scatter dominates. Relaxation times t_i follow from those of creep.
 
 None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold
-determines creep within its duration: if a branch probably outlasts it, or nothing ends, a reason reports that, and the
-dependent values are bounds. A smaller probability opens their intervals. The remaining force after a time within the
-hold is always reported. Approach speed needs no correction: the filters use the times of the force.
+determines creep within its duration. If a branch probably outlasts it, or creep has no end, a reason reports that. The
+dependent values are then bounds. A smaller probability opens their intervals. The remaining force after a time within
+the hold is always reported. Approach speed needs no correction: the filters use the times of the force.
 
 The ball's retract does not follow this law (Ting 1966) and is not fitted. The energy loss of a cycle is the work of the
 measured forces on the approach less that on the retract.
@@ -65,7 +65,7 @@ SEVERAL = 0.8
 REFERENCE_SPEED_M_S = 0.01
 """Stiffness is converted to that of an approach at this speed, so that touches compare."""
 RAMP_STEPS = 60
-"""Of the force on the way down at the reference speed."""
+"""Steps of the force on the way down at the reference speed."""
 KEPT_DRAWS = 60
 """Number of sampled laws from which permanent set, slip and rate dependence are computed: the same samples, of seed 0,
 for all three."""

@@ -23,11 +23,11 @@ from deformscope.stages.poke.contact import LOADED, ArmCompliance
 
 MOST_BRANCHES = 3
 HOLD_SAMPLES = 60
-"""Of the hold, that are fitted, evenly in the log of time: more are averaged."""
+"""Fitted samples of the hold, evenly in the log of time: more are averaged."""
 LEAST_EXPONENT, LEAST_SHARE = 0.2, 1e-4
 BEND_SD = 0.003
-"""Of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a ball of 2
-cm on 2 to 8 cm of bonded foam, Poisson's ratio .05 to .4, at 1 and 3 N: -.009 to .006."""
+"""Deviation of q: log depth goes by log force over p plus q times its square, 0 at the set force. Finite elements of a
+ball of 2 cm on 2 to 8 cm of bonded foam, Poisson's ratio .05 to .4, at 1 and 3 N: -.009 to .006."""
 LAW_OFF, LAW_RISE, LAW_LENGTH = 0.004, 0.4, 0.3
 """Error of that law in the log dent: a Gaussian process over log force, 0 at the set force. It has this deviation
 there, more below it (a power of the force), and this length. Elements that come into contact one after another make
@@ -84,7 +84,7 @@ class CreepDraws:
     endless: BoolArray
 
     def some(self, random: np.random.Generator, count: int) -> CreepDraws:
-        """So many draws, picked in proportion to their weight."""
+        """`count` draws, picked in proportion to their weight."""
         at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
         others = {one.name: getattr(self, one.name)[at] for one in fields(self)}
         return CreepDraws(**others | {"weight": np.full(count, 1.0 / count)})
@@ -154,7 +154,7 @@ class CreepLaw:
         )
 
     def _draws(self, spectrum: Spectrum, drawn: FloatArray, random: np.random.Generator) -> CreepDraws:
-        """Of one spectrum, from parameters (d, k)."""
+        """Draws of one spectrum, from parameters (d, k)."""
         strength, retarded_s = spectrum.filters(drawn[:, SHAPE:])
         branches = strength.shape[1]
         log_felt = np.log1p(strength.sum(axis=1))

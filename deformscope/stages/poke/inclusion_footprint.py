@@ -25,13 +25,13 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 
 POISSON = 0.2
-"""Of foam; 0 and 0.3 change a share by less than a tenth."""
+"""Poisson's ratio of foam; 0 and 0.3 change a share by less than a tenth."""
 CALIBRATED = 1.1
 """The finite elements' effect over this one."""
 CONTACT_STEP = 0.02
 """Contacts are taken in steps of this in their logarithm."""
 NEAREST, FARTHEST, NODES = 0.1, 60.0, 70
-"""Of the energy's grid, in contact radii, and its nodes each way."""
+"""Range of the energy's grid, in contact radii, and its nodes each way."""
 ACROSS = 9
 """Points across an inclusion, of a lattice in it."""
 MOST_SHARE = 0.85

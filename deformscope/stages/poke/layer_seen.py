@@ -92,7 +92,7 @@ def modulus_of(
     radius_m: float,
     dent_m: float | None = None,
 ) -> LayerModulus | None:
-    """Of foam of this stiffness at a force, under a ball on the layer; None with an unknown thickness.
+    """Modulus of foam of this stiffness at a force, under a ball on the layer; None with an unknown thickness.
 
     dent_m: the dent at that force, if it was the measured quantity: then its modulus is that to the last bit
     """

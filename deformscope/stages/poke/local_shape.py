@@ -34,7 +34,7 @@ EDGE_BENDS = 0.6
 (finite elements 3 cm from one edge and from two)."""
 
 DOUBT = 0.1
-"""Of each of the four, its deviation as a share of it."""
+"""Deviation of each of the four corrections, as a share of it."""
 
 LEAST_RELATIVE = 0.2
 """A hollow narrower than a ball of 1.25 times the tip's radius counts as that: beyond it the tip touches its sides."""

@@ -286,7 +286,8 @@ class Profile:
         return np.asarray((there - here) * one.poke.depth / step)
 
     def posterior(self) -> tuple[Posterior, float]:
-        """Of beta, theta integrated, and by how many deviations the data separate its likeliest value from the least.
+        """Posterior of beta with theta integrated, and by how many deviations the data separate its likeliest value
+        from the least.
 
         The residual of the best law is misfit more than noise, and points of a surface share it. The number of
         independent points is that of patches of the size of the tip. Several pokes share it too: they count as one.

@@ -18,13 +18,13 @@ from deformscope.stages.poke.contact import LOADED
 
 STICK, STICK_SD = 0.9, 0.3
 TILT_SD = 0.05
-"""Of the share of F that a tilted sensor or normal adds: 3 degrees."""
+"""Deviation of the share of F that a tilted sensor or normal adds: 3 degrees."""
 FRICTION = np.geomspace(0.03, 2.0, 40)
 STICKS = STICK + STICK_SD * np.linspace(-2.0, 2.0, 9)
 PIECES = 40
 """Number of parts of the touch whose means are compared."""
 STICK_OFF = 0.1
-"""Of the force across, what that law is off by."""
+"""Error of that law, as a share of the force across."""
 START_SD = 0.02
 """Share of the largest force: lateral force before a twentieth of it, where the lateral motion is not followed."""
 SMOOTHED = 9
@@ -47,7 +47,7 @@ class SlipFit:
 def fit_slip(
     across_m: FloatArray, across_n: FloatArray, dent_m: FloatArray, force_n: FloatArray, force_sd_n: float
 ) -> SlipFit:
-    """Of a touch until its way back.
+    """Slip of a touch until its retract.
 
     across_m, across_n: (n, 2) place and force in the surface's plane, the latter without its offset
     """

@@ -32,7 +32,8 @@ from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 OWN_SD = 0.01
-"""Of log stiffness: error of lattice and contact solutions in each poke, in addition to the estimated scatter."""
+"""Deviation of log stiffness: error of lattice and contact solutions in each poke, in addition to the estimated
+scatter."""
 
 CONTACT = 0.6
 """Standard deviation of the Gaussian weight of a poke over the surface, as a share of the tip's width. On finite
@@ -60,10 +61,11 @@ TAILS = 10
 """Shares of what an interval leaves out that may lie below it."""
 
 FREEDOM = 8.0
-"""Of Student's t: errors have heavier tails than a Gaussian's. Chosen on tuning seeds, of 5, 8 and 12."""
+"""Degrees of freedom of Student's t: errors have heavier tails than a Gaussian's. Chosen on tuning seeds, of 5, 8 and
+12."""
 
 OWN_SCALE = float(np.sqrt((FREEDOM - 2.0) / FREEDOM))
-"""Scale of that distribution for a deviation of 1: what is learned, or stated, are deviations."""
+"""Scale of Student's t whose standard deviation is 1: learned and stated values are standard deviations."""
 
 EXCLUDED = 1e-6
 """Probability below which a hypothesis is taken as excluded by the pokes together."""
@@ -128,7 +130,7 @@ class StiffnessField:
 
     @cached_property
     def probability(self) -> dict[str, float]:
-        """Of "1", "2", "3" regions, and "gradual": whatever is neither."""
+        """Probability of "1", "2", "3" regions, and "gradual": whatever is neither."""
         if len(self.stiffness) == 1:
             return {"1": 1.0, "2": 0.0, "3": 0.0, "gradual": 0.0}
         free = sum(share for _, share in self._free)

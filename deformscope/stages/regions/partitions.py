@@ -37,7 +37,7 @@ WAVE_M = 0.025
 ZIGZAG_M, ZIGZAG_LENGTH_M = (0.02, 0.06), (0.12, 0.4)
 BLOB_RADIUS_M = (0.03, 0.16)
 RING_SHARES = (0.25, 0.75)
-"""Of the way from a blob's border to its middle: how wide a ring is."""
+"""Width of a ring, as a share of the way from a blob's border to its middle."""
 LEVEL_SET_LENGTH_M, FREE_LENGTH_M = 0.13, 0.075
 LEAST_STRENGTH = 0.1
 """Cosines that are weaker than this, of 1 for the longest, are left out."""
@@ -58,9 +58,10 @@ class Family(IntEnum):
 
 
 FAMILY_SHARES = (0.32, 0.10, 0.20, 0.10, 0.08, 0.12, 0.08)
-"""Of curves, in the families' order; of three tried, chosen for rings and straight borders alike (`studies.seeds`)."""
+"""Shares of curves, in the families' order; of three tried, chosen for rings and straight borders alike
+(`studies.seeds`)."""
 DOUBLE_SHARE = 0.15
-"""Of the maps of two regions: those in which two curves bound the same material."""
+"""Share of the maps of two regions in which two curves bound the same material."""
 
 
 @dataclass(frozen=True, slots=True)

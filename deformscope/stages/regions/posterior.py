@@ -38,9 +38,9 @@ SurfaceKind = Literal["uniform", "materials", "gradual"]
 MOST_REGIONS = 5
 """Largest distinguished number: it means this number or more."""
 FIRST_REGIONS = 3
-"""Maps of so many regions are followed from the first touch on."""
+"""Largest number of regions of the maps that are followed from the first touch."""
 MORE_SHARE = 0.5
-"""Of as many maps as of these, where more are followed: for time's sake."""
+"""Share of as many maps as of these, where more are followed: it saves time."""
 MORE_FROM = 0.2
 """Probability of four from which five are followed."""
 MET = 0.5
@@ -53,7 +53,7 @@ FEW = 0.3
 SMOOTH_LENGTHS_M = (0.2, 0.35, 0.6)
 SMOOTH_SDS = (0.25, 0.6)
 SLOPES_PER_M = (1.0, 3.0)
-"""Of log stiffness: how smooth fields may vary; each combination has the same prior probability."""
+"""Slopes of log stiffness: how smooth fields may vary; each combination has the same prior probability."""
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 """Distances between places, and from the border, are scaled to this size: the priors on shapes are of a surface of
 about 0.6 m."""
@@ -62,7 +62,7 @@ LINEARISED = 2
 SAME_M = 1e-3
 """Touches that are so near each other are of one place."""
 RIGID_SDS = 2.0
-"""Levels that are so many deviations or less below the bound of rigid touches are as rigid."""
+"""Levels within this many deviations below the bound of rigid touches count as rigid."""
 SCATTER_MAPS = 100
 """Maps of which the scatter is asked."""
 LEVELS_DRAWN = 4000
@@ -70,7 +70,7 @@ LEVELS_DRAWN = 4000
 FACTORS_BYTES = 32 << 20
 """Memory of the factors of maps that are computed at once: it would grow with the square of the touches."""
 LEAST_WEIGHT = 1e-3
-"""Of all smooth fields, below which one is left out."""
+"""Smallest weight among all smooth fields: one with less is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class RegionPrior:
 
     @property
     def regions(self) -> tuple[float, ...]:
-        """Of each number of regions, from one on."""
+        """Probability of each number of regions, from one on."""
         return self.one, self.two, self.three, self.four, self.five
 
     @property
@@ -358,7 +358,7 @@ class RegionPosterior:
         return bool(enough and most < self.most_regions)
 
     def _followed(self, regions: int) -> _Particles:
-        """Maps of so many regions after all touches."""
+        """Maps of `regions` regions after all touches."""
         count, shares = 4 * self._kept_of(regions), self.prior.family_shares
         maps = _prior_maps(self.seed, regions, self.grid.size_m, count, shares)
         found = _Particles(maps, np.full(len(maps), -np.log(len(maps))), np.zeros(len(maps)), 0.0)
@@ -624,8 +624,8 @@ class RegionPosterior:
         return float(np.hypot(self.scatter, np.median(known))) if known else self.prior.error.touch_sd
 
     def repeats(self, places_m: FloatArray, within_m: float) -> Repeats:
-        """Of touches at places (p, 2) [m]; each counts as the nearest earlier touch's if that is this near along x and
-        along y, and was of nothing rigid.
+        """Repeats of touches at places (p, 2) [m]; each counts as the nearest earlier touch's if that is this near
+        along x and along y, and was of nothing rigid.
 
         Touches of one place share a part of their scatter (`touch_error`), so that a repeat is worth less than a touch
         elsewhere: given the mean of m readings, of errors q s^2 + ((1 - q) s^2 + own^2) / m, the expected error of the
@@ -679,8 +679,8 @@ class RegionPosterior:
 
 @dataclass(frozen=True, slots=True)
 class SmoothKernel:
-    """Of log stiffness: a constant of deviation `level_sd`, a plane of random slope about `middle_m` (2,) [m], and a
-    squared exponential part of `sd` and `length_m`."""
+    """Kernel of log stiffness: a constant of deviation `level_sd`, a plane of random slope about `middle_m` (2,) [m],
+    and a squared exponential part of `sd` and `length_m`."""
 
     level_sd: float
     middle_m: FloatArray

@@ -24,14 +24,14 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 
 LAW_SD = 0.02
-"""Of log stiffness, for the law's sake: on a bonded layer the exponent grows with depth. Finite elements of a foam that
-a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
+"""Deviation of log stiffness by the error of the law: on a bonded layer the exponent grows with depth. Finite elements
+of a foam that a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
 
 SCATTER_MEDIAN, SCATTER_SPREAD = 0.05, 0.5
-"""Of the scatter: log-normal, so that nine of ten materials lie between 2 and 11 %. Foam of one block varies by some
-2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness follows squared]. A
-wider spread holds more of the levels at 10 % (0.6: 0.89, this one 0.88, 0.4: 0.86; eight touches of known regions,
-simulated with seeds of `studies.seeds.TUNING`), but mistakes two foams for one that scatters."""
+"""Distribution of the scatter: log-normal, so that nine of ten materials lie between 2 and 11 %. Foam of one block
+varies by some 2 to 10 % in stiffness over its length [assumed: from makers' tolerances of density, which stiffness
+follows squared]. A wider spread holds more of the levels at 10 % (0.6: 0.89, this one 0.88, 0.4: 0.86; eight touches of
+known regions, simulated with seeds of `studies.seeds.TUNING`), but mistakes two foams for one that scatters."""
 
 SCATTER_SHARED, SCATTER_LENGTH_M = 0.7, 0.06
 """Share of the scatter's variance that neighbours share, with a squared exponential of this length: a foam's density
@@ -44,8 +44,8 @@ SCATTER_SDS = 1.9
 before; ten touches determine it to a factor of 1.3 at best."""
 
 GAIN_SD = 0.03
-"""Of log stiffness, common to a session, if the rig file has no accuracy of the gain (`[tool] force_gain_sd`, from
-`deformscope calibrate force --weight`). The error of a force sensor with its nominal sensitivity is about 3 %. It
+"""Deviation of log stiffness, common to a session, if the rig file has no accuracy of the gain (`[tool] force_gain_sd`,
+from `deformscope calibrate force --weight`). The error of a force sensor with its nominal sensitivity is about 3 %. It
 changes the stiffness of a touch that ends by its depth, or of a flat tip, equally, and that at a set force under a ball
 by 2 %."""
 

@@ -18,9 +18,9 @@ from deformscope.solid import PosedSolid, merged
 from deformscope.stages.see.robot import PosedRobot
 
 LOOKED_AT, POINTS = 3000, 600
-"""Of the points that may be the robot's, and of those that are near it: evenly out of all."""
+"""Number of points that may be the robot's, and of those near it: evenly out of all."""
 FEWEST = 200
-"""Of fewer nothing is concluded."""
+"""Fewest points: from fewer nothing is concluded."""
 REACH_M = (0.03, 0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.01)
 """Points so far from the solids count, step by step."""
 ROBUST_M = 0.003

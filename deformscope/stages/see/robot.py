@@ -17,7 +17,7 @@ from deformscope.solid import PosedSolid
 from deformscope.stages.see.pixel_labels import LabelArray, PixelLabel
 
 EDGE_PX = 3
-"""So far from a jump of depth a pixel may be mixed: both of today's kinds of camera bleed over 2."""
+"""Largest distance from a jump of depth at which a pixel may be mixed: both of today's kinds of camera bleed over 2."""
 JUMP_M = 0.02
 """From pixel to pixel a surface that is seen aslant changes by less."""
 HOVER_M = 0.006

@@ -16,11 +16,11 @@ from deformscope.errors import InputError
 from deformscope.stages.setup.transform import LEVEL, half_widths, rigid
 
 MARKER_SHARE = 0.75
-"""Of a square that its marker fills."""
+"""Share of a square that its marker fills."""
 FEWEST_CORNERS = 6
 FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
-"""Of the lens, k1 and k2 alone are sought: a dozen views of a board do not give the others."""
+"""Only k1 and k2 of the lens are fitted: a dozen views of a board do not determine the others."""
 WIDEST = 0.1
 """Largest half interval of a focal length, as a share of it: views of a board from the front alone do not separate
 distance and focal length."""

@@ -26,16 +26,16 @@ from deformscope.stages.setup.transform import (
 
 FEWEST_VIEWS = 6
 LEAST_SPREAD_RAD = np.radians(7.0)
-"""Of the arm's turns, about the second of the axes that they are about."""
+"""Smallest rotation of the arm about the second of its axes of rotation."""
 FAR_M, FAR_RAD = 0.02, np.radians(4.0)
 """A view that is off by more does not belong to the others."""
 LEVER_M = 0.2
-"""So far from the board a turn counts as much as a motion."""
+"""Distance from the board at which a rotation counts as much as a translation."""
 TOUCHED = ErrorPrior(0.002)
 """Deviation between a place as it was touched and as the camera sees it [m]."""
 TURNS_DEG = (-30.0, 30.0)
 STEPS = 6
-"""Of Gauss and Newton, from a closed form that is near."""
+"""Gauss-Newton steps, from a closed form that is near."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,8 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
 
 
 def turned_about(T: FloatArray) -> float:
-    """Of poses (n, 4, 4): root mean square of their turns about the second of the axes that they are about [rad]."""
+    """Rotation of poses (n, 4, 4): root mean square of their turns about the second of the axes that they are about
+    [rad]."""
     between = Rotation.from_matrix(T[:, :3, :3])
     mean = between.mean()
     turns = (mean.inv() * between).as_rotvec()
@@ -96,7 +97,7 @@ def check_turns(T_base_ee: FloatArray) -> None:
 
 
 def _off(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray) -> FloatArray:
-    """(n, 6) from where the arm has the board to where the camera has it, in the board's frame."""
+    """(n, 6) from the board's pose by the arm to its pose by the camera, in the board's frame."""
     return deviation(np.broadcast_to(np.eye(4), A.shape), np.linalg.inv(A @ Y) @ (X @ B))
 
 

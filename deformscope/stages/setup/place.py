@@ -33,7 +33,7 @@ class PlaceEstimate:
 
     T_arm_surface: surface frame to base frame; size_m, size_half_m: (2,) its sides and their half widths [m]
     low_m, high_m: (3,) box for the tip's centre around it, base frame [m]
-    touch_sd_m: deviation of a touched corner [m]; corner_off_m: (n,) of each from where the rectangle has it
+    touch_sd_m: deviation of a touched corner [m]; corner_off_m: (n,) of each from its corner of the rectangle
     """
 
     T_arm_surface: TransformEstimate

@@ -20,9 +20,9 @@ COARSE_S, STEP_S = 2e-3, 2.5e-4
 """Between offsets: of all, and of those FINE_S around the best."""
 FINE_S, NEAR_S = 0.04, 0.1
 LEAST_SHARE = 0.5
-"""Of the variance of y that the taps must explain, or they are none."""
+"""Share of the variance of y that taps must explain."""
 LEAST_PEAK = 6.0
-"""Of a tap, in deviations of the signal at rest."""
+"""Smallest peak of a tap, in deviations of the signal at rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,10 +15,11 @@ from deformscope.errors import InputError
 from deformscope.stages.setup.transform import ErrorPrior, TransformEstimate, judged, rigid
 
 PIVOTED = ErrorPrior(0.0007)
-"""Deviation of the ball from its place as the arm's poses have it [m]: its play, and the arm's repeatability."""
+"""Deviation of the ball from its place by the arm's poses [m]: its play, and the arm's repeatability."""
 FEWEST = 4
 LEAST_SPREAD = 0.12
-"""Of the rotations, in the direction that they say least about: 0.17 = tilts of 10 degrees each way about two axes."""
+"""Smallest spread of the rotations, in the direction that they determine least: 0.17 = tilts of 10 degrees each way
+about two axes."""
 DOUBT_SHARE = 0.6
 """Prior standard deviation of the angle between the two possible directions of a stick: the interval then is that
 angle."""
@@ -30,8 +31,8 @@ SLID_M = 0.006
 class TipEstimate:
     """The tip's centre at the arm's end.
 
-    T_ee_center: the tip's centre to the arm's end. Its z axis runs from the arm's end through the tip, its x axis next
-    to the end's own (`calibrate force` finds the turn of the force sensor about the stick)
+    T_ee_center: the tip's centre to the arm's end. Its z axis runs from the arm's end through the tip, its x axis as
+    close as possible to the end's (`calibrate force` finds the turn of the force sensor about the stick)
     pivot_m: (3,) where the ball was, base frame [m]; pivot_sd_m: its scatter; off_m: (n,) of each pose
     """
 
@@ -42,7 +43,7 @@ class TipEstimate:
 
 
 def spread(rotations: FloatArray) -> float:
-    """Of rotations (n, 3, 3): deviation of R p over them for the unit vector p for which it is least."""
+    """Spread of rotations (n, 3, 3): deviation of R p over them for the unit vector p for which it is least."""
     centred = rotations - rotations.mean(axis=0)
     return float(np.linalg.svd(centred.reshape(-1, 3), compute_uv=False)[-1] / np.sqrt(len(rotations)))
 

@@ -17,9 +17,9 @@ BULGE_M = 0.003
 CREASE_DEG = 30.0
 """Between neighbouring pixels of different walls; a round wall turns less."""
 LEAST_PIXELS = 150
-"""Of a wall: a smaller one is taken as rigid."""
+"""Fewest pixels of a wall: a smaller one is treated as rigid."""
 MOST = 4
-"""Walls, the largest ones."""
+"""Most walls that are used: the largest ones."""
 LEVEL_M = 0.01
 """A wall that rises by less is pressed alike all over: how it rises is the rendering's rounding."""
 

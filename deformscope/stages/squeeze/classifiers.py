@@ -28,7 +28,7 @@ LINEAR_COMPONENTS = 200
 """Largest components that the linear classifier and the raw quadratic one take."""
 
 SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
-"""Of the unit matrix in the linear classifier's covariance: what is tried."""
+"""Tried shares of the unit matrix in the linear classifier's covariance."""
 
 Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear", "qda-plain"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
@@ -244,7 +244,7 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
 
 
 def columns_of(name: Name, kept: int) -> int | None:
-    """So many components a classifier of that name takes; None = all."""
+    """Number of components that a classifier of that name uses; None = all."""
     return {"knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS}.get(name, kept)
 
 

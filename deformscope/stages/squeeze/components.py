@@ -15,7 +15,7 @@ from deformscope.arrays import BoolArray, FloatArray
 EXPLAINED = 0.8
 """Share of the variance that the principal components keep (Thesis 2.4.2)."""
 FLAT = 1e-10
-"""Of the largest variance: components below it are rounding."""
+"""Share of the largest variance: components below it are rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Scaling:
 
 
 def fit_scaling(features: FloatArray) -> Scaling:
-    """Of (n, p) training features, n > 0; NaN are left out."""
+    """Scaling of (n, p) training features, n > 0; NaN are left out."""
     from sklearn.preprocessing import StandardScaler
 
     with np.errstate(invalid="ignore"):  # columns of which nothing was measured have no mean

@@ -64,7 +64,7 @@ class ContainerModel:
 
     @property
     def radius_m(self) -> float:
-        """Of the smallest ball about the origin that holds it [m]."""
+        """Radius of the smallest ball about the origin that encloses the container [m]."""
         return float(np.linalg.norm(self.vertices_m, axis=1).max())
 
 

@@ -39,7 +39,7 @@ Progress = Callable[[str, int, int], None]
 """Called with what is done, how much of it, and of how much."""
 
 CURVE_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
-"""Of the training side (Thesis fig. 2.11)."""
+"""Shares of the training side (Thesis fig. 2.11)."""
 GAUSSIAN_PROCESS_TRIALS = 1500
 """The Gaussian process inverts a matrix of that size for each class: not for more trials."""
 KINDS_PAIRED = 4
@@ -139,8 +139,8 @@ class Evaluation:
         return self.without_copies or self.best
 
     def elsewhere(self, score: ClassificationScore) -> Interval:
-        """Of the accuracy in another container or session: without groups, trials may be recognised by theirs, and
-        accuracy beyond chance may be due to the containers."""
+        """Interval of the accuracy in another container or session: without groups, trials may be recognised by theirs,
+        and accuracy beyond chance may be due to the containers."""
         low, high = score.accuracy.interval
         return (low if self.protocol == "group" else min(low, wilson(score.chance, score.worth, score.level)[0])), high
 

@@ -22,7 +22,7 @@ PERIODS = 2.0
 BASELINE_FRAMES = 6
 """The first frames, in the air, are the baseline."""
 DEVIATIONS = 6.0
-"""Of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
+"""Deviations of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
 AT_REST = 1.0 / 3.0
 """Share of `still_deg`: axes at rest came to rest when they were within this of their final angle. `still_deg` itself
 is their rotation in a period or two while they still close."""

@@ -30,7 +30,7 @@ CELL_M, CELL_POINTS = 0.01, 3
 """Least number of points of an occupied cell seen from above: pixels are 2 mm apart at 1 m. A coarser one merges
 objects a centimetre apart; a finer one splits a side at grazing angles."""
 LEAST_POINTS, LEAST_HEIGHT_M = 300, 0.04
-"""Of a piece that may be a container: half of what one of 4 cm x 5 cm has at 1 m."""
+"""Fewest points and least height of a piece that may be a container: half of what one of 4 cm x 5 cm has at 1 m."""
 TOP_M = 0.008
 """Distance below the top within which a point may belong to it: five deviations of depth at 1 m."""
 MOST_POINTS = 4000
@@ -58,7 +58,7 @@ class ContainerHidden(InputError):
 
 @dataclass(frozen=True, slots=True)
 class ContainerFit:
-    """An upright container as a depth image has it, in the table's frame: z = 0 on the table, upwards.
+    """An upright container as in a depth image, in the table's frame: z = 0 on the table, upwards.
 
     shape; center_m: (3,) middle of its body [m]; yaw_rad: of its x axis, 0 for a cylinder
     size_m: (3,) along x, y, z; of a cylinder its diameter twice and its height [m]
@@ -240,7 +240,7 @@ def _fitted(
 
 
 def _rms(off: FloatArray) -> float:
-    """Of all but the worst tenth, as for Gaussian errors."""
+    """Root mean square of all but the worst tenth, corrected for Gaussian errors."""
     kept = np.sort(np.abs(off))[: max(1, int(0.9 * len(off)))]
     return float(np.sqrt(np.mean(kept**2))) * 1.24
 

@@ -28,7 +28,7 @@ from deformscope.stages.squeeze.classifiers import (
 )
 
 FOLDS = 5
-"""Of the training side, to find out how a classifier does on points left out."""
+"""Folds of the training side, which measure a classifier on points left out."""
 MODALITY_DEVIATION, CLASS_DEVIATION, OFFSET_DEVIATION = 1.0, 0.3, 1.0
 """Priors: weights of modalities are normal about 1 (Bayes' rule for modalities with independent errors), those of
 classes about their modality's, offsets of classes about 0. With few trials they stay there."""

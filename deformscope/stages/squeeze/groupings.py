@@ -17,7 +17,7 @@ from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import joined_name
 
 RUNS = 10
-"""Of k-means, each from other starting points (Thesis 2.5.2)."""
+"""Runs of k-means, each from other starting points (Thesis 2.5.2)."""
 ALPHA = 0.05
 """Significance level of the test for a normal distribution (Thesis 2.4.3.4)."""
 

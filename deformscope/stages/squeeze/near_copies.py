@@ -17,7 +17,7 @@ NEIGHBOUR = 10
 FALSE_PAIRS = 0.01
 """Pairs that chance brings as near, in a table without copies."""
 NEAREST_SHARE = 0.1
-"""Of that distance, beyond which trials are no copies, however unlikely by chance."""
+"""Share of that distance. Trials farther apart are no copies, however unlikely they are by chance."""
 
 
 def near_copies(table: LabelledTable) -> list[tuple[int, ...]]:
@@ -62,7 +62,7 @@ def without_near_copies(table: LabelledTable, sets: list[tuple[int, ...]]) -> La
 
 
 def fingerprints(features: FloatArray) -> IntArray:
-    """(n,) int64 of (n, p) features in single precision, equal for equal rows; 0 where nothing was measured."""
+    """(n,) int64 hashes of the rows of features (n, p) in single precision; 0 where nothing was measured."""
     rows = np.ascontiguousarray(features, dtype=np.float32) + np.float32(0.0)
     found = [
         int.from_bytes(hashlib.blake2b(one.tobytes(), digest_size=8).digest(), "little", signed=True) for one in rows

@@ -37,7 +37,7 @@ them: outlines are seen within 1.5 px (`track.EDGE_NOISE_PX`)."""
 LOCAL_PX = 5
 """Side of the window whose median a pixel is compared with."""
 LEAST_SEEN = 0.1
-"""Of the patch: the rest would be made up of less. Chosen."""
+"""Smallest measured share of the patch, from which the rest is filled. Chosen."""
 HAND_MARGIN_M = 0.008
 """Around the capsules that stand for the fingers: their covers, and edges that the camera frays."""
 
@@ -82,8 +82,8 @@ def depth_change(
 ) -> DepthChange:
     """The patch around a fingertip (3,) [m], camera frame, in a depth image (H, W) [m]; 0 and NaN saw nothing.
 
-    excluded: (H, W) pixels of the hand; closed_m: distance that the fingers have closed since first contact Missing are
-    pixels outside the image or the container, within OUTLINE_PX of an outline, at grazing angles, farther from the
+    excluded: (H, W) pixels of the hand; closed_m: distance that the fingers have closed since first contact. Missing
+    are pixels outside the image or the container, within OUTLINE_PX of an outline, at grazing angles, farther from the
     model than a wall can be, or far from the pixels around it. A wall is pressed in by `closed_m` at most, and bulges
     by `SURE` times `BULGE_M` at most. Raises InputError where the fingertip is behind the camera or less than
     LEAST_SEEN of the patch was measured.

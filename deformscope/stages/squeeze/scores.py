@@ -17,7 +17,7 @@ from deformscope.stages.squeeze.table import LabelledTable, TextArray
 from deformscope.stages.squeeze.trial_run import Answers, Key, Method
 
 BINS = 10
-"""Of the reliability diagram."""
+"""Bins of the reliability diagram."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,8 @@ def cluster_sizes(group: TextArray | None, rows: IntArray) -> IntArray:
 
 
 def balanced_worth(worth: float, trials: IntArray) -> float:
-    """Of the mean of the classes' shares, which their (C,) numbers of trials weigh unequally."""
+    """Number of independent trials of the mean of the classes' shares, which their (C,) numbers of trials weigh
+    unequally."""
     share = trials[trials > 0] / max(int(trials.sum()), 1)
     return float(worth * len(share) ** 2 / (1.0 / share).sum()) if len(share) else 0.0
 

@@ -14,7 +14,7 @@ from deformscope.stages.squeeze.table import LISTED, LabelledTable
 Protocol = Literal["random", "stratified", "group"]
 PROTOCOLS: tuple[Protocol, ...] = ("random", "stratified", "group")
 TEST_SHARE = 0.3
-"""Of the trials that test (Thesis 2.5.3)."""
+"""Share of the trials in the test side (Thesis 2.5.3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Split:
 
 
 def draw(protocol: Protocol, table: LabelledTable, count: int, seed: int) -> list[Split]:
-    """So many splits; the same for the same table and seed. Raises InputError where the table cannot be split so."""
+    """`count` splits; the same for the same table and seed. Raises InputError where the table cannot be split so."""
     target = table.target
     group = np.arange(len(table)) if table.group is None else np.unique(table.group, return_inverse=True)[1]
     if protocol == "group":

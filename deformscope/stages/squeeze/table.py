@@ -19,7 +19,7 @@ SMALL = "_small"
 DERIVED = "physical"
 """A modality that is computed from the others' measurements: these are also joined without it, as in the thesis."""
 LISTED = 4
-"""So many names are listed in a message; of the others there is the number."""
+"""Most names that a message lists; of the others it gives the number."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,7 +32,7 @@ CORRELATED_PX = 3.0
 EDGE_NOISE_PX = 1.5
 """Deviation of where an outline is seen: such cameras fatten and fray edges by a pixel or two."""
 EDGE_EVERY_PX = 3
-"""Of the outline."""
+"""Distance of the outline's sampled points."""
 EDGE_REACH_PX = 12
 EDGE_RUN_PX = 3
 """Number of successive pixels of the container, and then of others, at an edge: a single missing pixel is none."""
@@ -462,5 +462,5 @@ def _compared(
 
 
 def _length(motion: FloatArray, lever: float) -> float:
-    """Of a motion (6,) [m], rotation times its lever added."""
+    """Length of a motion (6,) [m]: translation, and rotation times its lever."""
     return float(np.hypot(np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:]) * lever))

@@ -28,7 +28,7 @@ PHYSICAL = (
 )
 """Physical features, in this order. Forces, areas, centres, orientations and peaks are means over the fingers."""
 DEGREES = ("x", "y", "z", "rotation about x", "rotation about y", "rotation about z")
-"""Of freedom of a container, in its frame."""
+"""Degrees of freedom of a container, in its frame."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ Key = tuple[str, Method]
 FEW_COLUMNS = 200
 """Largest number of raw columns for boosting and the Gaussian process, else components."""
 LENGTHS = (0.5, 1.0, 2.0)
-"""Of the median distance: length scales of the Gaussian process, the likeliest of which is taken."""
+"""Length scales of the Gaussian process, as shares of the median distance. The likeliest is used."""
 
 
 @dataclass(frozen=True, slots=True)
