@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
+
+Json: TypeAlias = dict[str, object]
+"""An object of JSON, by its keys."""
 
 
 def plain(value: object) -> object:

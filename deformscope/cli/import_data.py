@@ -23,6 +23,6 @@ def run(config: ImportConfig) -> int:
     result = import_source(config) if config.pairs is None else import_take(config, config.pairs)
     show(result)
     write_json(result.as_json(), config.output.json)
-    if losses := result.found.get("losses"):
+    if losses := result.losses:
         say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     return EXIT_LOSSES if losses else 0

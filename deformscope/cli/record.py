@@ -28,9 +28,9 @@ def _shown(run: RigRun, config: RigRunOptions) -> int:
     """Print the summary of the recording; the command's exit status."""
     show(run.result)
     write_json(run.result.as_json(), config.output.json)
-    recorded, losses = run.result.found["recording"], run.result.found["losses"]
+    recorded, losses = run.result.found["recording"], run.result.losses
     if recorded is not None:
-        wrote("recording", recorded)
+        wrote("recording", run.result.path)
     if losses and recorded:
         say(f"deformscope: the recording is complete, with losses: {named(losses)}")
     if run.early_by:

@@ -37,7 +37,7 @@ def recover(config: RecoverConfig) -> None:
     from deformscope.runs.recovery import recover_recording
 
     found = recover_recording(config.recording, config.out)
-    wrote("recording", found.found["recovered"])
+    wrote("recording", str(found.found["recovered"]))
     show(found)
     write_json(found.as_json(), config.json)
 

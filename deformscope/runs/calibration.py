@@ -38,6 +38,7 @@ from deformscope.log.application import IMAGES, PAIR, PAIR_3D
 from deformscope.pictures.evidence import Result, results_png
 from deformscope.pictures.messages import estimate_tables
 from deformscope.pictures.report import Figure, Table
+from deformscope.plain import Json
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
 from deformscope.runs.calibration_report import poke_tables
@@ -64,7 +65,7 @@ from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
 
 BodyT = TypeVar("BodyT", bound=Observation | Motion)
-PairArrays: TypeAlias = Mapping[str, Any]
+PairArrays: TypeAlias = Mapping[str, object]
 """A pair by name, as in a pair file: `rest (K, d)`, `deformed (K, d)` [m], `held (n,)`, and a pair file's other
 arrays."""
 
@@ -137,7 +138,7 @@ class CalibrationResult(SourceResult):
         """Particles, where the model is wrong, error curve and posterior, as PNG."""
         return results_png([self.shown])
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         found = self.estimate.as_json()
         if self.pokes is not None:
             found |= {"pokes": self.pokes.rows(), "tried": self.pokes.tried_json()}

@@ -19,7 +19,7 @@ from deformscope.executor.tasks import compute
 from deformscope.files.result_table import make_table, read_table, select_rows, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.report import Link, Section, Table, html_report
-from deformscope.plain import plain
+from deformscope.plain import Json, plain
 from deformscope.recording.ledger import ledger_path
 from deformscope.results.columns import HIGH, LOW, cell_text, cells_of
 from deformscope.runs.result import LibraryResult
@@ -61,7 +61,7 @@ class CatalogResult(LibraryResult):
         rows = [[cell_text(row[name]) for name in there] for row in self.table.select(there).to_pylist()]
         return (Table(rows, there, f"{self.table.num_rows} recordings"),)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         rows = [{name: value for name, value in row.items() if value is not None} for row in self.table.to_pylist()]
         return {"folder": self.folder, "index": self.folder / INDEX, "read": self.read, "recordings": rows}
 
@@ -217,27 +217,32 @@ class ComparedRecordings(LibraryResult):
     first: Path
     second: Path
     settings: Mapping[str, tuple[object, object]]
-    results: Sequence[Mapping[str, Any]]
-    series: Sequence[Mapping[str, Any]]
+    results: Sequence[Json]
+    series: Sequence[Json]
     unaligned: str
 
     def tables(self) -> tuple[Table, ...]:
         names = ("", self.first.stem, self.second.stem)
         settings = [(name, cell_text(a), cell_text(b)) for name, (a, b) in self.settings.items()]
         results = [
-            (one["name"], *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
+            (str(one["name"]), *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
             for one in self.results
         ]
         columns = ("since the first contact", "rms difference", "largest", "over [s]")
         series = [
-            (one["name"], f"{one['rms']:.4g}", f"{one['largest']:.4g}", f"{one['from_s']:.2f} to {one['to_s']:.2f}")
+            (
+                str(one["name"]),
+                f"{one['rms']:.4g}",
+                f"{one['largest']:.4g}",
+                f"{one['from_s']:.2f} to {one['to_s']:.2f}",
+            )
             for one in self.series
         ]
         tables = [Table(settings, names, "Settings that differ"), Table(results, (*names, "difference"), "Results")]
         tables.append(Table(series, columns, "Measurements of devices, aligned by contact"))
         return tuple(one for one in tables if one.rows)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         settings = {name: {"first": a, "second": b} for name, (a, b) in self.settings.items()}
         found = {"first": self.first, "second": self.second, "settings": settings, "results": self.results}
         return found | {"series": self.series, "unaligned": self.unaligned}
@@ -309,8 +314,8 @@ def _valued(name: str, row: Mapping[str, Any]) -> dict[str, Any]:
     return {"value": row.get(name)} | ({"interval": ends} if None not in ends else {})
 
 
-def _with_ends(one: Mapping[str, Any] | None) -> str:
-    if one is None:
+def _with_ends(one: object) -> str:
+    if not isinstance(one, dict):
         return ""
     ends = " ({:.4g} to {:.4g})".format(*one["interval"]) if "interval" in one else ""
     return cell_text(one["value"]) + ends

@@ -18,6 +18,7 @@ from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.files.table_file import read_table, table_of_arrays
 from deformscope.pictures import classification as pictures
 from deformscope.pictures.report import Figure, Table
+from deformscope.plain import Json
 from deformscope.results.render import to_columns, to_json
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions, ModalityComparison, Progress, evaluate
@@ -30,7 +31,7 @@ from deformscope.version import __version__
 QUICK_SPLITS = 30
 """With --quick."""
 
-TableSource: TypeAlias = str | Path | LabelledTable | Mapping[str, Any]
+TableSource: TypeAlias = str | Path | LabelledTable | Mapping[str, object]
 """A table's file, a table, or arrays by name: `label (N,)`, optional `group (N,)`, and (N, ...) of each modality."""
 
 
@@ -78,11 +79,11 @@ class ClassificationResult(LibraryResult):
         """Write `model()` as a file (.npz, no pickle)."""
         save_classifier(self.model(), Path(path))
 
-    def entries(self) -> list[dict[str, Any]]:
+    def entries(self) -> list[Json]:
         """The command's JSON: one entry per modality, method and kind of split."""
         return [self._entry(one) for one in self.evaluation.scores]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return {"classification": self.entries()}
 
     def _entry(self, score: ClassificationScore) -> dict[str, Any]:

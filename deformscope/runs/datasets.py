@@ -6,10 +6,10 @@ import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
 from deformscope.pictures.report import Table
+from deformscope.plain import Json
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.squeeze.table import LabelledTable
 
@@ -43,7 +43,7 @@ class OpenDataset(LibraryResult):
     def __repr__(self) -> str:
         return f"<data set {self.folder}: {len(self)} trials>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return {"folder": self.folder, "trials": [dataclasses.asdict(one) for one in self.trials]}
 
     def tables(self) -> tuple[Table, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from deformscope.pictures.messages import (
     format_travel,
 )
 from deformscope.pictures.report import Figure, Table
+from deformscope.plain import Json
 from deformscope.recording.losses import named
 from deformscope.results.declared import derived, quantities, reported
 from deformscope.results.render import Rows, format_value, to_columns, to_json, units_of
@@ -161,14 +161,14 @@ class ExplorationResult(LibraryResult):
     failures: tuple[StageFailure, ...] = field(metadata=reported())
     losses: dict[str, dict[str, float]] = field(metadata=reported())
     recording: Path | str | None = field(metadata=reported())
-    fault: dict[str, Any] | None = field(metadata=reported())
-    laboratory: dict[str, Any] | None = field(metadata=reported())
+    fault: Json | None = field(metadata=reported())
+    laboratory: Json | None = field(metadata=reported())
     estimate: MapEstimate | None = None
     simulated: bool = True
     recorded: bool = False
 
     @property
-    def found(self) -> dict[str, Any]:
+    def found(self) -> Json:
         """The JSON."""
         return self.to_dict()
 
@@ -197,7 +197,7 @@ class ExplorationResult(LibraryResult):
     def __repr__(self) -> str:
         return f"<exploration of {self.scenario}: {self.verdict_text}, {counted(len(self.touches), 'touch')}>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return to_json(self)
 
     def tables(self) -> tuple[Table, ...]:

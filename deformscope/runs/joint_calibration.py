@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from deformscope.config import BothConfig
 from deformscope.file_io import read_file
@@ -11,7 +10,7 @@ from deformscope.files.pairs import parse_pair
 from deformscope.pictures.material_figures import joint_png
 from deformscope.pictures.messages import value_rows
 from deformscope.pictures.report import Figure, Table
-from deformscope.plain import plain
+from deformscope.plain import Json, plain
 from deformscope.runs.calibration import pair_recorder, parse_files
 from deformscope.runs.result import LibraryResult, Note, log_note
 from deformscope.session import Step
@@ -30,7 +29,7 @@ class JointResult(LibraryResult):
     estimate: JointEstimate
     name: str
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return self.estimate.as_json()
 
     def tables(self) -> tuple[Table, ...]:

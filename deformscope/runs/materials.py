@@ -40,6 +40,7 @@ from deformscope.files.sources import Source
 from deformscope.frames import InputFile, WrenchFrame
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, ReportVerdict, Section, Table, html_report
+from deformscope.plain import Json
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
@@ -142,7 +143,7 @@ class MaterialResult(SourceResult):
         """The numbers."""
         return self.found.estimate
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return self.with_problems(self.estimate.as_json())
 
     def tables(self) -> tuple[Table, ...]:

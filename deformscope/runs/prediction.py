@@ -17,6 +17,7 @@ from deformscope.files.model_file import load_model
 from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import ColoredBody, Findings
 from deformscope.pictures.report import Figure, Table
+from deformscope.plain import Json
 from deformscope.runs.calibration import CalibrationResult
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.msm.poke import Poke, Tip
@@ -60,7 +61,7 @@ class PredictionResult(LibraryResult):
         force = "no force" if self.force_n is None else f"{self.force_n:.4g} N"
         return f"<poke {format_poke(self.prediction.poke)}: {1e3 * self.depth_m:.4g} mm, {force}>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         found = self.prediction
         public: dict[str, Any] = {
             "poke": {

@@ -19,6 +19,7 @@ from deformscope.pictures.evidence import evidence_png, headline
 from deformscope.pictures.messages import counted, format_iou, format_verdict
 from deformscope.pictures.recorded import Curves, cells_png, curves_png
 from deformscope.pictures.report import Figure, Part, ReportVerdict, Section, Table, html_report
+from deformscope.plain import Json
 from deformscope.recording.item_rows import Row, read_rows
 from deformscope.recording.items import read_estimates, read_stage_results
 from deformscope.recording.reader import Replay
@@ -75,7 +76,7 @@ class RecordingReport(LibraryResult):
     def tables(self) -> tuple[Table, ...]:
         return (Table([("holds", self.words)], caption=str(self.recording)), *stage_tables(self.stages))
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         shown = [one.caption for one in self.figures()]
         return {"recording": self.recording, "lacks": self.lacks, "stages": self.stages, "figures": shown}
 

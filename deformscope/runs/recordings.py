@@ -6,16 +6,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import pyarrow as pa
 
 from deformscope.frames import ColorFrame, Item, SessionNote
 from deformscope.pictures.findings import cell_text
 from deformscope.pictures.report import Table
-from deformscope.plain import plain
+from deformscope.plain import Json, plain
 from deformscope.recording.discards import Discard, discard
 from deformscope.recording.items import read_estimates, read_items, read_results
+from deformscope.recording.ledger import Losses
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import RecordingTables
 from deformscope.runs.result import LibraryResult
@@ -33,12 +34,12 @@ class OpenRecording(LibraryResult):
         self._replay = Replay(path)
 
     @property
-    def settings(self) -> Mapping[str, Any]:
+    def settings(self) -> Mapping[str, object]:
         """Everything that decided the recorded results."""
         return self._replay.settings
 
     @property
-    def outcome(self) -> Mapping[str, Any]:
+    def outcome(self) -> Mapping[str, object]:
         """Outcome of the recording; empty after an interrupted run."""
         return self._replay.outcome
 
@@ -83,9 +84,9 @@ class OpenRecording(LibraryResult):
         """Mark it, or one of its episodes (from 1), as not to be used, in its ledger."""
         discard(self.path, reason, episode, self.notes())
 
-    def estimates(self) -> list[dict[str, Any]]:
+    def estimates(self) -> list[Json]:
         """The recorded estimates of a calibration, as the JSON of the command line has them."""
-        return [cast("dict[str, Any]", plain(one.as_json())) for one in read_estimates(self._replay)]
+        return [cast("Json", plain(one.as_json())) for one in read_estimates(self._replay)]
 
     def results(self) -> Iterator[object]:
         """The recorded results of an exploration, in the order in which they came."""
@@ -94,7 +95,7 @@ class OpenRecording(LibraryResult):
     def __repr__(self) -> str:
         return f"<recording {self.path}: {self.kind}>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         found = {"recording": self.path, "kind": self.kind, "settings": self.settings, "outcome": self.outcome}
         return found | {"discarded": self.discarded()}
 
@@ -112,13 +113,18 @@ class OpenRecording(LibraryResult):
 class RecordResult(LibraryResult):
     """Result of `record`. found: the JSON of `deformscope record`; table: the same for people"""
 
-    found: Mapping[str, Any]
+    found: Mapping[str, object]
     table: Table
 
     @property
     def path(self) -> Path:
         """The recording."""
-        return Path(self.found["recording"])
+        return Path(str(self.found["recording"]))
+
+    @property
+    def losses(self) -> Losses:
+        """What each device lost; empty where none did."""
+        return cast("Losses", self.found.get("losses") or {})
 
     def open(self) -> OpenRecording:
         """The recording, opened."""
@@ -127,7 +133,7 @@ class RecordResult(LibraryResult):
     def __repr__(self) -> str:
         return f"<recorded {self.path}: {self.found['frames']} frames>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return dict(self.found)
 
     def tables(self) -> tuple[Table, ...]:

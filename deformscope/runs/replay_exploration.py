@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 from deformscope.config import ReplayConfig
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
+from deformscope.plain import Json
 from deformscope.runs.replay_result import Different, ReplayResult, compare
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def _beside(
     if page is not None:  # the newest is above
         for name, words in reversed(beside):
             page.session.remark(f"{name}, with {changed}: {words}")
-    found = {"identical": None, "set": changes, "recorded": before, "computed": now}
+    found: Json = {"identical": None, "set": changes, "recorded": before, "computed": now}
     return ReplayResult(found, (Table(beside, caption=f"{path} with {changed}"),))
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
+from deformscope.plain import Json
 from deformscope.results.declared import WORDING, is_declared
 from deformscope.rows import differing
 from deformscope.runs.result import LibraryResult
@@ -33,13 +34,13 @@ class ReplayResult(LibraryResult):
     different: the differences, if the results are known nevertheless, else None
     """
 
-    found: Any
+    found: Json | list[Json]
     shown: tuple[LibraryResult | Table, ...] = ()
     verdict: str = ""
     notes: tuple[str, ...] = ()
     different: Different | None = None
 
-    def as_json(self) -> Any:
+    def as_json(self) -> Json | list[Json]:  # type: ignore[override]  # a list of several pairs
         return self.found
 
     def tables(self) -> tuple[Table, ...]:

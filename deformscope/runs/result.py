@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.pictures.findings import Findings
 from deformscope.pictures.report import Figure, Table
-from deformscope.plain import plain
+from deformscope.plain import Json, plain
 from deformscope.results.render import Rows
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class LibraryResult(ABC):
         """The results, each table with its caption."""
 
     @abstractmethod
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         """The public form; it may contain dataclasses and arrays."""
 
     def figures(self) -> tuple[Figure, ...]:
@@ -48,9 +48,9 @@ class LibraryResult(ABC):
         """Tables and pictures together."""
         return Findings(self.tables(), self.figures())
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Json:
         """The JSON of the command line as a dict of plain Python values; nan and infinities are None."""
-        return cast("dict[str, Any]", plain(self.as_json()))
+        return cast("Json", plain(self.as_json()))
 
     def __str__(self) -> str:
         return str(Findings(self.tables()))
@@ -63,10 +63,10 @@ class LibraryResult(ABC):
 class FoundResult(LibraryResult):
     """What a command found or wrote. found: its JSON; shown: the same for people"""
 
-    found: Mapping[str, Any]
+    found: Mapping[str, object]
     shown: tuple[Table, ...]
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return dict(self.found)
 
     def tables(self) -> tuple[Table, ...]:
@@ -87,7 +87,7 @@ class SourceResult(LibraryResult):
     settings: Mapping[str, object] = field(default_factory=dict)
     seed: int = 0
 
-    def with_problems(self, found: dict[str, Any]) -> dict[str, Any]:
+    def with_problems(self, found: Json) -> Json:
         """The JSON of the result, with the damage of the source."""
         return found | ({"source_problems": list(self.problems)} if self.problems else {})
 

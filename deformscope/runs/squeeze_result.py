@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.pictures.report import Figure, Table
+from deformscope.plain import Json
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import Rows, to_json
 from deformscope.runs.result import LibraryResult
@@ -45,7 +46,7 @@ class SqueezeResult(LibraryResult):
 
     @property
     @derived(optional=True)
-    def events(self) -> dict[str, Any] | None:
+    def events(self) -> Json | None:
         """First contact and steady state, each with its interval, since the recording's start [s]."""
         if self.computed is None:
             return None
@@ -69,7 +70,7 @@ class SqueezeResult(LibraryResult):
 
     @property
     @derived(optional=True)
-    def tracking(self) -> dict[str, Any] | None:
+    def tracking(self) -> Json | None:
         """Tracking of the container, and its pose in each image; None after a stop."""
         if self.computed is None or not self.computed.tracked:
             return None
@@ -96,18 +97,18 @@ class SqueezeResult(LibraryResult):
 
     @property
     @derived(optional=True)
-    def container_seen(self) -> list[dict[str, Any]] | None:
+    def container_seen(self) -> list[Json] | None:
         """Size and pose by the depth images, before, when the hand was placed, and after the squeeze."""
         return [to_json(one) for one in self.sightings] or None
 
     withdrawal: SqueezeStop | None = field(metadata=reported(optional=True))
-    losses: Mapping[str, Any] = field(metadata=reported())
+    losses: Mapping[str, Mapping[str, float]] = field(metadata=reported())
     truth: Mapping[str, float | None] | None = field(metadata=reported())
     dataset: Path | None = field(metadata=reported())
     recording: Path | None = field(metadata=reported())
 
     @property
-    def found(self) -> dict[str, Any]:
+    def found(self) -> Json:
         """The JSON."""
         return self.to_dict()
 
@@ -139,7 +140,7 @@ class SqueezeResult(LibraryResult):
         answer = "" if self.named is None else f", named {self.named}"
         return f"<squeeze {self.trial}: {self.physical['force_n']:.1f} N{answer}>"
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         return to_json(self)
 
     def tables(self) -> tuple[Table, ...]:
@@ -186,7 +187,9 @@ class SqueezeResult(LibraryResult):
         if (tracking := self.tracking) is not None:
             behind = ", {lag_median_s:.2f} s behind (95 %: {lag_p95_s:.2f})" if tracking["live"] else ""
             words = ("{images} images, {live} during the squeeze, {skipped} left out" + behind).format(**tracking)
-            refused = "; ".join(f"{count} refused: {why}" for why, count in tracking["refused"].items())
+            refused = "; ".join(
+                f"{count} refused: {why}" for why, count in cast("dict[str, int]", tracking["refused"]).items()
+            )
             rows.append(("tracked", "; ".join(filter(None, (words, refused, self.untracked)))))
         if self.answer is not None:
             order = sorted(self.posterior.items(), key=lambda one: -one[1])

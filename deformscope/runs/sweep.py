@@ -37,7 +37,7 @@ from deformscope.files.result_table import make_table, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.distributions import distributions_png
 from deformscope.pictures.report import Figure, Link, ReportVerdict, Section, Table, html_report
-from deformscope.plain import plain
+from deformscope.plain import Json, plain
 from deformscope.recording.ledger import ledger_path
 from deformscope.results.columns import HIGH, LOW, cell_text, to_cells
 from deformscope.runs.result import LibraryResult
@@ -102,11 +102,16 @@ class SweepResult(LibraryResult):
     seconds: float
 
     @property
+<<<<<<< HEAD
     def failed(self) -> list[dict[str, Any]]:
         """Tasks without a result, with the reason."""
+=======
+    def failed(self) -> list[Json]:
+        """Those that have no result, with the reason."""
+>>>>>>> tool
         rows = self.table.filter(pc.field("status") == "failed")
         names = [name for name in rows.schema.names if name in ("source", "reason") or name.startswith(VARIED)]
-        found: list[dict[str, Any]] = rows.select(names).to_pylist()
+        found: list[Json] = rows.select(names).to_pylist()
         return found
 
     @property
@@ -127,7 +132,7 @@ class SweepResult(LibraryResult):
         rows += [("failed", f"and {len(failed) - 10} more")] * (len(failed) > 10)
         return (Table(rows, caption="Sweep"),)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> Json:
         done = self.table.num_rows - len(self.failed)
         found = {"folder": self.folder, "tasks": self.table.num_rows, "done": done, "failed": self.failed}
         return found | {"computed": self.computed, "seconds": self.seconds, "columns": self.table.schema.names}
@@ -293,7 +298,7 @@ def _overview(found: SweepResult) -> str:
         sections.append(Section("Distributions", [Figure(distributions_png(drawn), caption)]))
     if failed:
         rows = [
-            (_source_link(one["source"], found.folder), *(one[name] for name in varied), one["reason"])
+            (_source_link(str(one["source"]), found.folder), *(one[name] for name in varied), one["reason"])
             for one in failed[:LISTED]
         ]
         sections.append(Section("Failed", [Table(rows, ("source", *_short(varied), "reason"))]))

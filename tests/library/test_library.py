@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
 import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -52,6 +55,46 @@ def test_everything_offered_is_there_typed_and_documented() -> None:
     assert typed == {name: name for name in ds.__all__}  # what a type checker finds
     with pytest.raises(AttributeError, match="no attribute 'bata'"):
         ds.bata  # noqa: B018
+
+
+def annotated(name: str, offered: Any) -> Iterator[tuple[str, Any]]:
+    """A function, or a class with its public methods and properties; a dataclass's fields are its own hints."""
+    yield name, offered
+    for base in getattr(offered, "__mro__", ()):
+        for key, value in vars(base).items() if base.__module__.startswith("deformscope") else ():
+            found = getattr(value, "fget", None) or getattr(value, "func", None) or getattr(value, "__func__", value)
+            made = key == "__init__" and not dataclasses.is_dataclass(base)
+            if inspect.isfunction(found) and (made or not key.startswith("_")):
+                yield f"{name}.{key}", found
+
+
+def hints(one: Any) -> list[object]:
+    """The types of its annotations, with what its modules import for type checkers alone."""
+    names: dict[str, Any] = {}
+    for each in reversed(getattr(one, "__mro__", (one,))):
+        module = sys.modules[each.__module__]
+        names |= vars(module)
+        for node in ast.parse(inspect.getsource(module)).body if each.__module__.startswith("deformscope") else ():
+            if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+                exec(compile(ast.Module(node.body, []), each.__module__, "exec"), names)
+    return list(get_type_hints(one, names).values())
+
+
+def unknown(hint: object) -> bool:
+    """Whether `Any` is in it; an array's shape and precision are numpy's to say."""
+    inner = (one for each in get_args(hint) for one in (each if isinstance(each, list) else [each]))
+    return hint is Any or (get_origin(hint) is not np.ndarray and any(map(unknown, inner)))
+
+
+def test_every_type_that_is_offered_is_known() -> None:
+    found = [
+        where
+        for name in ds.__all__
+        for where, one in annotated(name, getattr(ds, name))
+        if any(map(unknown, hints(one) if callable(one) else [one]))
+    ]
+    assert found == []
+    assert unknown(dict[str, list[Any] | None])
 
 
 def test_options_are_those_of_the_commands(arrays: dict[str, np.ndarray]) -> None:

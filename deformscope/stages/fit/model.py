@@ -19,9 +19,9 @@ Method = Literal["sweep", "gradient"]
 
 NEWEST_FIT = 3
 """How a fit explains errors. 2: the parameter is always estimated from the few projections of the residuals that it can
-change, errors of tool and camera have one size, and a value on the end of a wide interval is reported. 1, as in older
-recordings: as 2, but neither the tool as a whole nor the camera has an error, a smooth error with exact held positions
-is misfit, and `axes-swapped` ignores bulging bodies."""
+change, errors of tool and camera have one size, a value on the end of a wide interval is reported, and what did not
+move is `little-explained`. 1, as in older recordings: as 2, but neither the tool as a whole nor the camera has an
+error, a smooth error with exact held positions is misfit, and `axes-swapped` ignores bulging bodies."""
 
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them are taken as touched."""

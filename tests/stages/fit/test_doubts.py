@@ -68,8 +68,8 @@ def seen_sheet(beta: float | tuple[float, float], seed: int = 5, noise: float = 
     return dataclasses.replace(still, deformed=shaken)
 
 
-def fitted(seen: Observation) -> Estimate:
-    return calibrate([seen], FitOptions(Model(), BOUNDS, candidates=40)).estimate
+def fitted(seen: Observation, model: Model | None = None) -> Estimate:
+    return calibrate([seen], FitOptions(model or Model(), BOUNDS, candidates=40)).estimate
 
 
 def codes(reasons: tuple[Doubt, ...]) -> list[str]:
@@ -132,6 +132,14 @@ def test_what_only_trembles_did_not_move() -> None:
         assert "unidentified: nothing moved: the held particles by" in found.verdict_text()
     (reason,) = little_explained(0.2, seen=[moved])
     assert reason.code == "little-explained"
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_older_fits_of_what_did_not_move_explain_little_as_recorded(version: int) -> None:
+    moved = seen_sheet(0.6)
+    found = fitted(dataclasses.replace(moved, deformed=moved.rest, noise=None), Model(version=version))
+    assert (found.verdict, codes(found.reasons)[0]) == ("unidentified", "little-explained")
+    assert "nothing-moved" not in codes(found.reasons)
 
 
 def test_particles_of_images_that_stay_are_named_with_the_flag_that_leaves_them_out() -> None:
