@@ -29,7 +29,7 @@ DEVELOPERS = [*sorted((DOCS / "developers").glob("add-*.md")), DOCS / "developer
 BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
 LONGEST, SHARE = 25, 0.95
 """Words of a sentence, and the share of sentences with as many at most."""
-OF_HOWTO, OF_EXPLANATION, OF_ALL = 400, 900, 30_000
+OF_HOWTO, OF_EXPLANATION, OF_ALL = 400, 900, 24_000
 """Words at most: of a page, and of all that is written by hand."""
 TYPED, WIDEST = ("", "sh", "python", "toml"), 100
 """Kinds of blocks that a reader types or copies, and their columns at most."""
@@ -139,7 +139,8 @@ def test_a_page_is_short(page: Path) -> None:
 
 
 def test_all_pages_together_are_short() -> None:
-    assert sum(words(page) for page in DOCS.rglob("*.md")) <= OF_ALL
+    """Those of results are tables, which grow with what is measured."""
+    assert sum(words(page) for page in DOCS.rglob("*.md") if page.parent.name != "results") <= OF_ALL
 
 
 def test_addresses_of_before_lead_to_pages() -> None:
