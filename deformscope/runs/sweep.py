@@ -102,13 +102,8 @@ class SweepResult(LibraryResult):
     seconds: float
 
     @property
-<<<<<<< HEAD
-    def failed(self) -> list[dict[str, Any]]:
-        """Tasks without a result, with the reason."""
-=======
     def failed(self) -> list[Json]:
-        """Those that have no result, with the reason."""
->>>>>>> tool
+        """Tasks without a result, with the reason."""
         rows = self.table.filter(pc.field("status") == "failed")
         names = [name for name in rows.schema.names if name in ("source", "reason") or name.startswith(VARIED)]
         found: list[Json] = rows.select(names).to_pylist()
