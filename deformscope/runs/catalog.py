@@ -225,17 +225,12 @@ class ComparedRecordings(LibraryResult):
         names = ("", self.first.stem, self.second.stem)
         settings = [(name, cell_text(a), cell_text(b)) for name, (a, b) in self.settings.items()]
         results = [
-            (str(one["name"]), *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
+            (one["name"], *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
             for one in self.results
         ]
         columns = ("since the first contact", "rms difference", "largest", "over [s]")
         series = [
-            (
-                str(one["name"]),
-                f"{one['rms']:.4g}",
-                f"{one['largest']:.4g}",
-                f"{one['from_s']:.2f} to {one['to_s']:.2f}",
-            )
+            (one["name"], f"{one['rms']:.4g}", f"{one['largest']:.4g}", f"{one['from_s']:.2f} to {one['to_s']:.2f}")
             for one in self.series
         ]
         tables = [Table(settings, names, "Settings that differ"), Table(results, (*names, "difference"), "Results")]
