@@ -39,7 +39,7 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image
-from deformscope.results.declared import LATER, is_declared
+from deformscope.results.declared import FROM_ZERO, LATER, is_declared
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     InclusionsResult,
@@ -128,9 +128,6 @@ FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame
 IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}
 """Images that a viewer shows: their components are rerun's own."""
 
-FROM_ZERO = ((TouchEstimate, "number"), (TouchPerception, "number"))
-"""Numbers that components hold from 0, and objects and tables from 1, as everything that is printed."""
-
 SHAPE = "_shape"
 
 _ARROW: dict[Any, pa.DataType] = {float: pa.float64(), int: pa.int64(), bool: pa.bool_(), str: pa.string()}
@@ -158,7 +155,7 @@ class CodecField:
     later: bool = False
     """Recordings of before the field was there lack it: see `LATER`."""
     first: int = 0
-    """Added to the component, see `FROM_ZERO`."""
+    """Added to the component, see `declared.FROM_ZERO`."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -259,7 +256,7 @@ def _fields(kind: Any) -> tuple[CodecField, ...]:
         dataclasses.replace(
             _field(field.name, hints[field.name]),
             later=is_declared(field, LATER),
-            first=int((kind, field.name) in FROM_ZERO),
+            first=int(is_declared(field, FROM_ZERO)),
         )
         for field in dataclasses.fields(cast("Any", kind))
     )

@@ -30,7 +30,7 @@ BLOCK = re.compile(r"```(\w*)( [^\n]*)?\n(.*?)```", re.DOTALL)
 LONGEST, SHARE = 25, 0.95
 """Words of a sentence, and the share of sentences with as many at most."""
 OF_HOWTO, OF_EXPLANATION, OF_ALL = 400, 900, 24_000
-"""Words at most: of a page, and of all that is written by hand."""
+"""Words at most: of a page, and of all pages that are written by hand, but those of results."""
 TYPED, WIDEST = ("", "sh", "python", "toml"), 100
 """Kinds of blocks that a reader types or copies, and their columns at most."""
 IN_REAL_TIME = ("recordings-as-tables", "simulated-rig")

@@ -102,10 +102,12 @@ LATER: Mapping[str, object] = {"deformscope.later": True}
 """The metadata of a field that came after recordings of its class were made: those are read with its default."""
 WORDING: Mapping[str, object] = {"deformscope.wording": True}
 """The metadata of a text that another version may word differently: a replay does not compare it."""
+FROM_ZERO: Mapping[str, object] = {"deformscope.from_zero": True}
+"""The metadata of a number that components hold from 0, and objects and tables from 1, as in all printed text."""
 
 
 def is_declared(field: dataclasses.Field[Any], metadata: Mapping[str, object]) -> bool:
-    """Whether a field is declared with `LATER` or `WORDING`."""
+    """Whether a field is declared with `LATER`, `WORDING` or `FROM_ZERO`."""
     return field.metadata.keys() >= metadata.keys()
 
 

@@ -1,6 +1,6 @@
 """Make a bag of colour images of 1920 x 1200, and print what memory its inspection and its import need at most [MiB].
 
-python -m tests.imports.bag_memory bag.mcap 10    a bag of 10 GB, beside it map.toml and bag.rrd
+python -m tests.imports.bag_memory bag.mcap 10    makes a bag of 10 GB, map.toml and bag.rrd
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.results.declared import LATER, derived, reported
+from deformscope.results.declared import FROM_ZERO, LATER, derived, reported
 from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.posterior import FIRST_REGIONS
@@ -63,7 +63,7 @@ class TouchEstimate:
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
-    number: int
+    number: int = field(metadata=FROM_ZERO)
     xyz_m: FloatArray = field(metadata=reported(key="xy_m", unit="m", json=lambda xyz_m: xyz_m[:2]))
     normal: FloatArray
     approach_m: FloatArray

@@ -3,11 +3,12 @@ a touch, the error over beta, and the training data of the fields."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.results.declared import FROM_ZERO
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.gaussian_process import Kernel
@@ -65,7 +66,7 @@ class TouchPerception:
     stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: training data of the field of beta
     """
 
-    number: int
+    number: int = field(metadata=FROM_ZERO)
     masks: PixelMasks | None
     surface: TouchSurface | None
     error: Curve | None
