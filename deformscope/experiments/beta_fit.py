@@ -12,9 +12,9 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.seen_surface import SeenSurface
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.measured import TouchMeasurement
-from deformscope.stages.map.perception import TouchSurface
+from deformscope.stages.map.perception import SeenDent, TouchSurface
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.map.touch_beta import BallContact, SeenDent, dent_of, fit_touch, thesis_beta
+from deformscope.stages.map.touch_beta import BallContact, dent_of, fit_touch, thesis_beta
 from deformscope.stages.poke.contact import ArmCompliance, ContactFit
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import tactile_points

@@ -20,9 +20,9 @@ from deformscope.experiments.quantity import (
 )
 from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
+from deformscope.stages.map.perception import COARSE_GRID_M
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
 from deformscope.stages.map.thesis_field import SIGMA_W_M, ThesisField
-from deformscope.stages.map.touch_beta import COARSE_GRID_M
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid

@@ -30,14 +30,13 @@ from deformscope.reproduce.foams import format_order
 from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
+from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
 from deformscope.stages.map.thesis_field import FINE_SIGMA_W_M, ThesisField, contoured
 from deformscope.stages.map.touch_beta import (
-    COARSE_GRID_M,
     THESIS_GRID_M,
     THESIS_SIDE_M,
     THESIS_STEP,
     BallContact,
-    SeenDent,
     dent_of,
     fit_touch,
     swept_betas,

@@ -20,7 +20,7 @@ from deformscope.reproduce.chapter4 import (
     press_foam,
 )
 from deformscope.reproduce.chapter4_figures import draw_betas, draw_clouds, draw_dents, draw_fields
-from deformscope.stages.map.touch_beta import SeenDent
+from deformscope.stages.map.perception import SeenDent
 from deformscope.stages.regions.touches import MapGrid
 
 PNG = b"\x89PNG"

@@ -14,8 +14,7 @@ from deformscope.log.exploration.scene import SURFACE_FRAME, log_base
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.columns import Sink, root
 from deformscope.pictures.palette import BACKGROUND, BAD, HELD, IDLE, OBSERVED, REST, WARN, Rgb
-from deformscope.stages.squeeze.find import ContainerFit
-from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
+from deformscope.stages.squeeze.placement import ContainerFit, ContainerSighting, HandPlacement
 
 PLACE, IMAGE, WORDS = "display/place/scene", "display/place/image", "display/place/words"
 LOOKS: dict[str, Rgb] = {"before": REST, "asked": REST, "placed": HELD, "after": OBSERVED}

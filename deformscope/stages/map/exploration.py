@@ -17,7 +17,7 @@ from deformscope.errors import InputError
 from deformscope.results.declared import FROM_ZERO, LATER, derived, reported
 from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
-from deformscope.stages.regions.posterior import FIRST_REGIONS
+from deformscope.stages.regions.touches import FIRST_REGIONS
 
 NOT_ASKED = "not asked for"
 """A verdict on beta that need not be shown."""

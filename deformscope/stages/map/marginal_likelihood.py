@@ -18,6 +18,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, WeightedBasis
+from deformscope.stages.map.perception import Hyperparameters
 
 FLOOR_M = 1e-6
 """Heights are not distinguished below this [m]: constant ones still have a scale."""
@@ -74,19 +75,6 @@ class FixedHyperparameters:
     sigma_e: float | None = None
     sigma_w: float | None = None
     noise_scale: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Hyperparameters:
-    """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal, of all points
-    at_bound: those of "sigma_e", "length", "noise_scale" that ended at a bound of the search
-    trials: how often the likelihood was found"""
-
-    kernel: Kernel
-    noise_scale: float
-    log_likelihood: float
-    at_bound: tuple[str, ...]
-    trials: int
 
 
 NAMES = ("sigma_e", "length", "noise_scale")

@@ -12,10 +12,53 @@ from deformscope.results.declared import FROM_ZERO
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.gaussian_process import Kernel
-from deformscope.stages.map.marginal_likelihood import Hyperparameters
-from deformscope.stages.map.touch_beta import SeenDent
 from deformscope.stages.regions.touches import StiffnessSample
 from deformscope.stages.see.pixel_labels import PixelMasks
+
+COARSE_GRID_M = 0.01
+"""The grid around a touch of recordings without one."""
+
+DENTED = 0.1
+"""Share of the deepest by which a place has sunk that counts as dented."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenDent:
+    """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
+
+    before, after: (p, 3) at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
+    sd_m: (p,) deviation of the heights under it
+    """
+
+    before: FloatArray
+    after: FloatArray
+    shape: tuple[int, int]
+    cell_m: float = COARSE_GRID_M
+    sd_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def sunk_m(self) -> FloatArray:
+        """(p,) how far the touch lowered the surface [m]."""
+        return np.asarray(self.before[:, 2] - self.after[:, 2])
+
+    @property
+    def dented_m(self) -> FloatArray:
+        """(m, 2) the places that were dented [m]: all that sank by `DENTED` of the deepest."""
+        sunk = self.sunk_m
+        return np.asarray(self.before[sunk >= DENTED * sunk.max(), :2])
+
+
+@dataclass(frozen=True, slots=True)
+class Hyperparameters:
+    """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal, of all points
+    at_bound: those of "sigma_e", "length", "noise_scale" that ended at a bound of the search
+    trials: how often the likelihood was found"""
+
+    kernel: Kernel
+    noise_scale: float
+    log_likelihood: float
+    at_bound: tuple[str, ...]
+    trials: int
 
 
 @dataclass(frozen=True, slots=True)

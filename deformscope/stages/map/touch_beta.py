@@ -11,7 +11,7 @@ at its bound for every modulus: the verdict `at-bound` is the normal answer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -21,6 +21,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve, Estimate
 from deformscope.stages.map.gaussian_process import ProcessPrediction
+from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
 from deformscope.stages.map.surface import HeightProcess
 from deformscope.stages.msm import clusters
 from deformscope.stages.msm.poke import Law, PokeSetup, Tip, hold, settle
@@ -46,11 +47,8 @@ FEWEST = 20
 
 THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
 """Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
-COARSE_GRID_M, COARSE_CANDIDATES = 0.01, 50
-"""The grid, and the values of beta over `BOUNDS`, of recordings without them."""
-
-DENTED = 0.1
-"""Share of the deepest by which a place has sunk that counts as dented."""
+COARSE_CANDIDATES = 50
+"""Values of beta over `BOUNDS` of recordings without them."""
 
 THESIS_NOTE = (
     "a trend of this beta with firmness is an effect of the contact patch, which grows with the dent. One "
@@ -202,32 +200,6 @@ def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
 
 
 # The thesis's procedure ----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class SeenDent:
-    """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
-
-    before, after: (p, 3) at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
-    sd_m: (p,) deviation of the heights under it
-    """
-
-    before: FloatArray
-    after: FloatArray
-    shape: tuple[int, int]
-    cell_m: float = COARSE_GRID_M
-    sd_m: FloatArray = field(default_factory=lambda: np.zeros(0))
-
-    @property
-    def sunk_m(self) -> FloatArray:
-        """(p,) how far the touch lowered the surface [m]."""
-        return np.asarray(self.before[:, 2] - self.after[:, 2])
-
-    @property
-    def dented_m(self) -> FloatArray:
-        """(m, 2) the places that were dented [m]: all that sank by `DENTED` of the deepest."""
-        sunk = self.sunk_m
-        return np.asarray(self.before[sunk >= DENTED * sunk.max(), :2])
 
 
 def dent_of(

@@ -29,7 +29,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.partitions import FAMILY_SHARES, Partitions, draw, propose
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_SHARED, TouchErrorModel
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import FIRST_REGIONS, MapGrid, StiffnessSample
 
 RegionMapKind = Literal["regions", "gradual"]
 SurfaceKind = Literal["uniform", "materials", "gradual"]
@@ -37,8 +37,6 @@ SurfaceKind = Literal["uniform", "materials", "gradual"]
 
 MOST_REGIONS = 5
 """Largest distinguished number: it means this number or more."""
-FIRST_REGIONS = 3
-"""Largest number of regions of the maps that are followed from the first touch."""
 MORE_SHARE = 0.5
 """Share of as many maps as of these, where more are followed: it saves time."""
 MORE_FROM = 0.2

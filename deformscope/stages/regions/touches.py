@@ -9,6 +9,9 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 
+FIRST_REGIONS = 3
+"""Largest number of regions of the maps that are followed from the first touch."""
+
 
 @dataclass(frozen=True, slots=True)
 class StiffnessSample:

@@ -5,9 +5,73 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.results.declared import reported
-from deformscope.stages.squeeze.find import ContainerFit, ContainerShift
+from deformscope.results.declared import derived, reported
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerFit:
+    """An upright container as in a depth image, in the table's frame: z = 0 on the table, upwards.
+
+    shape; center_m: (3,) middle of its body [m]; yaw_rad: of its x axis, 0 for a cylinder
+    size_m: (3,) along x, y, z; of a cylinder its diameter twice and its height [m]
+    lean_rad: (2,) of its axis towards x and y
+    deviation_m: (3,) standard deviation of the middle along x and y and of the height [m]; yaw_sd_rad
+    rms_m: of the points of its sides; points: fitted
+    """
+
+    shape: str = field(metadata=reported())
+    center_m: FloatArray = field(metadata=reported())
+    yaw_rad: float = field(metadata=reported())
+    size_m: FloatArray = field(metadata=reported())
+    lean_rad: FloatArray = field(metadata=reported())
+    deviation_m: FloatArray = field(metadata=reported())
+    yaw_sd_rad: float = field(metadata=reported())
+    rms_m: float = field(metadata=reported())
+    points: int = field(metadata=reported())
+
+    @property
+    def T_table_container(self) -> FloatArray:
+        """(4, 4) as a standing container, its x axis at `yaw_rad` [m]."""
+        from scipy.spatial.transform import Rotation
+
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("z", self.yaw_rad).as_matrix()
+        pose[:3, 3] = self.center_m
+        return pose
+
+
+@dataclass(frozen=True, slots=True)
+class ContainerShift:
+    """A container compared with its earlier state. kind: stands, moved, toppled, gone (no upright one is found any
+    more) or hidden (unknown); `reason` has the cause
+
+    moved_m: of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: of its axis
+    """
+
+    kind: str = field(metadata=reported())
+    moved_m: float = field(default=0.0, metadata=reported())
+    threshold_m: float = field(default=0.0, metadata=reported())
+    turned_rad: float = field(default=0.0, metadata=reported())
+    lean_rad: float = field(default=0.0, metadata=reported())
+    reason: str = field(default="", metadata=reported())
+
+    @property
+    @derived(key=None)
+    def changed(self) -> bool:
+        """Whether it has changed, by the images."""
+        return self.kind not in ("stands", "hidden")
+
+    @property
+    @derived(key=None)
+    def words(self) -> str:
+        """In one line."""
+        if self.kind in ("gone", "hidden"):
+            return f"{self.kind}: {self.reason}"
+        by = f"{1e3 * self.moved_m:.1f} mm (limit {1e3 * self.threshold_m:.1f}), {np.degrees(self.turned_rad):.1f} deg"
+        return f"{self.kind}{': ' + self.reason if self.reason else ''}; {by} from its first pose"
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,9 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from deformscope.stages.map.field import FieldMap
+from deformscope.stages.map.perception import SeenDent
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.map.thesis_field import SIGMA_E, SIGMA_N, SIGMA_W_M, ThesisField, contoured
-from deformscope.stages.map.touch_beta import SeenDent
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touches import MapGrid
 
