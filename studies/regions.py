@@ -47,7 +47,7 @@ from deformscope.stages.regions.posterior import (
     RegionPrior,
 )
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
-from deformscope.stages.regions.touches import MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import FIRST_REGIONS, MapGrid, StiffnessSample
 from studies.independent.random_maps import random_surface
 from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
 from studies.seeds import INDEPENDENT, reported
@@ -127,7 +127,8 @@ class RegionOutcome:
     level_z: (levels,) what is reported less the truth, in reported deviations;
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
-    cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: count may be more
+    cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: reported as `count`
+    or more
     met: true regions in which a touch was made: no other can be counted
     """
 
@@ -152,7 +153,8 @@ class RegionOutcome:
 
     @property
     def right(self) -> bool:
-        return self.count == self.true_count
+        """Whether the surface has as many as reported, or more where it says so."""
+        return self.count == self.true_count or (self.at_least and self.true_count > self.count)
 
 
 @dataclass(frozen=True)
@@ -314,7 +316,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
             posterior = posterior.with_touch(surface.touch(plan.target_m, doubt))
         shown = posterior.region_map()
     truth = surface.true
-    right = shown.region_count == truth.region_count
+    same = shown.region_count == truth.region_count
     met = 0
     if truth.labels is not None:
         at = [np.argmin(((posterior.grid.centres_m - one.xy_m) ** 2).sum(axis=1)) for one in posterior.touches]
@@ -322,7 +324,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
     levels = covered = 0
     width = wrong = np.nan
     z: tuple[float, ...] = ()
-    if right and truth.labels is not None:
+    if same and truth.labels is not None:
         _, pairs = match_regions(shown.labels, truth.labels)
         inside = [
             shown.level_interval[one, 0] <= truth.level[true] <= shown.level_interval[one, 1] for one, true in pairs
@@ -339,7 +341,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         seed=case.seed,
         true_count=truth.region_count,
         count=shown.region_count,
-        claimed=shown.probability[str(shown.region_count or "gradual")],
+        claimed=shown.claimed(),
         probability=dict(shown.probability),
         levels=levels,
         levels_covered=covered,
@@ -351,7 +353,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         scatter=shown.scatter,
         touches=len(posterior.touches),
         cells_held=float((np.abs(shown.field - truth.log_stiffness) <= Z_90 * shown.field_sd).mean()),
-        at_least=shown.at_least,
+        at_least=shown.region_count >= FIRST_REGIONS,
         met=met,
     )
 
@@ -438,6 +440,7 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     ),
     Quantity("level_width", lambda some: _or_nan(np.median, [one.width for one in some]), {"width": number(3)}),
     Quantity("number_right", lambda some: Rate.of(one.right for one in some), {"number right": share(2)}),
+    Quantity("same", lambda some: Rate.of(one.count == one.true_count for one in some), {"exactly": share(2)}),
     Quantity("met_right", lambda some: Rate.of(one.count == one.met for one in some), {"as many as met": share(2)}),
     Quantity("number_claimed", lambda some: float(np.mean([one.claimed for one in some])), {"claimed": number(2)}),
     Quantity(

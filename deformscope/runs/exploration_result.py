@@ -138,7 +138,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived()
     def region_count_at_least(self) -> bool:
-        """Whether there may be more: numbers above three are not distinguished reliably."""
+        """Whether there may be more: three and more are not distinguished reliably."""
         return self.estimate is not None and self.estimate.more_possible
 
     @property
@@ -224,7 +224,10 @@ class ExplorationResult(LibraryResult):
         beta's."""
         by_beta = self.regions_by == "beta"
         given = "" if by_beta else str(self.region_count or "gradual")
-        share, count = max((share, count) for count, share in (self.probability or {}).items() if count != given)
+        others = {count: share for count, share in (self.probability or {}).items() if count != given}
+        if self.region_count_at_least:  # that there are more belongs to the verdict
+            others = {count: share for count, share in others.items() if count == "gradual" or count < given}
+        share, count = max((share, count) for count, share in others.items())
         words = count if count == "gradual" else counted(int(count), "region")
         if by_beta:
             return f"; by stiffness {words}, probability {share:.2f}"

@@ -172,8 +172,16 @@ def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() 
     assert "rate" not in next(_remarks(without, 1, 3, 1.0)) + to_line(without, "caption")
 
 
-@pytest.mark.parametrize(("count", "says"), [(1, "1 region"), (3, "3 regions"), (4, "4 regions or more")])
-def test_more_than_three_regions_may_be_more(count: int, says: str) -> None:
+@pytest.mark.parametrize(("count", "says"), [(1, "1 region"), (2, "2 regions"), (3, "3 regions or more")])
+def test_three_regions_may_be_more(count: int, says: str) -> None:
     maps = dataclasses.replace(maps_after(3), region_count=count, verdict="regions")
 
     assert format_verdict(maps) == says
+
+
+def test_more_regions_than_the_verdicts_are_no_rival_of_or_more() -> None:
+    maps = dataclasses.replace(maps_after(3), region_count=3, verdict="regions", probability=0.75)
+    shares = {"1": 0.01, "2": 0.2, "3": 0.35, "4": 0.3, "5": 0.1, "gradual": 0.04}
+    assert found_with(estimate=maps, probability=shares).verdict_text == (
+        "3 regions or more (probability 0.75, 2 regions 0.20)"
+    )

@@ -230,7 +230,7 @@ class MapEstimate:
     labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
     label_probability: of that label, the doubt about the number of regions and about `gradual` included
     region_count: 0 without regions; at_least: there may be more, it is the largest number that is distinguished
-    verdict: "regions" or "gradual"; probability: of verdict and region_count
+    verdict: "regions" or "gradual"; probability: of verdict and region_count (`RegionMap.claimed`)
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
     contacts_m: (n, 2) touches so far; tip_radius_m: of the touching tip
@@ -304,8 +304,8 @@ class MapEstimate:
 
     @property
     def more_possible(self) -> bool:
-        """Whether there may be more regions: numbers above three are not distinguished reliably (`studies regions`)."""
-        return self.at_least or self.region_count > FIRST_REGIONS
+        """Whether there may be more regions: three and more are not distinguished reliably (`studies regions`)."""
+        return self.at_least or (self.isopleths is None and self.region_count >= FIRST_REGIONS)
 
     @property
     def claimed(self) -> float | None:

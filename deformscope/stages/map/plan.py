@@ -52,8 +52,9 @@ LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
 """Weight of a nat about the levels relative to the share of cells with the right label."""
 
-NEWEST_PLAN = 2
-"""Version of `PlanOptions` that new explorations have."""
+NEWEST_PLAN = 3
+"""Version of `PlanOptions` that new explorations have. 3: of "3 regions or more" the probability is of as many or more
+(`RegionMap.claimed`), in earlier ones of exactly as many."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,6 +159,14 @@ class RegionMap:
     scatter: float = np.nan
     at_least: bool = False
 
+    def claimed(self, *, or_more: bool = True) -> float:
+        """Probability of the verdict and `region_count`. or_more: of three regions and more, that there are as many or
+        more: the number is too low where a region has one touch (`studies regions`)"""
+        k = self.region_count
+        if or_more and k >= FIRST_REGIONS:
+            return sum(share for number, share in self.probability.items() if number.isdigit() and int(number) >= k)
+        return self.probability[str(k or "gradual")]
+
 
 @dataclass(frozen=True, slots=True)
 class RegionHypotheses:
