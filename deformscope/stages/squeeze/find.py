@@ -60,11 +60,11 @@ class ContainerHidden(InputError):
 class ContainerFit:
     """An upright container as in a depth image, in the table's frame: z = 0 on the table, upwards.
 
-    shape; center_m: (3,) middle of its body [m]; yaw_rad: of its x axis, 0 for a cylinder
+    shape; center_m: (3,) middle of its body [m]; yaw_rad: yaw of its x axis, 0 for a cylinder
     size_m: (3,) along x, y, z; of a cylinder its diameter twice and its height [m]
-    lean_rad: (2,) of its axis towards x and y
+    lean_rad: (2,) lean of its axis towards x and y
     deviation_m: (3,) standard deviation of the middle along x and y and of the height [m]; yaw_sd_rad
-    rms_m: of the points of its sides; points: fitted
+    rms_m: root mean square of the points of its sides; points: fitted
     """
 
     shape: str = field(metadata=reported())
@@ -91,7 +91,8 @@ class ContainerShift:
     """A container compared with its earlier state. kind: stands, moved, toppled, gone (no upright one is found any
     more) or hidden (unknown); `reason` has the cause
 
-    moved_m: of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: of its axis
+    moved_m: motion of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: lean
+    of its axis
     """
 
     kind: str = field(metadata=reported())
@@ -189,7 +190,7 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
 
 
 def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:
-    """The same with its x axis along the side that a rig file calls x. size_m: of its `[container]`
+    """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`
 
     Raises InputError for another container there.
     """
