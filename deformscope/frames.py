@@ -195,7 +195,7 @@ class StageResult:
     host_ns: when that frame was taken, on the host's clock [ns]
     skipped: frames of that frame's device since the result before that nothing was computed from: newer ones came
     late_s: from when the frame was taken until the result was there [s]
-    result: of a kind that `deformscope.rows` can record
+    result: result of a kind that `deformscope.rows` can record
     """
 
     stage: str
@@ -210,7 +210,7 @@ class StageResult:
 class StageCost:
     """Cost of a computation, without separately measured stages within it.
 
-    stage: its name; wall_ms: on a clock; cpu_ms: of the thread that computed
+    stage: its name; wall_ms: on a clock; cpu_ms: CPU time of the thread that computed
     behind_ms: delay of its result behind the newest frame, None if frames wait for it
     """
 
@@ -230,8 +230,8 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Pad:
-    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) of one [m]; index: its place
-    among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""
+    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) texel size of one [m]; index:
+    its place among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""
 
     name: str
     rows: int
@@ -246,9 +246,10 @@ class Pad:
 class Stream:
     """Description of a device before its first frame.
 
-    simulated: it is a double, no device; pads: of a tactile sensor; urdf: of an arm; serial: as the device reports it
-    channels: of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to
-    full_scale_pa: of a tactile sensor: the pressure of its largest count [Pa], 0 where that is not known
+    simulated: it is a double, no device; pads: layout of a tactile sensor; urdf: URDF of an arm; serial: as the device
+    reports it
+    channels: channels of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to
+    full_scale_pa: pressure of a tactile sensor's largest count [Pa], 0 where that is not known
     """
 
     device: str

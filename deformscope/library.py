@@ -61,8 +61,8 @@ def calibrate_beta(
 
     source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
     cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
-    bounds: between which beta is searched; thickness_m: of the material below a surface that was poked, spacing_m: of
-    its lattice; whole_motion: fit all frames
+    bounds: between which beta is searched; thickness_m: thickness of the material below a surface that was poked,
+    spacing_m: spacing of its lattice; whole_motion: fit all frames
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
     options: the other fields of `deformscope.config.BetaConfig` and its groups, each the flag of that name of
@@ -90,7 +90,7 @@ def calibrate_theta(
 
     source: see `CalibrationSource`; several pairs are fitted to one value
     cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
-    progress, options: as of `calibrate_beta`, out of `deformscope.config.ThetaConfig`
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.ThetaConfig`
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ThetaConfig
@@ -129,7 +129,7 @@ def calibrate_both(
     """Find beta and theta of pairs together, with their joint posterior: one result, or of several pairs one each.
 
     sources: pair files, `sample:pair`; joint: one beta and one theta of all pairs
-    progress, options: as of `calibrate_beta`, out of `deformscope.config.BothConfig`
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.BothConfig`
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import BothConfig
@@ -146,7 +146,7 @@ def calibrate_axes(
 ) -> MaterialResult:
     """Find a beta along each axis of a material: of images, a recording, or pair files in one fit.
 
-    progress, options: as of `calibrate_beta`, out of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import AxesConfig
@@ -159,7 +159,7 @@ def calibrate_field(
 ) -> MaterialResult:
     """Find how stiff each place of a thing is against the others, of images, a recording, or one pair file.
 
-    progress, options: as of `calibrate_beta`, out of `deformscope.config.FieldConfig`: frame, force_n...
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.FieldConfig`: frame, force_n...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import FieldConfig
@@ -172,7 +172,7 @@ def calibrate_yield(
 ) -> MaterialResult:
     """Find the strain at which a thing yields, of images, a recording, or a motion file (`sample:press`).
 
-    progress, options: as of `calibrate_beta`, out of `deformscope.config.YieldConfig`: beta, creep, at, force...
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.YieldConfig`: beta, creep, at, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import YieldConfig
@@ -185,7 +185,7 @@ def calibrate_viscous(
 ) -> MaterialResult:
     """Find what share of a modulus relaxes, how fast, and what stays, of images, a recording, or a motion file.
 
-    progress, options: as of `calibrate_beta`, out of `deformscope.config.ViscousConfig`: at, released, force...
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.ViscousConfig`: at, released, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ViscousConfig
@@ -225,8 +225,8 @@ def predict(
 
     model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
     at: (2,) or (3,) place [m]; depth_m or force_n: how far or how hard; tip, size_m: flat (sides), disc or sphere
-    (diameter), default as it was fitted; points_m: (n, 3) of the surface whose deformed positions are predicted too
-    Raises InputError for unusable input.
+    (diameter), default as it was fitted; points_m: (n, 3) points of the surface whose deformed positions are predicted
+    too Raises InputError for unusable input.
     """
     from deformscope.config.flags import PokeText
     from deformscope.runs.prediction import fitted_model, predicted
@@ -269,13 +269,13 @@ def explore(
 ) -> ExplorationResult:
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
-    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or a scene of one's own; planner: of a name, or of one's
-    own, which makes all touches; touches: at most, default 8, or 30 for inclusions
+    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or a scene of one's own; planner: planner of a name, or of
+    one's own, which makes all touches; touches: at most, default 8, or 30 for inclusions
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
     that are sought, default 0.06, for inclusions 0.02; set_force_n: at most 5 N
-    pace: quick = low and fast over what is known of the surface; hold_s: of each touch, from which it says how the foam
-    creeps; feel: what is mapped: stiffness at once, stiffness when all has relaxed, or the share of its energy that a
-    touch loses
+    pace: quick = low and fast over what is known of the surface; hold_s: duration of each touch's hold, which shows how
+    the foam creeps; feel: what is mapped: stiffness at once, stiffness when all has relaxed, or the share of its energy
+    that a touch loses
     record: a recording to make (.rrd); detail: lean = without what lies between frames and estimates
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
@@ -325,7 +325,7 @@ def squeeze(
     they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
     model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
     place: who brings the hand to the container; grasp: where an arm is to [mm, deg, deg], None = drawn from the seed
-    progress: as of `explore` Raises InputError for unusable input, and for a squeeze that did not reach its steady
+    progress: as in `explore` Raises InputError for unusable input, and for a squeeze that did not reach its steady
     state (a data set stores it as discarded, with the reason); KeyboardInterrupt if Ctrl-C ended it.
     """
     given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
@@ -356,7 +356,7 @@ def record(
     """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
 
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
-    progress: called with each line about devices, links and rates; default: as of `explore`
+    progress: called with each line about devices, links and rates; default: as in `explore`
     Raises InputError for what cannot be used.
     """
     given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
@@ -381,7 +381,7 @@ def replay(
 
     settings: other ones than recorded, of an exploration, by name, or as KEY=VALUE; their results are not compared to
     the bit
-    progress: as of `calibrate_beta`
+    progress: as in `calibrate_beta`
     Raises InputError where the numbers differ, or for what cannot be used.
     """
     from deformscope.config import ReplayConfig
@@ -414,10 +414,11 @@ def sweep(
     """Call a function with each file as its first argument, in many processes, and store each result when it is done;
     the same call again continues an interrupted one.
 
-    function: of this library, or of another module; sources: files, or a folder with recordings, pair files and videos
+    function: function of this library, or of another module; sources: files, or a folder with recordings, pair files
+    and videos
     out: a folder for tasks.jsonl, results.parquet and index.html; vary: values of options, every combination of them
     executor, address: `ray` at a cluster's address; workers: at most; send: the file instead of its path
-    limit_s: a task that takes longer is given up; progress: as of `calibrate_beta`; options: of the function
+    limit_s: a task that takes longer is given up; progress: as in `calibrate_beta`; options: options of the function
     Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
     """
     from deformscope.config.executor import ExecutorOptions
@@ -452,11 +453,11 @@ def classify(
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
     merge: classes that become one, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
     containers, or as TRAINED:TESTED
-    splits: 70/30, random, stratified and by group; costly_splits: of boosting and the Gaussian process, 0 = without
-    curve_splits: of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
+    splits: 70/30, random, stratified and by group; costly_splits: splits of boosting and the Gaussian process, 0 =
+    without
+    curve_splits: splits of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
-    terminal or a notebook; True: always, False: never
-    Raises InputError for what cannot be used.
+    terminal or a notebook; True: always, False: never Raises InputError for what cannot be used.
     """
     names = ("modalities", "duplicates", "splits", "costly_splits", "curve_splits", "level", "seed")
     given = {name: value for name, value in locals().items() if name in names}
@@ -511,7 +512,7 @@ def export(
 ) -> ExportResult:
     """Write a recording in a format of others; `found["files"]` lists what was written.
 
-    out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as of `calibrate_beta`
+    out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as in `calibrate_beta`
     options: the other fields of `deformscope.config.ExportConfig`: only, camera, anonymous, license, overwrite...
     Raises InputError for what cannot be read or written; then the folder is unchanged.
     """
@@ -559,7 +560,7 @@ def catalog(
     """The recordings of a folder, as `table` (Arrow): settings, results with intervals, losses.
 
     where: a condition, such as 'beta < 0.5 and verdict == "identified"'; sort: a column, -column for descending
-    columns: to show; progress: as of `calibrate_beta`. Raises InputError for what cannot be used.
+    columns: to show; progress: as in `calibrate_beta`. Raises InputError for what cannot be used.
     """
     from deformscope.runs.catalog import catalogue
 

@@ -123,7 +123,8 @@ OF_DEVICES: dict[type, str] = {
 """Items of a device, whose name follows: `wrench/DEVICE`."""
 
 FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
-"""Of these the index is no component but the row's place on the timeline `index` of an exploration, else `frame`."""
+"""Rows of these types have the index not as a component but as their place on the timeline `index` of an exploration,
+else `frame`."""
 
 IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}
 """Images that a viewer shows: their components are rerun's own."""
@@ -138,7 +139,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One component of some rows. values: of all rows; lengths: (rows,) how many belong to each"""
+    """One component of some rows. values: values of all rows; lengths: (rows,) how many belong to each"""
 
     values: pa.Array
     lengths: IntArray
@@ -146,7 +147,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class CodecField:
-    """One field of a dataclass. kind: of the value, of a tuple's values, or of the dataclass inside"""
+    """One field of a dataclass. kind: type of the value, of a tuple's values, or of the dataclass inside"""
 
     name: str
     form: Form
@@ -159,7 +160,7 @@ class CodecField:
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
-    """The components of rows, by field. items: of one class; leave_out: fields that are recorded in another way
+    """The components of rows, by field. items: items of one class; leave_out: fields that are recorded in another way
 
     Arrays of one field whose types differ from row to row get the type that holds them all.
     """

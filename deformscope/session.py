@@ -31,8 +31,8 @@ BATCH_S = 0.1
 class Moment:
     """Time of results in a session with a robot.
 
-    now_ns: on the robot's clock; touch: 0 before the first, then the number of the one they belong to, from 1
-    seen_ns: when the dent was last seen that they are of, None where they are of none; cell_m: of a plan's maps [m]
+    now_ns: on the robot's clock; touch: 0 before the first, then the number of the one they belong to, from 1; seen_ns:
+    when the dent was last seen that they are of, None where they are of none; cell_m: cell size of a plan's maps [m]
     """
 
     now_ns: int
@@ -70,7 +70,7 @@ class Step:
     command: a `Compute`, a future that another party will fill, such as a person's answer, or a command that the robot
     carries out; an experiment gives one at a time
     batch_s: how long what devices give is then gathered, without a robot
-    costs: of the computations behind the results; the loop adds them
+    costs: costs of the computations behind the results; the loop adds them
     notes: what was noticed
     """
 

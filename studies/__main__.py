@@ -20,7 +20,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def summaries() -> dict[str, str]:
-    """Of each study by its name: the first sentence of its file. None is imported for it."""
+    """The first sentence of each study's file, by the study's name. None is imported for it."""
     found = {}
     for path in sorted(Path(__file__).parent.glob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -61,9 +61,9 @@ class Disturbance:
     """Errors of observed positions.
 
     cells: over how many spacings neighbours share errors (0: not at all), 0.7 to 1.3 times it, exponential, Matern or
-    Gaussian; white: share of the variance that they do not; held_noise: held positions have it too
-    wrong, lost: share of the free particles whose track is wrong or lost; off: distance of one held particle from where
-    it is said to be [spacings]; frames: of a motion, None for its end alone; frames_share: all have the same errors
+    Gaussian; white: share of the variance that they do not; held_noise: held positions have it too; wrong, lost: share
+    of the free particles whose track is wrong or lost; off: distance of one held particle from where it is said to be
+    [spacings]; frames: frames of a motion, None for its end alone; frames_share: all have the same errors
     """
 
     cells: float = 0.0
@@ -269,7 +269,7 @@ def _called(verdict: Verdict) -> Callable[[Sequence[DisturbedOutcome]], Rate]:
 
 
 def _alarms(some: Sequence[DisturbedOutcome]) -> Rate:
-    """Of particles that are not disturbed, those left out."""
+    """Share of undisturbed particles that are left out."""
     others = sum(one.outcome.particles - one.disturbed for one in some)
     return Rate(others, sum(one.found - one.both for one in some))
 

@@ -150,7 +150,7 @@ COVERAGE: tuple[Quantity[Group], ...] = (
 
 
 def coverage_rows(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Of each condition, the `GROUPS` that have objects."""
+    """Rows of each condition's `GROUPS` that have objects."""
     groups = [
         (name, [one for one in mine if belongs(one)])
         for mine in by(outcomes, lambda one: one.condition).values()

@@ -20,7 +20,7 @@ from studies.quantities import Quantity, Rate, band, by, rows, share, table
 
 RELAXES = (0.1, 0.4)
 FIRST_SEED = 5000
-"""Of the touches that are reported; those below are for choosing constants."""
+"""First seed of the touches that are reported; seeds below are for choosing constants."""
 FORCE_AFTER = {30.0: (0.5, 5.0, 30.0), 8.0: (0.5, 2.0, 8.0), 2.0: (0.5, 1.0, 2.0)}
 """By the hold [s]: times after which the remaining force is compared [s]."""
 UP = np.array([0.0, 0.0, 1.0])

@@ -89,7 +89,7 @@ class DoubtCase:
 
 @dataclass(frozen=True, slots=True)
 class Doubted:
-    """Result of one object. codes: of the reasons; truths: all betas that are in it; none of finite elements"""
+    """Result of one object. codes: codes of the reasons; truths: all betas that are in it; none of finite elements"""
 
     data: Data
     codes: tuple[DoubtCode, ...]

@@ -73,7 +73,7 @@ NOTICED_AS = {
 
 @dataclass(frozen=True, slots=True)
 class DrivenRun:
-    """seed: of everything; rogue: not by the robot's own commands but past them, as another program would
+    """seed: seed of everything; rogue: not by the robot's own commands but past them, as another program would
 
     left: least distance to its target: deg to the joint's limit, m to table or itself, smallest singular value
     ended_s, moved_later, standstill: as in `fault_study.FaultRun`

@@ -37,10 +37,10 @@ FOAM_TOP_M = 0.08
 VIEW_SHAPE = (12, 16)
 AFTER_S = 0.5
 ACCELERATION_DEG_S2 = 200.0
-"""Of a Jaco's joints at most, as Kinova's staff read it in the base's firmware (kinova-ros issue 380)."""
+"""Largest acceleration of a Jaco's joints, as Kinova's staff read it in the base's firmware (kinova-ros issue 380)."""
 TORQUE_NOISE_NM, GRAVITY_LEFT = 0.15, 0.1
-"""Of its joint torques without gravity: deviation, and the share of gravity's that is left in them. Chosen; real ones
-show 1 to 3 N at the hand where nothing touches (kinova-ros issues 366, 411)."""
+"""Noise of its joint torques without gravity: deviation, and the share of gravity's that is left in them. Chosen; real
+ones show 1 to 3 N at the hand where nothing touches (kinova-ros issues 366, 411)."""
 GREATEST_TILT_DEG = 20.0
 MODULI_PA = (10e3, 1e9)
 
@@ -66,7 +66,7 @@ ENDED_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
 class Standstill:
     """From when a fault was noticed until no joint turned. nan = it never stood
 
-    seconds; tip_m: way of the tip's centre; turned_deg: of the joint that turned most
+    seconds; tip_m: way of the tip's centre; turned_deg: turn of the joint that turned most
     """
 
     seconds: float = math.nan
@@ -92,7 +92,7 @@ class ArmCycle:
 
 @dataclass(frozen=True, slots=True)
 class FaultRun:
-    """seed: of everything; noticed_s: after the fault was injected, or began to matter; nan = never
+    """seed: seed of everything; noticed_s: after the fault was injected, or began to matter; nan = never
 
     ended_s: after it was noticed, until nothing waited in the arm that would move it; moved_later: a stopped arm was
     moved again; moving: it moved when the fault came; max_force_n: greatest true contact force
@@ -261,7 +261,7 @@ def turned_aside_deg(robot: Robot, lab: TouchLab) -> float:
 
 
 def _way_m(cycles: Sequence[ArmCycle], lab: TouchLab) -> float:
-    """Of the tip's centre over some cycles."""
+    """Way of the tip's centre over some cycles."""
     if not cycles:
         return 0.0
     links = lab.arm_double.chain.forward(np.array([one.joints_deg for one in cycles]))

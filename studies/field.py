@@ -37,7 +37,7 @@ PLATE, SLAB = (17, 13), (11, 6, 4)
 
 @dataclass(frozen=True, slots=True)
 class FieldBody:
-    """young: modulus of places (n, d) [m]; materials: how many there are, 0 = gradual; None: of the seed"""
+    """young: modulus of places (n, d) [m]; materials: how many there are, 0 = gradual; None: the seed decides"""
 
     shape: tuple[int, ...]
     way: Way
@@ -109,10 +109,10 @@ class FieldOutcome:
 
     right: the verdict and number of materials are the true ones; ratio: stiffest over softest, over the true one
     border: distance of the farthest wrong cell from one of its assigned material [spacings], 0 = none is wrong; NaN
-    without materials, or with another number
-    held: share of the places whose interval holds the truth; beta_ratio: of 1 - beta, over the true ratio of stiffness
-    claims: places differ; reasons: to doubt it; directions: ratio of moduli along those that are named, over the
-    true one, None where none are
+    without materials, or with another number; held: share of the places whose interval holds the truth; beta_ratio:
+    ratio of 1 - beta, over the true ratio of stiffness
+    claims: places differ; reasons: to doubt it; directions: ratio of moduli along those that are named, over the true
+    one, None where none are
     """
 
     kind: str
@@ -211,7 +211,7 @@ def trials(options: FieldCoverageConfig) -> list[Trials[tuple[str, int], FieldOu
 
 
 def _right(write: Callable[[Sequence[FieldOutcome]], str]) -> Callable[[Sequence[FieldOutcome]], str]:
-    """Of those whose verdict is right."""
+    """Share of those whose verdict is right."""
     return lambda some: write(right) if (right := [one for one in some if one.right]) else "-"
 
 

@@ -33,8 +33,9 @@ def elastic_pair(
 ) -> Observation:
     """A plate (shape of two numbers) or slab clamped at its two ends in x, which are moved apart or past each other.
 
-    young: modulus of places (n, d) [m]; noise_m: of every coordinate, shared by neighbours (Matern 3/2) over `reach`
-    spacings, held particles included. The elements are half as wide as the particles' cells, quadratic, in space.
+    young: modulus of places (n, d) [m]; noise_m: noise of every coordinate, shared by neighbours (Matern 3/2) over
+    `reach` spacings, held particles included. The elements are half as wide as the particles' cells, quadratic, in
+    space.
     """
     d = len(shape)
     ends = [(n - 1) * SPACING_M for n in shape]

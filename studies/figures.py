@@ -31,7 +31,7 @@ from deformscope.stages.msm.state_sweep import StateSweep
 
 DPI = 140
 PUSH_M, PUSH_MOST = 1e-3, 20_000
-"""Of figure 3.13 (c): force over mass times the squared time step [m] of each pushed particle; steps at most."""
+"""For figure 3.13 (c): force over mass times the squared time step [m] of each pushed particle; steps at most."""
 SHEARED, THETAS, PUSHED = (0.0, 0.9, 0.99), (0.99, 0.3, 0.0), (0.1, 0.9)
 """Betas of figure 3.5 (a) to (c), which the thesis does not print; thetas of 3.7 (b) to (d), betas of 3.13 (c)."""
 KNOWN_BETA, NOISE_M = 0.7, 2e-4

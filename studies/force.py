@@ -51,7 +51,7 @@ from studies.quantities import Quantity, Rate, Row, band, by, percent, rows, tab
 from studies.seeds import reported
 
 TIPS = (TIP, *OTHER_TIPS)
-"""Of unseen pokes, in turn [m]."""
+"""Tips of unseen pokes, in turn [m]."""
 
 ELEMENT = 0.5
 """Size of the finite elements at the tip, as a share of its half width. Forces are then 2 % above those of elements a
@@ -86,8 +86,8 @@ def apparent(drawn: PokedSlab, place: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class ForceCase:
-    """A slab to try. scatter: deviation of the force's logarithm from poke to poke; full: with finite
-    elements; split: which half is fitted; condition: of the full way alone; device: that fits and predicts"""
+    """A slab to try. scatter: deviation of the force's logarithm from poke to poke; full: with finite elements; split:
+    which half is fitted; condition: condition number of the full way alone; device: that fits and predicts"""
 
     kind: SlabKind
     seed: int
@@ -104,10 +104,10 @@ class UnseenForce:
     """An unseen poke.
 
     place [m]; inside: its signed distance to the border [m], None without one; same_tip: as fitted; force: true [N], of
-    the fast way up to a factor; error: of the predicted one, relative; low, high: ends of the interval over the true
-    force; held: it holds that; width: of it over the predicted force; surface_error: share of the depth, None of the
-    fast way
-    own_nearest: of the fitted pokes, the nearest is on the same side of the border
+    the fast way up to a factor; error: relative error of the predicted force; low, high: ends of the interval over the
+    true force; held: it holds that; width: width of it over the predicted force; surface_error: share of the depth,
+    None of the fast way
+    own_nearest: the nearest fitted poke is on the same side of the border
     """
 
     group: PokeGroup
@@ -260,7 +260,7 @@ class ForceCoverageConfig(StudyOptions):
     slabs: flags.ManyFlag = 20
     """Slabs of each kind, from seed SEED on. A slab takes some 3 s."""
     kinds: Annotated[tuple[SlabKind, ...], arg(metavar="KIND...")] = ()
-    """Of slabs; default all."""
+    """Kinds of slabs; default all."""
     scatter: Annotated[tuple[float, ...], arg(metavar="SHARE...")] = (0.0, 0.03, 0.06, 0.1)
     """By how much the force scatters from poke to poke, as a share."""
     full: bool = False
@@ -283,7 +283,7 @@ class ForceCoverageConfig(StudyOptions):
 
 
 Pokes = tuple[str, Sequence[TriedSlab], Sequence[UnseenForce]]
-"""Of one group under one condition: on slabs of which kind, or of all, these slabs, and the pokes."""
+"""The pokes of one group under one condition: on slabs of which kind, or of all, these slabs, and the pokes."""
 
 QUANTITIES: tuple[Quantity[Pokes], ...] = (
     Quantity("slab", lambda some: some[0], {"slab": str}),

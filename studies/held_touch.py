@@ -20,7 +20,8 @@ CLEARANCE_M, BACK_M_S = 0.005, 0.03
 FORCE_PER_S = 5.0
 """Share of a missing force that is made up in a second."""
 SLOPE_N_PER_M = 1e3
-"""Of a foam under a ball, about: how fast the balance between arm and foam is found depends on it, nothing else."""
+"""Stiffness of a foam under a ball, about: how fast the balance between arm and foam is found depends on it, nothing
+else."""
 BALANCED_M, BALANCED_AT_MOST = 1e-7, 20
 STICKS = 0.8
 """Stiffness across over force per depth of a contact that sticks (Mindlin 1949, Poisson's ratio about 0.3)."""
@@ -30,7 +31,7 @@ STICKS = 0.8
 class HeldTouch:
     """A touch with a hold and a retract, as recorded, and its truth.
 
-    time_s, position_m, force_n, true_depth_m, true_force_n: as of `Approach`; loading, held: how many samples lead up
+    time_s, position_m, force_n, true_depth_m, true_force_n: as in `Approach`; loading, held: how many samples lead up
     to the set force, and how many were taken until the way back; slid_m: how far it slid until then
     """
 

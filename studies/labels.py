@@ -38,8 +38,8 @@ class LabelsConfig(StudyOptions):
 
 @dataclass(frozen=True, slots=True)
 class Counted:
-    """Of one table. told, truth: accuracy; first: the first interval of the output; second: that of `best`; noted:
-    whether copies were found"""
+    """Numbers of one table. told, truth: accuracy; first: the first interval of the output; second: that of `best`;
+    noted: whether copies were found"""
 
     case: Case
     told: float

@@ -54,12 +54,13 @@ NEAR_DEG = (5.0, 10.0, 15.0)
 
 @dataclass(frozen=True, slots=True)
 class LayoutRun:
-    """seed: of everything; arm: its model; refused: why it may not begin there, empty where it began
+    """seed: seed of everything; arm: its model; refused: why it may not begin there, empty where it began
 
-    endings: of each touch; faults: of those that were stopped; refused_touches: not begun, for lack of a path
+    endings: how each touch ended; faults: faults of those that were stopped; refused_touches: not begun, for lack of a
+    path
     margin_deg: least of a joint to the end of its range in any of the arm's cycles, from when the robot might move
     near: (deg to a singularity along the motion, by a walk in steps of 1 deg, and sent share of the requested
-    velocity), of periods in which an arm leads its tip and has a singularity within the walk
+    velocity), near of periods in which an arm leads its tip and has a singularity within the walk
     far: how many looks have none, and their mean share
     """
 

@@ -20,7 +20,7 @@ from deformscope.stages.map.inclusion_posterior import FOUND, LEVEL_SD, Inclusio
 from deformscope.stages.poke.inclusion_footprint import contrast_share
 
 OWN_SD, EXPONENT_OWN_SD = 0.005, 0.024
-"""Of one touch of 5 N with the laboratory's sensors: log stiffness, and exponent."""
+"""Deviations of one touch of 5 N with the laboratory's sensors: log stiffness, and exponent."""
 CONTACT_M, TIMES = 0.0095, 10.0
 SPREAD, AROUND = (5, 4), 10
 REACH_M, CELL_M, BORDER_M = 0.04, 0.01, 0.02
@@ -29,7 +29,7 @@ PLACES = 64
 
 
 def limit(scatter_sd: float, *, lumps: int = 40, seed: int = 0, exponent: bool = True) -> float:
-    """Share of lumps that could be found. seed: of the first of the scenes; exponent: it is measured too"""
+    """Share of lumps that could be found. seed: seed of the first of the scenes; exponent: it is measured too"""
     need = float(np.log(PLACES * FOUND / (1.0 - FOUND)))
     shares = []
     for number in range(seed, seed + lumps):

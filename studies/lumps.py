@@ -46,7 +46,7 @@ FOAMS = (0.02, 0.04, 0.07, 0.1)
 @dataclass(frozen=True, slots=True)
 class LumpCase:
     """One search. scene: `BURIED`'s, or one with other hardnesses; clean: no hidden errors;
-    smallest_m: radius of the smallest lump that must not be missed; set_force_n: of a touch"""
+    smallest_m: radius of the smallest lump that must not be missed; set_force_n: set force of a touch"""
 
     scene: str
     seed: int
@@ -72,8 +72,8 @@ class LumpAfter:
 class LumpOutcome:
     """Outcome of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
     foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found
-    radius_m, interval_m: of the found lump nearest to the true one, within_m: stated accuracy of its middle; depth: its
-    class
+    radius_m, interval_m: radius and interval of the found lump nearest to the true one, within_m: stated accuracy of
+    its middle; depth: its class
     xy_m: (t) places that were touched
     """
 
@@ -187,7 +187,7 @@ def _off_m(found: InclusionsResult, truth: tuple[float, float, float, float] | N
 
 
 def details(outcomes: Sequence[LumpOutcome]) -> dict[str, float]:
-    """Of the lumps found in the end: their errors, and how often the stated intervals hold the truth; number of
+    """Numbers of the lumps found in the end: their errors, and how often the stated intervals hold the truth; number of
     touches. nan if none was found."""
     with_lump = [one for one in outcomes if one.truth is not None]
     without = [one for one in outcomes if one.truth is None]
@@ -256,12 +256,12 @@ def trials(options: LumpCoverageConfig) -> list[Trials[LumpCase, LumpOutcome]]:
 
 
 def found_rate(outcomes: Sequence[LumpOutcome], touches: int) -> Rate:
-    """Of fields with a lump, those where a middle within its radius was found."""
+    """Share of fields with a lump where a middle within its radius was found."""
     return Rate.of(one.hit(touches) for one in outcomes if one.truth is not None)
 
 
 def alarm_rate(outcomes: Sequence[LumpOutcome], touches: int) -> Rate:
-    """Of all fields, those with a lump where there is none."""
+    """Share of all fields where a lump is found and there is none."""
     return Rate.of(one.alarms(touches) > 0 for one in outcomes)
 
 

@@ -54,7 +54,7 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
 LEVEL = 0.9
 PLATE, BLOCK, PAD = (6, 7), (7, 5), (7, 7, 4)
 BETAS, PUSH = (0.3, 0.95), 1.5
-"""Of plates; by how many spacings a particle of the top is moved (one deviation)."""
+"""Betas of plates; by how many spacings a particle of the top is moved (one deviation)."""
 YIELDS, BLOCK_BETAS, DEPTH = (0.04, 0.12), (0.5, 0.9), 1.4
 RELAXES, TIMES_S, KEEPS = (0.1, 0.4), (0.3, 3.0), (0.0, 0.1)
 RATE_HZ, RAMP_S, HELD_S, WATCHED_S = 12.0, 0.5, 1.5, 5.0
@@ -196,7 +196,7 @@ class MaterialsCoverageConfig(StudyOptions):
     of known materials, under noise that neighbours share."""
 
     kinds: Annotated[tuple[Literal["axes", "yield", "viscous"], ...], arg(metavar="NAME...")] = ()
-    """Of axes, yield and viscous; default: all."""
+    """Kinds out of axes, yield and viscous; default: all."""
     objects: flags.ManyFlag = 12
     """Motions of each kind, from seed SEED on; one to yield takes some 5 s, another less than one."""
 

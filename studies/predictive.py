@@ -48,8 +48,8 @@ def predict(
 ) -> Predicted:
     """Particles of a poke that was not fitted.
 
-    seen, model: what `found` was fitted to, and how; poke: of the same body, or of one of its material: its rest shape,
-    `held` particles and their deformed positions are used, nothing else
+    seen, model: what `found` was fitted to, and how; poke: poke of the same body, or of one of its material: its rest
+    shape, `held` particles and their deformed positions are used, nothing else
     measured: whether the positions that the intervals are for will carry noise of measurement, as those fitted did
     """
     posterior = found.inferred.posterior

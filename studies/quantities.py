@@ -34,7 +34,7 @@ class Rate:
 
     @classmethod
     def of(cls, happened: Iterable[object]) -> Rate:
-        """Of cases by whether it did so."""
+        """Rate of cases, by whether each did so."""
         hits = [bool(one) for one in happened]
         return cls(len(hits), sum(hits))
 
@@ -112,8 +112,8 @@ LEAST_TRUTH = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class KnownEstimate:
-    """Estimate of one object. kind: of object; truth, value, low, high: (q,) of its quantities, nan where there is
-    none, infinite where the data leave it open"""
+    """Estimate of one object. kind: kind of object; truth, value, low, high: (q,) numbers of its quantities, nan where
+    there is none, infinite where the data leave it open"""
 
     kind: str
     verdict: str
@@ -137,7 +137,7 @@ class KnownEstimate:
 
 
 def interval_rows(outcomes: Sequence[KnownEstimate], names: Sequence[str]) -> list[Row]:
-    """Of each quantity that has a truth. error: rms share off; near: how many are within NEAR; held: in their
+    """Rows of each quantity that has a truth. error: rms share off; near: how many are within NEAR; held: in their
     intervals; width: median, as a share of the truth"""
     truth, value, low, high = (
         np.array([getattr(one, name) for one in outcomes]) for name in ("truth", "value", "low", "high")

@@ -80,7 +80,7 @@ class Case:
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """Outcome of one object. beta: its truth (of theta, where that is fitted); rank: mass of the posterior below it
-    seconds: processor time of the fit; codes: of the reasons to doubt it"""
+    seconds: processor time of the fit; codes: codes of the reasons to doubt it"""
 
     condition: str
     dim: int
@@ -172,8 +172,8 @@ def random_sigma(rng: np.random.Generator) -> float:
 
 
 def random_noise(rng: np.random.Generator, rest: FloatArray, *, correlated: bool) -> FloatArray:
-    """Of unit variance (K, d): white, or shared by neighbours with a correlation drawn out of exponential, Matern 3/2
-    and Gaussian, of length 0.7 to 1.3 spacings."""
+    """Noise of unit variance (K, d): white, or shared by neighbours with a correlation drawn out of exponential, Matern
+    3/2 and Gaussian, of length 0.7 to 1.3 spacings."""
     white = rng.standard_normal(rest.shape)
     if not correlated:
         return white
@@ -205,7 +205,7 @@ def try_object(case: Case) -> Outcome:
 def fitted(
     name: str, truth: float, seen: Sequence[Observation], options: FitOptions, *, one_motion: bool = False
 ) -> tuple[Outcome, Calibration]:
-    """Fit what was seen of one object, and compare it with the truth. name: of the condition"""
+    """Fit what was seen of one object, and compare it with the truth. name: name of the condition"""
     started = time.process_time()
     found = calibrate(seen, options, one_motion=one_motion)
     estimate = found.estimate

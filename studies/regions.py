@@ -122,9 +122,9 @@ class RegionCase:
 class RegionOutcome:
     """Outcome of one exploration.
 
-    true_count: of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
-    levels, levels_covered: of the true regions, where their number is right, and those in their 90 % intervals;
-    level_z: (levels,) what is reported less the truth, in reported deviations;
+    true_count: true number of regions, 0 where stiffness is gradual; count: as reported; claimed: probability of that
+    levels, levels_covered: levels and levels covered of the true regions, where their number is right, and those in
+    their 90 % intervals; level_z: (levels,) what is reported less the truth, in reported deviations;
     width: mean of the intervals of log stiffness; wrong_claimed, wrong: share of the surface with a wrong label, where
     the number is right and above 1; scatter: as learned; touches: made
     cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: reported as `count`
@@ -162,7 +162,8 @@ class KnownSurface:
     """A surface and the session it is touched in.
 
     true: labels and levels; places_m: (p, 2) that can be touched; felt: (p,) log stiffness [N/mm] of a contact there,
-    scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: of each touch alone
+    scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: deviation of each
+    touch alone
     """
 
     true: TrueMap
@@ -363,8 +364,8 @@ def explore_known(case: RegionCase) -> RegionOutcome:
 
 @dataclass(frozen=True, slots=True)
 class ReliabilityBin:
-    """Explorations whose claims are next to each other. claimed: mean probability of the number of regions; right: of
-    them; band: 90 % binomial interval of the frequency (Clopper and Pearson 1934)"""
+    """Explorations whose claims are next to each other. claimed: mean probability of the number of regions; right: how
+    many are right; band: 90 % binomial interval of the frequency (Clopper and Pearson 1934)"""
 
     cases: int
     claimed: float
@@ -425,7 +426,7 @@ class RegionCoverageConfig(StudyOptions):
 
 
 def _or_nan(figure: Callable[[list[float]], np.floating], values: Sequence[float]) -> float:
-    """Of those that are known."""
+    """`figure` of the values that are known; nan without any."""
     known = [one for one in values if np.isfinite(one)]
     return float(figure(known)) if known else float("nan")
 

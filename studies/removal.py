@@ -74,9 +74,9 @@ BORDER_M = 0.05
 class RobotPicture:
     """One picture with the robot in it.
 
-    depth_m: (H, W) measured; exact: without the sensor's errors; pose: of the arm, as it reports
-    center_m: (3,) of the tip; foam: (H, W) pixels that fell on foam and have its depth; robot: pixels on the robot, or
-    within BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher
+    depth_m: (H, W) measured; exact: without the sensor's errors; pose: pose of the arm, as it reports; center_m: (3,)
+    centre of the tip; foam: (H, W) pixels that fell on foam and have its depth; robot: pixels on the robot, or within
+    BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher
     """
 
     depth_m: FloatArray
@@ -105,7 +105,7 @@ class RemovedPoints:
 class RemovalCount:
     """One picture, seen with a sensor, with the camera's place off about something, in a box.
 
-    foam, foam_kept: points of foam, and number of them not classified as robot; foam_outliers: of these, how many the
+    foam, foam_kept: points of foam, and number of them not classified as robot; foam_outliers: how many of these the
     filter of outliers takes afterwards, as it does without a robot
     robot, robot_left: points of the robot, and how many stay after both; seconds: that telling them apart took
     """
@@ -265,7 +265,7 @@ DIM = 0.55
 
 
 def removal_png(seed: int) -> bytes:
-    """Of a robot that presses into foam, seen by a RealSense whose place is off by 5 mm and 1 degree."""
+    """Picture of a robot that presses into foam, seen by a RealSense whose place is off by 5 mm and 1 degree."""
     import matplotlib as mpl
 
     scene = RemovalScene(seed)

@@ -60,7 +60,7 @@ FELT: dict[SensorFault, Callable[[FloatArray], FloatArray]] = {
 """(3,) its output for a load (3,) [N]."""
 ARMS = ("kuka", "kuka with motor currents", "jaco")
 STIFFNESSES_N_M = (5e3, 2e4, 1e5)
-"""Of arm, sensor and stick in series."""
+"""Stiffnesses of arm, sensor and stick in series."""
 CASES = tuple(
     (arm, fault, n_m)
     for arm, fault, n_m in itertools.product(ARMS, SensorFault, STIFFNESSES_N_M)
@@ -70,7 +70,7 @@ CASES = tuple(
 
 @dataclass(frozen=True, slots=True)
 class RigidRun:
-    """arm: of ARMS; stiffness_n_m: in series; refused: by which checks, and why; ended: how the touch did
+    """arm: one of ARMS; stiffness_n_m: stiffness in series; refused: by which checks, and why; ended: how the touch did
     max_force_n: greatest true force; unavoidable_n: where the sensor fails unseen on its way down, as the checks say
     """
 

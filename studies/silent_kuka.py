@@ -29,7 +29,7 @@ FARTHEST_M = 2e-3
 AFTER_S = 1.5
 """Longer than the hundred cycles of 12 ms after which RSI ends."""
 LAGS_S, ACCELERATIONS_DEG_S2 = (0.0, 0.004), (1000.0, 4000.0)
-"""Of the axes, drawn. Chosen: no KUKA was measured."""
+"""Delays and accelerations of the axes, from which those of a run are drawn. Chosen: no KUKA was measured."""
 
 
 class Silence(StrEnum):
@@ -48,9 +48,9 @@ SILENCES = tuple(product((0, 1), Silence))
 
 @dataclass(frozen=True, slots=True)
 class SilentRun:
-    """refused: opening refused the controller; moved_m: of the flange, after the answers were ended or, where it was
-    refused, at most while it was opened; moved_later: it moved on after RSI must have ended; error: why it could not be
-    tried, as of a machine too busy to answer"""
+    """refused: opening refused the controller; moved_m: motion of the flange, after the answers were ended or, where it
+    was refused, at most while it was opened; moved_later: it moved on after RSI must have ended; error: why it could
+    not be tried, such as a machine too busy to answer"""
 
     seed: int
     holdon: int

@@ -42,9 +42,8 @@ class TasksCase:
 
 @dataclass(frozen=True, slots=True)
 class TasksCost:
-    """swept_s, again_s: the whole sweep, and one that computes nothing; cpu_s, again_cpu_s: of these, processor time of
-    the process that asks; before_mb, peak_mb: most memory of the process
-    that asks, before it asks and at its end"""
+    """swept_s, again_s: the whole sweep, and one that computes nothing; cpu_s, again_cpu_s: processor time of the
+    process that asks; before_mb, peak_mb: its most memory, before it asks and at its end"""
 
     case: TasksCase
     swept_s: float

@@ -35,8 +35,8 @@ class PokeCase:
 class UnseenPrediction:
     """Accuracy of one predicted unseen poke.
 
-    coordinates: of its free particles; covered: of them within their intervals; width: median of these [m]
-    error: root mean square of predicted - true [m]; motion: of true - rest [m]; both a coordinate
+    coordinates: coordinates of its free particles; covered: covered of them within their intervals; width: median of
+    these [m]; error: root mean square of predicted - true [m]; motion: motion of true - rest [m]; both a coordinate
     """
 
     dim: int
@@ -49,7 +49,7 @@ class UnseenPrediction:
 
 
 class FoamBody:
-    """A random elastic body whose particles lie on a lattice; rest: (K, d) [m]; even: of one modulus."""
+    """A random elastic body whose particles lie on a lattice; rest: (K, d) [m]; even: it has one modulus."""
 
     def __init__(self, rng: np.random.Generator, dim: int, *, even: bool = False) -> None:
         sides = ((5, 9), (6, 12)) if dim == 2 else ((4, 7),) * 3

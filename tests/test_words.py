@@ -65,6 +65,22 @@ def test_every_private_word_has_a_replacement() -> None:
     assert all(words.PRIVATE.values())
 
 
+@pytest.mark.parametrize(
+    ("sentence", "headless"),
+    [
+        ("Of the surface.", True),
+        ("weight: (n,) of each", True),
+        ("shift: as of `SeenSurface.shift`", True),
+        ("weight: (n,) weight of each", False),
+        ("The rate as of now.", False),
+    ],
+)
+def test_docstrings_begin_with_a_noun(sentence: str, headless: bool) -> None:
+    docstring, page = (words.Text(Path("a"), 1, kind, sentence) for kind in ("docstring", "document"))
+    assert bool(words.headless(docstring, sentence)) == headless
+    assert words.headless(page, sentence) == []
+
+
 def test_sentences_end_at_stops_items_and_bars() -> None:
     assert words.sentences("One sentence [m]. Another e.g. with eq. 3.7 in it (see below). `code` begins one.") == [
         "One sentence [m].",

@@ -49,6 +49,8 @@ PRIVATE = {
     r"what (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
 }
 """Patterns of whole words, and what to write instead."""
+HEADLESS = re.compile(r"(\w+(, \w+)*( \([^()]*\))?: (\([^()]*\),? |\[[^\]]*\],? )*)?[Oo]f\b(?!:)|.*\bas of (?!now)")
+"""Beginnings of docstrings, and of what they have about a field, that lack their noun."""
 EXCEPT = "|".join(
     (
         r"(?:A|a|simulated) stand\b",
@@ -160,6 +162,12 @@ def private(sentence: str) -> list[str]:
     return [f"{hit!r}: write {instead}" for hit, instead in found]
 
 
+def headless(at: Text, sentence: str) -> list[str]:
+    """A sentence of a docstring that begins with "Of", or refers with "as of"."""
+    found = at.kind in ("docstring", "help") and HEADLESS.match(sentence)
+    return [f"{found[0]!r}: write the noun that it is of, or 'as in'"] if found else []
+
+
 def _whole(word: str) -> str:
     return rf"(?<![\w./-])(?:{word})(?![\w/=-])"
 
@@ -182,7 +190,7 @@ def main() -> int:
     failed = False
     for tree, found in trees.items():
         long = [f"{at}: {words(line)} words: {line}" for at, line in found if words(line) > MOST_WORDS]
-        hits = [f"{at}: {hit}" for at, line in found for hit in private(line)]
+        hits = [f"{at}: {hit}" for at, line in found for hit in [*private(line), *headless(at, line)]]
         count = sum(words(line) >= LEAST_WORDS for _, line in found)
         share = len(long) / max(count, 1)
         for line in [*hits, *(long if options.long else ())]:

@@ -29,7 +29,7 @@ class NumpyLattice:
 
     @classmethod
     def build(cls, size: int, held: BoolArray) -> NumpyLattice:
-        """At rest, one unit apart. size: of a cluster, in particles; held: (rows, columns[, layers]) mask"""
+        """At rest, one unit apart. size: size of a cluster, in particles; held: (rows, columns[, layers]) mask"""
         rest = np.indices(held.shape, dtype=np.float64)
         windows: FloatArray = np.ones([n - size + 1 for n in held.shape])
         for axis in range(held.ndim):

@@ -33,7 +33,7 @@ class Timing:
 class TimingRow:
     """One line of the table.
 
-    case: which part of the bench; what: the case; who: did it; unit: of the samples; samples: one a round
+    case: which part of the bench; what: the case; who: did it; unit: unit of the samples; samples: one a round
     costs: median over rounds of its cost over that of the row it is compared with, None where there is none
     beside: its reference row; same: False where it solves another problem (context, no comparison of like with like)
     facts: other values, by name with their unit; note: a remark for readers

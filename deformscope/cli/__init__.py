@@ -185,7 +185,7 @@ def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
 
 
 class _Printable(logging.Formatter):
-    """Of the library's remarks, for a terminal."""
+    """Makes the library's remarks readable on a terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
         return printable(super().format(record))

@@ -45,7 +45,7 @@ def run(config: SqueezesConfig) -> None:
 
 
 def _squeezed(config: SqueezesConfig) -> list[Numbers]:
-    """Of all trials; those that the folder lacks are squeezed."""
+    """Numbers of all trials; those that the folder lacks are squeezed."""
     from deformscope.cli.study import Trials, tried
     from deformscope.experiments.squeeze_trial import feature_settings
     from deformscope.files.squeeze_dataset import SqueezeDataset

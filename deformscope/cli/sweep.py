@@ -47,7 +47,7 @@ KEY = "{key}"
 class SweptCommand:
     """A command as a worker runs it. options: its flags, read once; None if they contain {key}
 
-    name: of the command; words: its flags, as they are typed; source: the field that takes the file
+    name: name of the command; words: its flags, as they are typed; source: the field that takes the file
     folder: that other files are named from
     """
 

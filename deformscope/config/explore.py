@@ -130,7 +130,7 @@ class ExploreConfig(ExploreFlags, RecordedOptions):
     touch presses with 5/3 of it (5 N at most)."""
     tangential: Literal["held", "free"] | None = None
     """During the press, hold the tip on the surface's normal, or let lateral forces move it, as chapter 4 does;
-    default: [touch] of the rig file; in a simulated scene held, with --planner thesis free."""
+    default: what [touch] of the rig file has; in a simulated scene held, with --planner thesis free."""
     dry_run: bool = False
     """Make the first touch 10 cm above the surface, without contact, and end."""
     fault: Annotated[

@@ -68,7 +68,8 @@ class StageOptions(ParticleFlags):
     newest; beta, theta: the fit of that pose with its verdict; field: relative stiffness of each place;
     surface: a depth camera's surface as a Gaussian process, with its deviation; tactile: centre of pressure, contact
     area and force of each pad; contact: stiffness by arm and force sensor, after each approach; tracking, depth-change,
-    posterior: of a squeeze alone (`deformscope squeeze`). A stage without a result reports the reason immediately."""
+    posterior: posterior of a squeeze alone (`deformscope squeeze`). A stage without a result reports the reason
+    immediately."""
     camera: flags.CameraFlag = None
     """Colour camera of flow, particles, beta, theta and field; default: the rig's first one."""
     cluster_size: flags.ClusterFlag = 3

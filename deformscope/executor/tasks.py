@@ -38,7 +38,8 @@ AGAIN = (WorkerLost, OSError, MemoryError)
 
 @dataclass(frozen=True, slots=True)
 class TaskOutcome(Generic[T, R]):
-    """Outcome of a task. error: of the last attempt, None = done; reasons: why each attempt failed, in a line
+    """Outcome of a task. error: why the last attempt failed, None = it succeeded; reasons: why each attempt failed, in
+    a line
 
     seconds: that the last attempt took in its worker
     """
@@ -84,7 +85,7 @@ def compute(
 ) -> Iterator[TaskOutcome[T, R]]:
     """The outcome of each item as it is ready.
 
-    items: taken as there is room for them; attempts: of each at most
+    items: taken as there is room for them; attempts: most attempts of each task
     limit_s: an attempt that takes longer is ended; that its worker begins counts too
     begin: a function of a module too, called in each worker before its first task Raises OtherVersion; an error of an
     attempt becomes its outcome.
@@ -140,7 +141,7 @@ def compute_all(workers: Workers, function: Callable[[T], R], items: Iterable[T]
 
 
 def run_attempt(version: str, begin: Callable[[], None] | None, function: Callable[[T], R], item: T) -> tuple[R, float]:
-    """One attempt, in a worker; also how long it took [s]. version: of who asks for it"""
+    """One attempt, in a worker; also how long it took [s]. version: version of who asks for it"""
     if version != __version__:
         raise OtherVersion(f"workers of version {version}", f"one of {__version__}", "install the same on all nodes")
     if begin is not None:

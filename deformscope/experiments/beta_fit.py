@@ -25,8 +25,8 @@ THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 
 @dataclass(frozen=True, slots=True)
 class BetaEstimate:
-    """verdict: or why there is no value; value, interval: of beta, None where there is none; sd: nan where not known
-    simulated_m: (p, 3) particles of the fitted model
+    """verdict: or why there is no value; value, interval: value and interval of beta, None where there is none; sd: nan
+    where not known; simulated_m: (p, 3) particles of the fitted model
     dented_m: (m, 2) places that the touch dented, and surface: under it, for the thesis; curve: error over beta, None
     where nothing was fitted
     """
@@ -112,7 +112,7 @@ def _swept(
     thickness_m: float | None,
     options: ExploreOptions,
 ) -> BetaEstimate:
-    """By the thesis's sweep. thickness_m: of the layers below the surface; None: a single layer"""
+    """By the thesis's sweep. thickness_m: thickness of the layers below the surface; None: a single layer"""
     under = _under(touched, ball, surface, options.beta_grid_m)
     swept = thesis_beta(under.dent, thickness_m=thickness_m, step=options.beta_step)
     return BetaEstimate(

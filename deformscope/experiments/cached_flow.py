@@ -18,7 +18,7 @@ MOST_BYTES = 2 << 30
 class CachedFlow:
     """first, last: images; follow particles with `follow`.
 
-    frames: in order; method: of the flow; note: called with the number of frames taken so far
+    frames: in order; method: method of the flow; note: called with the number of frames taken so far
     Raises InputError for a single frame, and for more than memory is to hold.
     """
 
@@ -44,7 +44,8 @@ class CachedFlow:
         self.first, self.last = images
 
     def follow(self, particles: ParticleOptions, mask: BoolArray | None) -> tuple[ParticleGrid, list[Tracked]]:
-        """As `foam_video.track`: where they stood at rest, and where at every frame [px]. mask: (H, W) of the body"""
+        """As `foam_video.track`: where they stood at rest, and where at every frame [px]. mask: (H, W) mask of the
+        body"""
         grid = seed_grid(self.first.shape[:2], particles.roi_rect, particles.grid, particles.spacing_px, mask)
         select_held(grid, particles.held, particles.contact_rect)
         history = [start(grid)]

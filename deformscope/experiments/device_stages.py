@@ -69,11 +69,12 @@ class LiveOptions:
 
     color, depth, tactile, wrench, arm: devices by name; lossless: colour images are recorded as PNG
     particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
-    focal_px, center_px, distortion, T_surface_camera: of the depth camera; size_m, thickness_m: of the surface [m]
+    focal_px, center_px, distortion, T_surface_camera: focal length, centre, distortion and pose of the camera of the
+    depth camera; size_m, thickness_m: size and thickness of the surface [m]
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
-    tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: of the arm [m/N]
-    version: of fits, see `NEWEST_FIT`
+    tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: the arm's compliance
+    and its deviation [m/N]; version: version of fits, see `NEWEST_FIT`
     """
 
     names: tuple[StageName, ...] = ()
@@ -129,7 +130,7 @@ REFERENCE: dict[str, Literal["first", "previous"]] = {
 def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
     """The options completed from a rig file's devices and poses; the colour camera may be given already.
 
-    streams: of the devices, where they are not the file's
+    streams: streams of the devices, where they are not the file's
     Raises InputError where the rig lacks a device or a calibration that a stage needs.
     """
     kinds: dict[str, Kind] = {one.device: one.kind for one in streams}
@@ -185,7 +186,7 @@ def stages_of(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, .
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A stage on devices. stream: of the tactile sensor, None for other stages"""
+    """A stage on devices. stream: stream of the tactile sensor, None for other stages"""
 
     name: StageName
     options: LiveOptions
@@ -403,8 +404,8 @@ def _tactile(stage: Stage, packed: Any) -> TactileContact:
 class ApproachReadings:
     """Readings of arm and force sensor of an approach.
 
-    arm_ns: (m,) stamps; position_m: (m, 3) of the arm's end; rotation_rad: (m, 3) its Euler angles, in the arm's base
-    force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame
+    arm_ns: (m,) stamps; position_m: (m, 3) position of the arm's end; rotation_rad: (m, 3) its Euler angles, in the
+    arm's base; force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame
     """
 
     arm_ns: IntArray
@@ -415,7 +416,7 @@ class ApproachReadings:
 
 
 class ApproachChooser:
-    """The newest approach that has ended: contact by force, the arm's way since shortly before. contact_ns: of it"""
+    """The newest approach that has ended: contact by force, the arm's way since shortly before. contact_ns: its time"""
 
     before_s, longest_s = BEFORE_S, LONGEST_S
 

@@ -189,8 +189,8 @@ class Exploration:
     """Results so far, for any end.
 
     surface, touches, maps, failures: results; maps is the newest
-    region_probability: of each number of regions, with `maps`
-    ended_ns, iou: of each touch, when it had ended on the robot's clock, and of the map after it (None without a truth)
+    region_probability: probability of each number of regions, with `maps`
+    ended_ns, iou: when each touch ended on the robot's clock, and the IoU of the map after it (None without a truth)
     travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
     missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
     started: touches that were started; asked: numbers of touches that a person requested, from 1

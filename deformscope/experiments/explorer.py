@@ -75,7 +75,8 @@ class Computed:
     """Results of one computation of an exploration.
 
     results: in their order; touch: that comes next, None where there is none; given_up: why it makes no sense to touch
-    on; region_probability: of each number of regions; seconds: computing time; refused: why a place cannot be touched
+    on; region_probability: probability of each number of regions; seconds: computing time; refused: why a place cannot
+    be touched
     """
 
     results: tuple[Result, ...]
@@ -209,8 +210,8 @@ def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AfterTouch:
-    """Results after a touch. estimate: of the touch; maps: None where it gave none; inclusions: None also where none
-    are sought; perception: None unless requested"""
+    """Results after a touch. estimate: estimate of the touch; maps: None where it gave none; inclusions: None also
+    where none are sought; perception: None unless requested"""
 
     estimate: TouchEstimate
     maps: MapEstimate | None
@@ -233,8 +234,8 @@ class UnseenSurface:
         failed: Collection[StageFailure] = (),
         error: TouchErrorModel | None = None,
     ) -> None:
-        """failed: is not computed again, and fails as recorded; error: of touches, default as of a rig that is not
-        calibrated"""
+        """failed: is not computed again, and fails as recorded; error: error model of touches, default that of a rig
+        that is not calibrated"""
         error = error or TouchErrorModel()
         self.options, self.arm, self.gain_sd, self.truth = options, arm, error.gain_sd, truth
         self.grid = MapGrid(size_m, options.cell_m)
@@ -252,8 +253,8 @@ class Explorer:
     """The estimates after each touch of a measured surface; pure, except for its input so far.
 
     surface: as the look saw it; search: the goal, and its posterior by the usable touches
-    touches, betas: of every touch made
-    maps: the newest, None before the first; region_probability: of each number of regions, with it
+    touches, betas: touches and betas of every touch made
+    maps: the newest, None before the first; region_probability: probability of each number of regions, with it
     failures: every stage that failed; travel_m: over the surface, from its corner (0, 0), from place to place
     """
 
@@ -402,7 +403,7 @@ class Explorer:
     def _perception(
         self, touched: TouchMeasurement, contact: TouchContact | None, sample: StiffnessSample | None
     ) -> TouchPerception | None:
-        """Of the newest touch, with the training data of its maps; None unless requested."""
+        """Perception of the newest touch, with the training data of its maps; None unless requested."""
         options, beta = self.options, self.betas[-1]
         if options.detail == "lean":
             return None

@@ -21,9 +21,9 @@ FOLLOW_S = 5.0
 
 
 def first_contact_ns(rows: Sequence[Row]) -> int | None:
-    """Session time of the first contact [ns], None = there is none. rows: of a recording, in order of time
+    """Session time of the first contact [ns], None = there is none. rows: a recording's rows, in order of time
 
-    Of an exploration: the beginning of its first press. Else by a force sensor: the first reading TOUCHING_N away from
+    The beginning of an exploration's first press. Else by a force sensor: the first reading TOUCHING_N away from
     the force without contact. That force is followed until then as fast as sensors drift, and starts again after a
     tare. By a tactile array: the rule of `squeeze`, for each of its pads; whichever was first.
     """

@@ -51,10 +51,10 @@ class StageExecutor(Protocol):
 
 @dataclass(slots=True)
 class StageCounts:
-    """Outcomes of a stage's frames. frames: that came; results; failures among them; late_s: of each result [s]
+    """Outcomes of a stage's frames. frames: that came; results; failures among them; late_s: delay of each result [s]
 
-    left: frames that were skipped because newer ones came; the others were not finished when it ended
-    lasted_s: since the first frame [s]; reasons: of the results that give nothing, with how many there were of each
+    left: frames that were skipped because newer ones came; the others were not finished when it ended; lasted_s: since
+    the first frame [s]; reasons: reasons of the results that give nothing, with how many there were of each
     nothing: why there is no result, "" where there is one
     """
 

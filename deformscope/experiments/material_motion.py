@@ -48,7 +48,7 @@ MOST_FRAMES = 8
 @dataclass(frozen=True, slots=True)
 class UnloadingOptions:
     """How the end of a push is determined. released: the held parts that are released; at: the loaded and the unloaded
-    frame, if given; force: of the tool, where it was recorded"""
+    frame, if given; force: force of the tool, where it was recorded"""
 
     released: tuple[str, ...] = ("contact",)
     at: tuple[int, int] | None = None
@@ -57,7 +57,7 @@ class UnloadingOptions:
 
 @dataclass(frozen=True, slots=True)
 class MaterialFit:
-    """Result of a material's fit. comparisons: of some frames, by their index; motion: the fitted one, if any"""
+    """Result of a material's fit. comparisons: comparison of some frames, by index; motion: the fitted one, if any"""
 
     estimate: MaterialEstimate
     comparisons: tuple[tuple[int, Comparison], ...]

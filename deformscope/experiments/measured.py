@@ -137,7 +137,8 @@ def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float
 class SetupGeometry:
     """Poses of surface, arm and camera relative to each other, and their consequences; pure.
 
-    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]; described: shape of the robot
+    compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]; described: shape of
+    the robot
     """
 
     size_m: tuple[float, float]

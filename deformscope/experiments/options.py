@@ -51,16 +51,18 @@ class ExploreOptions(ExploreFlags):
 
     relief, beta_grid_m, beta_step, sigma_w_m: without values, as in older recordings, the foam is level and as thick as
     stated. beta is then swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
-    set_force_n, max_depth_m: of a touch; tip_radius_m: of its ball; thickness_m: of the foam; cell_m: of the maps; seed
-    standoff_m: of the tip above the surface before and after a touch, and above all that it crosses
+    set_force_n, max_depth_m: set force and largest depth of a touch; tip_radius_m: tip radius of its ball; thickness_m:
+    thickness of the foam; cell_m: cell size of the maps; seed
+    standoff_m: height of the tip above the surface before and after a touch, and above all that it crosses
     go_on: touch until the budget is spent, even if the plan is complete (for studies)
     inclusion_m: radius of the smallest inclusions that are sought
     lift_m: all touches are made this far above the surface, without contact: a dry run
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: else thickness_m is only the height at which the surface is sought
     detail: where nothing is said, as in older recordings, lean
-    plan_version: of what the planner expects of touches (`PlanOptions`), in older recordings 1
-    relaxation_version: of intervals of a touch's creep (`relaxation.NEWEST_RELAXATION`), in older recordings 1
+    plan_version: plan version of what the planner expects of touches (`PlanOptions`), in older recordings 1
+    relaxation_version: relaxation version of intervals of a touch's creep (`relaxation.NEWEST_RELAXATION`), in older
+    recordings 1
     """
 
     budget: flags.ManyFlag = REGION_TOUCHES
@@ -130,7 +132,7 @@ class ExploreOptions(ExploreFlags):
         return {"apparent": StiffnessAtReferenceSpeed, "relaxed": RelaxedStiffness, "loss": EnergyLoss}[self.feel]()
 
     def search(self, grid: MapGrid, error: TouchErrorModel) -> SurfaceSearch:
-        """The goal on a surface, before any touch. error: of touches' stiffness"""
+        """The goal on a surface, before any touch. error: error model of touches' stiffness"""
         error = self.quantity.error(error)
         if self.goal == "inclusions":
             prior = InclusionPrior(

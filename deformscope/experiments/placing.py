@@ -306,7 +306,7 @@ class Placing:
     """An arm that places the hand, before and after the squeeze.
 
     grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed
-    permit: called with the preflight before the arm moves, whether it had to wait for a person; arm: as of `PlacingArm`
+    permit: called with the preflight before the arm moves, whether it had to wait for a person; arm: as in `PlacingArm`
     found: collects sightings and placement
     """
 

@@ -21,8 +21,8 @@ from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke, spacing_for
 @dataclass(frozen=True, slots=True)
 class LayersOptions(LayersFlags):
     """The material below the surface; spacing of the lattice, cluster size and theta are found unless they are given.
-    most_particles: of the lattice, whose default spacing is coarser where it would have more; None = any number
-    version: see `poke_fit.NEWEST`"""
+    most_particles: most particles of the lattice; its default spacing is coarser where it would have more; None = any
+    number; version: see `poke_fit.NEWEST`"""
 
     thickness_m: float
     cluster_size: int | None = None

@@ -33,8 +33,8 @@ class ApparentStiffness:
     ) -> StiffnessSample | None:
         """The stiffness by which touches compare; None where the touch does not say it.
 
-        felt: the stiffness of the contact; creep: None where it was not fitted; speed_m_s: of the approach in contact,
-        None where it is not known
+        felt: the stiffness of the contact; creep: None where it was not fitted; speed_m_s: speed of the approach in
+        contact, None where it is not known
         """
         return felt
 
@@ -43,7 +43,7 @@ class ApparentStiffness:
         return stiffness
 
     def maps(self, maps: MapEstimate, stiffness: Sequence[StiffnessSample]) -> MapEstimate:
-        """The maps, with the names of their quantities. stiffness: of every touch that has one"""
+        """The maps, with the names of their quantities. stiffness: stiffness of every touch that has one"""
         return maps
 
     def stiffness_field(self, known: MapEstimate | None) -> tuple[FloatArray, FloatArray] | None:

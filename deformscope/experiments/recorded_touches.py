@@ -85,9 +85,9 @@ def find_touches(
 ) -> tuple[list[LookFrames | TouchFrames], list[str]]:
     """The look and the touches of a recording, and why other approaches were none.
 
-    items: of its devices in order of time, images need not be decoded; names: of arm, force sensor and depth camera
-    model: the arm's, as the vendor calls it
-    Raises InputError where there is nothing to be found.
+    items: items of its devices in order of time, images need not be decoded; names: names of arm, force sensor and
+    depth camera
+    model: the arm's, as the vendor calls it Raises InputError where there is nothing to be found.
     """
     arm, wrench, camera = names
     chooser = _Approaches(wrench, arm)
@@ -225,7 +225,7 @@ def _newest(of_ns: IntArray, at_ns: IntArray) -> IntArray:
 class RecordedTouches(AtOnce):
     """Looks and touches as they were recorded; earlier device items are passed over. given: as `RecordedRobot`
 
-    count: of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
+    count: number of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
     asked: whether a person requested the end: no further touch is given
     """
 

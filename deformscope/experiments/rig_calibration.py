@@ -40,7 +40,7 @@ class SetupRequest:
     """A request to a person.
 
     kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
-    axis: of a push: direction of the finger's force on the tip, surface frame; of a load its force [N]
+    axis: for a push, the direction of the finger's force on the tip, surface frame; for a load, its force [N]
     """
 
     kind: Literal["corner", "tilt", "push", "load", "rest", "tap", "view"]
@@ -168,10 +168,10 @@ class ForceReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PushedTip:
-    """T_base_ee: (4, 4) of the arm's end; free: in free air
+    """T_base_ee: (4, 4) pose of the arm's end; free: in free air
 
-    force_n, axis: (n, 3) of each push: measured force relative to free air [N], force of the finger on the tip, surface
-    frame
+    force_n, axis: (n, 3) for each push, the measured force relative to free air [N], and the force of the finger on the
+    tip, surface frame
     tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) forces there [N]
     load_n: the known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]
     """
@@ -247,7 +247,8 @@ def _forces(frames: Sequence[Frame]) -> ForceReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """Two signals by the host's clock: x_time_s, x: (n,) of the force; y_time_s, y: (m,) of the other device"""
+    """Two signals by the host's clock: x_time_s, x: (n,) of the force; y_time_s, y: (m,) y time and y of the other
+    device"""
 
     x_time_s: FloatArray
     x: FloatArray
@@ -304,7 +305,7 @@ def _small(frame: ColorFrame | DepthFrame) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardViews:
-    """T_base_ee: (n, 4, 4) of the arm's end in each view; seen: the board in it; size_px: (width, height)"""
+    """T_base_ee: (n, 4, 4) pose of the arm's end in each view; seen: the board in it; size_px: (width, height)"""
 
     T_base_ee: FloatArray
     seen: tuple[SeenBoard, ...]

@@ -37,7 +37,7 @@ FREE_EXPONENT_SD = 0.3
 class SurfaceSearch(ABC):
     """The goal's posterior by the touches so far; `with_touch` adds a touch.
 
-    exponent_sd, least_share: of the fit of each contact, as `fit_approach` takes them
+    exponent_sd, least_share: options of `fit_approach`, which fits each contact
     on_level_layer: whether touches are always compared as on a level layer, however even the surface is
     first_share: place of the first touch, in shares of the surface; None = the most informative one
     """
@@ -102,7 +102,7 @@ class SurfaceSearch(ABC):
 
 @dataclass(frozen=True, eq=False)
 class RegionSearch(SurfaceSearch):
-    """For regions of one stiffness each. seed: of planners that draw"""
+    """For regions of one stiffness each. seed: seed of planners that draw"""
 
     posterior: RegionPosterior
     seed: int

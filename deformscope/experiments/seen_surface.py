@@ -32,9 +32,9 @@ CURVED_OVER_M = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenSurface:
-    """points_m: (n, 3) as seen [m, surface frame]; process, heights: of their height, and on the grid
-    layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on that layer even where
-    the surface is level; pixels: of the points, None = not requested, or no images
+    """points_m: (n, 3) as seen [m, surface frame]; process, heights: process and heights of their height, and on the
+    grid; layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on that layer even
+    where the surface is level; pixels: number of pixels of the points, None = not requested, or no images
     """
 
     grid: MapGrid

@@ -30,7 +30,8 @@ class Squeezed:
 
     features: with its events, None where there are none; posterior: a model's classification of its content
     stop, stop_ns: why and when it ended before its time; untracked: why the container was not tracked on, or empty
-    placement, sightings: of an arm that placed the hand; withdrawal: why it stopped on its way back
+    placement, sightings: placement and sightings of an arm that placed the hand; withdrawal: why it stopped on its way
+    back
     """
 
     features: TrialFeatures | None = None

@@ -46,8 +46,8 @@ class SqueezeGeometry:
     """Information for the features besides the frames; a recording's settings have it.
 
     T_camera_hand: (4, 4), None = not known, or by the arm: T_arm_hand (hand to the arm's end) and T_arm_camera
-    T_hand_container: (4, 4) where the container is expected
-    arm_model, T_arm_table: of the arm that places the hand, and the table's frame to its base; empty, None = none does
+    T_hand_container: (4, 4) where the container is expected; arm_model, T_arm_table: model and pose of the arm that
+    places the hand, and the table's frame to its base; empty, None = none does
     """
 
     hand: HandSection
@@ -239,8 +239,8 @@ class SqueezeImages:
         return range(max(min(before, REST_IMAGES) - 1, 0), known)
 
     def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
-        """The image at a place, and those before it, `together` in number. first_ns: of first contact, 0 = not known
-        since_ns: from when on the fingertips have come closer, default from there"""
+        """The image at a place, and those before it, `together` in number. first_ns: time of first contact, 0 = not
+        known; since_ns: from when on the fingertips have come closer, default from there"""
         when_ns = frame_ns(self.frames[at])
         frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
         closed_m = 0.0

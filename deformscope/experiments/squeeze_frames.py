@@ -91,7 +91,7 @@ class SqueezeFrames:
     all_images: bool = False
 
     def add(self, item: Item, first_ns: int) -> None:
-        """Store its own items. first_ns: of the first contact, 0 = not yet"""
+        """Store its own items. first_ns: time of the first contact, 0 = not yet"""
         if isinstance(item, TactileFrame) and item.device == self.tactile_source.device:
             self.tactile.append(item)
         elif isinstance(item, HandFrame) and item.device == self.hand:
@@ -143,7 +143,7 @@ class Tracking:
         self.failed = ""
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """New results since the last call. first_ns: of first contact, 0 = not yet"""
+        """New results since the last call. first_ns: time of first contact, 0 = not yet"""
         return ()
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:

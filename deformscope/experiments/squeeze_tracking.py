@@ -43,9 +43,9 @@ MARGIN_PX = 120
 class ContainerImage:
     """An image in which the container is to be tracked.
 
-    frames: the image, last, and up to `REST_IMAGES` - 1 before it; angles_deg: (7,) of the hand then
+    frames: the image, last, and up to `REST_IMAGES` - 1 before it; angles_deg: (7,) angles of the hand then
     T_camera_hand, T_hand_container: (4, 4), the latter where the container is expected
-    first_ns: of first contact, 0 = not known then; closed_m: by how much the fingertips have come closer since [m]
+    first_ns: time of first contact, 0 = not known then; closed_m: by how much the fingertips have come closer since [m]
     """
 
     frames: tuple[DepthFrame, ...]

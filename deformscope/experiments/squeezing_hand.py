@@ -105,7 +105,7 @@ class CarryingArm(Protocol):
 
 
 def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None = None) -> SqueezeObserver:
-    """The observer of its open devices. predict: as of `SqueezeObserver`"""
+    """The observer of its open devices. predict: as in `SqueezeObserver`"""
     names = setup.names
     tactile = TactileSource.of(source.streams, names.tactile, setup.hand.fingers)
     frames = SqueezeFrames(tactile, names.hand, names.camera, rule_of(setup))

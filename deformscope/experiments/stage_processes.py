@@ -32,8 +32,8 @@ class StageProcesses:
     """A process for every stage; they have loaded their modules when the context begins, before any device is opened.
 
     A process, no thread: both ask for Python's lock all the time. On two cores with `lab:bench` a fit of beta came
-    3.6 s after its frame from a thread, 0.6 s from a process. Of the lowest priority by default: eight stages of the
-    same priority as the recording left it 6 % of a core, and ended it.
+    3.6 s after its frame from a thread, 0.6 s from a process. They have the lowest priority by default: eight stages of
+    the same priority as the recording left it 6 % of a core, and ended it.
     """
 
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, nice: int = LAST_NICE) -> None:

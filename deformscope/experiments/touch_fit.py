@@ -28,7 +28,7 @@ time`]."""
 
 @dataclass(frozen=True, slots=True)
 class TouchContact:
-    """fit; law_n: (n,) its force at each reading [N]; modulus: of the layer, None where it is not known
+    """fit; law_n: (n,) its force at each reading [N]; modulus: modulus of the layer, None where it is not known
     speed_m_s: at which the tip came down in it, None where that is not known
     level_n_per_mm: stiffness of a level layer as thick as stated, None if the touched one is that"""
 
@@ -49,7 +49,7 @@ class TouchContact:
 def fit_contact(
     touched: TouchMeasurement, surface: SeenSurface, search: SurfaceSearch, arm: ArmCompliance, gain_sd: float
 ) -> TouchContact:
-    """The contact of a touch. gain_sd: as of `fit_approach`, with its errors"""
+    """The contact of a touch. gain_sd: as in `fit_approach`, with its errors"""
     options = surface.options
     fit = fit_approach(
         touched.time_s,
@@ -118,8 +118,8 @@ def touch_estimate(
     shape: LocalShape | None,
     tip_radius_m: float,
 ) -> TouchEstimate:
-    """The reported estimate of a touch. number: from 1; height_m: of the surface as it was seen there, None = not
-    known: then as low as the tip came; contact: None where it could not be fitted"""
+    """The reported estimate of a touch. number: from 1; height_m: height of the surface as it was seen there, None =
+    not; known: then as low as the tip came; contact: None where it could not be fitted"""
     along, force_n, nan = _along(touched), _force_along(touched), float("nan")
     lowest_m = float(touched.position_m[:, 2].min()) - tip_radius_m
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []

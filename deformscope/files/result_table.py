@@ -33,7 +33,7 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 def make_table(rows: Iterable[Mapping[str, Any]], types: Mapping[str, pa.DataType] | None = None) -> pa.Table:
     """Rows with the columns of all of them; a column whose values are of several kinds becomes text.
 
-    types: of columns that are there in any case
+    types: types of columns that are there in any case
     """
     batches, held = [pa.table({name: pa.array([], kind) for name, kind in (types or {}).items()})], list[Any]()
     for row in rows:

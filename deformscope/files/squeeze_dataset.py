@@ -45,8 +45,9 @@ NEW = "deformscope squeeze ... --dataset FOLDER"
 class TrialEntry:
     """One squeeze in the index.
 
-    trial: its name, unlike any other; content, container, container_type: of the squeezed container; fill: share of the
-    height session, operator; T_hand_container: (16,) row by row, planned pose of the hand; seed: of its random errors
+    trial: its name, unlike any other; content, container, container_type: content, container and container type of the
+    squeezed container; fill: share of the height session, operator; T_hand_container: (16,) row by row, planned pose of
+    the hand; seed: seed of its random errors
     software: versions; recorded_at: ISO 8601, UTC; recording: path from the folder, or empty
     first_s, steady_s: the events, since the recording's start [s], nan = none
     discarded: why it is left out, None = it is not
@@ -84,7 +85,7 @@ class TrialRow:
 class SqueezeDataset:
     """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing.
 
-    settings: of the features; None = those of the folder
+    settings: settings of the features; None = those of the folder
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any] | None = None) -> None:

@@ -37,7 +37,7 @@ class VideoCheck:
         self._failed = self._unreadable = 0
 
     def read(self, time_s: float) -> None:
-        """A frame; time_s: of it, as the container says."""
+        """A frame; time_s: times of it, as the container says."""
         self._times_s.append(time_s)
         self._unreadable += self._failed
         self._failed = 0

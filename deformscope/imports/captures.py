@@ -58,7 +58,7 @@ class Counted:
 
 
 class CaptureStream(Counted):
-    """One device's bytes. config: of its driver. Raises InputError for what the map must say"""
+    """One device's bytes. config: config of its driver. Raises InputError for what the map must say"""
 
     def __init__(self, stream: MappedStream, config: object, reader: Reader) -> None:
         if stream.driver == "dsa" and not stream.pads:

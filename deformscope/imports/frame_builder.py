@@ -95,7 +95,7 @@ class At:
 
 
 class FrameBuilder:
-    """Makes a stream's frames. topics: of the source. Raises InputError for missing keys of the map."""
+    """Makes a stream's frames. topics: topics of the source. Raises InputError for missing keys of the map."""
 
     def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
         self.stream = stream
@@ -128,7 +128,8 @@ class FrameBuilder:
         return tuple(self._fields or ())
 
     def _check_columns(self, standard: Iterable[str]) -> None:
-        """Refuse columns that no frame of the kind has, and vectors that lack a part. standard: of its messages"""
+        """Refuse columns that no frame of the kind has, and vectors that lack a part. standard: standard of its
+        messages"""
         stream, names = self.stream, {*standard, *self.stream.columns}
         known = [one.name for one in fields(KINDS[stream.kind]) if one.name not in ("stamp", "index", "device")]
         other = {*standard, *(f"q{axis}" for axis in "xyzw" if stream.kind == "arm")}
@@ -166,7 +167,7 @@ class FrameBuilder:
         return 1.0 if given == wanted else SI[given][1] / SI[wanted][1]
 
     def build(self, messages: Mapping[str, Message], stamp: Stamp, index: int, pose: Pose | None) -> Frame | None:
-        """The frame of these messages, by topic; None where they are not of it. pose: of the arm's end"""
+        """The frame of these messages, by topic; None where they are not of it. pose: pose of the arm's end"""
         row: Row = {}
         try:
             for message in messages.values():

@@ -30,16 +30,16 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     topics: topics, tables or files that they are made of; of several, those of one time make a frame
     columns: place of each column (named as in an export) in the source, if its type has no default
-    units: of the source's fields that do not say them themselves
-    time: the column of its stamps. Of messages it is `header`, or `log` for their recorded times; of files, a text file
-    with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
+    units: units of the source's fields that do not say them themselves
+    time: the column of its stamps. For messages it is `header`, or `log` for their recorded times; for files, a text
+    file with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
     offset_s: added to its stamps, if it has another clock [s]; None = it has the others', which is checked
     nan: `keep` takes forces that are no numbers, which are refused otherwise
     unit_m: the step of distances [m]: of files always; of real numbers it is chosen, 1e-4 without it
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
     pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
-    joints: names, in their order; focal_px, center_px, size_px: of the camera that points are projected into
-    pads: of a tactile sensor; rate_hz: of rows without a time
+    joints: names, in their order; focal_px, center_px, size_px: focal length, centre and size of the camera that points
+    are projected into; pads: layout of a tactile sensor; rate_hz: rate of rows without a time
     driver, config: whose bytes they are, and how it is set as in a rig file; topics are then received and sent bytes
     """
 

@@ -26,8 +26,8 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 @dataclass(slots=True)
 class Found:
-    """A topic as it was read. seen: messages, when they were recorded
-    stamp_ns: of the first message itself, None = it has none; encoding: of images; frames: of transforms
+    """A topic as it was read. seen: messages, when they were recorded; stamp_ns: time stamp of the first message
+    itself, None = it has none; encoding: encoding of images; frames: frames of transforms
     joints: names in the first message; unread: why that is not read"""
 
     topic: Topic
@@ -81,7 +81,7 @@ def inspect(reader: Reader) -> list[Found]:
 
 
 def _encoding(value: Any) -> str:
-    """Of an image: its message's encoding, or `16UC1` of a file of counts; empty if it has none."""
+    """An image's encoding: that of its message, or `16UC1` of a file of counts; empty if it has none."""
     if isinstance(value, Path) and value.suffix.lower() not in CLOUDS:
         image = read_image(value)
         return "16UC1" if image.ndim == 2 and image.dtype == np.uint16 else "rgb8"
@@ -132,7 +132,7 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
 
 
 def _table(units: Mapping[str, str]) -> dict[str, Any]:
-    """Of a foreign table: only its owner can identify its columns. units: of each column"""
+    """The stream of a foreign table: only its owner can identify its columns. units: units of each column"""
     time = next((name for known in TIMES for name in units if name.lower() == known), ASKED)
     unit = "" if time == ASKED else units[time] or ("ns" if time.endswith("_ns") else ASKED)
     columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
@@ -140,7 +140,7 @@ def _table(units: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _own(one: Found, kind: Any, found: list[Found], about: Manifest) -> MappedStream:
-    """Of an export of ours: all is known. Images of an MCAP are separate messages."""
+    """The stream of an export of deformscope, which names all columns. Images of an MCAP are separate messages."""
     files = [(each.entity, name) for each in about.streams for name in each.files]
     entities = [entity for entity, name in [*about.topics.items(), *files] if name == one.topic.name]
     named = one.topic.name.strip("/").removesuffix(".csv").removesuffix(".parquet")

@@ -31,9 +31,11 @@ PACKAGE = "deformscope_msgs/msg/"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Content of a source under a name. type: of its messages, `csv` or `parquet`; count: of messages, None = not known
+    """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: number of messages, None
+    = not known
 
-    units: of each field that it names, empty where it does not say; kind: of our own exports, the class of the rows
+    units: units of each field that it names, empty where it does not say; kind: for an export of deformscope, the class
+    of the rows
     """
 
     name: str
@@ -214,7 +216,7 @@ class ByteReader:
 
 class FolderReader:
     """Tables, named by their places in the folder, and files of images or of points, a frame each, by their folder and
-    ending: such a topic is a pattern (`depth/*.png`). path: of the folder, or of one table"""
+    ending: such a topic is a pattern (`depth/*.png`). path: path of the folder, or of one table"""
 
     def __init__(self, path: Path, skip_rows: int, times: Collection[str]) -> None:
         self.path, self._skip_rows, self._times = path, skip_rows, times
@@ -268,7 +270,7 @@ class FolderReader:
         return next((one for one in self.about.streams if name in one.files), ExportedStream())
 
     def _types(self, name: str, schema: pa.Schema) -> dict[str, pa.DataType]:
-        """Of columns of a CSV whose first rows do not show it: a fraction may follow below."""
+        """Types of a CSV's columns whose first rows do not show it: a fraction may follow below."""
         if own := self._own(name).columns:
             said = {one.name: one.type for one in own if one.type in ("double", "int64")}
             return {one: pa.type_for_alias(said[one]) for one in schema.names if one in said}

@@ -55,7 +55,7 @@ class ArmContact:
         arm_stiffness_n_m: float = ARM_STIFFNESS_N_M,
         goes_on: bool = False,
     ) -> None:
-        """arm_stiffness_n_m: of the arm against a push, which its joints' sensors do not see (inf = rigid)
+        """arm_stiffness_n_m: stiffness of the arm against a push, which its joints' sensors do not see (inf = rigid)
 
         goes_on: between two evaluations of the world the force is extrapolated rather than constant: half a cycle less
         behind the place, which an energy lost in a touch would show

@@ -2,7 +2,7 @@
 
 Nine-node quadrilaterals in a half plane (r, z), whose deformation gradient has the ring's stretch 1 + u_r / r as a
 third axis; Ogden's law. The ball's surface pushes out nodes within it, along its own normal, by a penalty so stiff that
-they enter by about a five hundredth of its radius at the highest pressure. Newton's method as of
+they enter by about a five hundredth of its radius at the highest pressure. Newton's method as in
 `deformscope.lab.finite_strain`.
 
 Forces scale with the law's moduli. So the effect of large strain is one number at each depth: the force over that of
@@ -107,7 +107,7 @@ class _Layer(LargeStrain):
         return float(min(np.linalg.det(f[..., :2, :2]).min(), f[..., 2, 2].min()))
 
     def _entered(self, state: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of the surface's points (facets, points): how far each is inside the ball [m], 0 outside; its direction (2,
+        """How far each of the surface's points (facets, points) is inside the ball [m], 0 outside; its direction (2,
         ...) from the ball's middle; its distance from there."""
         place = np.asarray(self._top.global_coordinates()) + np.asarray(self._top.interpolate(state))
         middle = np.array([0.0, self._thickness_m + self._radius_m - self._depth_m])

@@ -65,8 +65,8 @@ class BuriedWorld(SlabWorld):
 class BallCompliance:
     """By how much more the surface of a slab gives for a ball in it: below 0 where that is stiff.
 
-    x_m, y_m: (n,), (m,) of the mesh; change: (n m, n m) how much farther down each of its nodes goes for a unit push
-    down on each, y fastest [m/N]
+    x_m, y_m: (n,), (m,) x and y of the mesh; change: (n m, n m) how much farther down each of its nodes goes for a unit
+    push down on each, y fastest [m/N]
     """
 
     def __init__(self, scene: Scene, ball: BuriedBall) -> None:

@@ -210,8 +210,8 @@ class _Wire(MemoryTransport):
 
 
 class CarriedHandLab(SqueezeLab):
-    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, not opened; functions: of a Jaco's vendor, wire: of
-    a KUKA, which can be disturbed; scheduled: events at moments of the clock"""
+    """`SqueezeLab` with an arm, `jaco` or `kuka`; arm: its device, not opened; functions: vendor's functions of a Jaco,
+    wire: connection of a KUKA, both of which can be disturbed; scheduled: events at moments of the clock"""
 
     simulated: StandingContainer
 

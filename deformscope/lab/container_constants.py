@@ -39,9 +39,9 @@ ROOM_K: Final = 293.15
 class Content:
     """Content of a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
 
-    density_kg_m3: in bulk; solid_share: of the filled volume that is no gas; lateral_ratio: horizontal over vertical
-    stress at rest
-    friction_deg, cohesion_pa: of Coulomb's law, for granular contents
+    density_kg_m3: in bulk; solid_share: share of solid of the filled volume that is no gas; lateral_ratio: horizontal
+    over vertical stress at rest
+    friction_deg, cohesion_pa: friction and cohesion of Coulomb's law, for granular contents
     load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for granular contents
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
     rate^index above it (Herschel-Bulkley), for fluids; a Newtonian liquid has index 1 and no yield

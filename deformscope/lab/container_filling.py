@@ -37,7 +37,7 @@ LEAST_PA = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Gas:
-    """The air in a closed container. volume_m3: of it; warming_k: since it was closed"""
+    """The air in a closed container. volume_m3: volume of it; warming_k: since it was closed"""
 
     volume_m3: float
     warming_k: float = 0.0

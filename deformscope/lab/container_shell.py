@@ -222,7 +222,7 @@ def shell_of(shape: ContainerShape) -> Shell:
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """cells: (n, 4) unknowns that differ from 0 at points; values: (n, 4) of their functions there."""
+    """cells: (n, 4) unknowns that differ from 0 at points; values: (n, 4) values of their functions there."""
 
     cells: IntArray
     values: FloatArray
@@ -321,7 +321,7 @@ def _upwards(shape: ContainerShape) -> FloatArray:
 
 
 def _stiffness(shape: ContainerShape, along: _Line, up: _Line) -> csr_array:
-    """Of the fields w, v, u one after the other; of a box, of w alone."""
+    """The stiffness matrix of the fields w, v, u one after the other; for a box, of w alone."""
     wall = shape.wall
     young_1, young_2 = wall.young_pa
     other = wall.poisson * young_2 / young_1

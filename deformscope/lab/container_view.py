@@ -50,7 +50,7 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 class ContainerView(RayCamera):
     """A camera in front of a container in the hand.
 
-    shape: of the container
+    shape: shape of the container
     """
 
     def __init__(
@@ -64,7 +64,8 @@ class ContainerView(RayCamera):
         """nodes_m: along s and z, at which `render` is given displacements; T_hand_container: (4, 4) container's pose
         before, on its table; the camera is at its `camera_pose` for any container
 
-        T_world_camera: (4, 4) of a camera in another frame, in which hand and container then are: an arm moves them
+        T_world_camera: (4, 4) pose of a camera in another frame, in which hand and container then are: an arm moves
+        them
         """
         super().__init__(config, camera_pose(config) if T_world_camera is None else T_world_camera)
         self.shape = shape
@@ -104,7 +105,7 @@ class ContainerView(RayCamera):
     ) -> Rendered:
         """The exact picture.
 
-        inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) of the hand
+        inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) position of the hand
         robot: all that is seen of it, None = the fingers of a hand in whose frame this is
         """
         still = self._still
@@ -132,7 +133,7 @@ def _colors(seen: npt.NDArray[np.uint8], facing: FloatArray) -> npt.NDArray[np.u
 
 def finger_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
     """The links of the three fingers in the hand frame [m], as wide as their pads are far from their axes.
-    position_deg: (7,) of the joints"""
+    position_deg: (7,) position of the joints"""
     capsules = []
     for finger in range(len(FINGERS)):
         base, middle, tip = finger_points(position_deg, finger)

@@ -70,8 +70,8 @@ TORQUE_CLOSE = 0.01
 class ContainerDraw:
     """Variations from squeeze to squeeze and between instances.
 
-    T_hand_container: (4, 4) its first pose [m]; fill: share of the height; softness: of the wall over nominal
-    warming_k: since it was closed; room_k: of hand and pads over their calibration
+    T_hand_container: (4, 4) its first pose [m]; fill: share of the height; softness: softness of the wall over nominal
+    warming_k: since it was closed; room_k: temperature of hand and pads over their calibration
     gear_loss: (7,) share of each axis's torque
     """
 
@@ -180,7 +180,8 @@ _TEXEL_ALONG, _TEXEL_ACROSS, _TEXEL_RECESS = _texels()
 
 @dataclass(slots=True)
 class _Balance:
-    """Result of a step. y: displacements; slid_m, held_m: of the container, and where friction holds it"""
+    """Result of a step. y: displacements; slid_m, held_m: slip of the container, and the displacement at which friction
+    holds it"""
 
     y: FloatArray
     slid_m: float
@@ -206,7 +207,7 @@ class _Tangent:
 class ContainerWorld:
     """A container with a content, and its response to the fingers.
 
-    shape, content, trial: as given; mass_kg: of all of it
+    shape, content, trial: as given; mass_kg: mass of all of it
     """
 
     def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
@@ -360,8 +361,8 @@ class ContainerWorld:
         return depth, slope
 
     def _approach(self, number: int, points: FloatArray) -> None:
-        """Set where a finger's texels lie on the wall once it is near. points: (n, 3) of the texels in the container's
-        frame [m]"""
+        """Set where a finger's texels lie on the wall once it is near. points: (n, 3) points of the texels in the
+        container's frame [m]"""
         finger = self._fingers[number]
         s_m, z_m, normal, on_wall = self.shape.under(points - (self._state.slid_m, 0.0, 0.0), finger.side)
         if not on_wall.any():

@@ -38,8 +38,8 @@ from deformscope.lab.slab_world import Contact, Patch, SlabWorld
 
 @dataclass(frozen=True, slots=True)
 class Relaxation:
-    """How a foam's modulus relaxes. shares: of the instantaneous modulus, by branch, together below 1; times_s: each
-    branch's relaxation time; keeps: share of each dent that stays for good"""
+    """How a foam's modulus relaxes. shares: shares of the instantaneous modulus, by branch, together below 1; times_s:
+    each branch's relaxation time; keeps: share of each dent that stays for good"""
 
     shares: tuple[float, ...] = ()
     times_s: tuple[float, ...] = ()
@@ -62,7 +62,7 @@ class CreepingWorld(SlabWorld):
     """A scene's foam with a memory."""
 
     def __init__(self, scene: Scene, relaxation: Relaxation | Callable[[FloatArray], Relaxation]) -> None:
-        """relaxation: of all foam, or of the foam at a place (2,) [m]"""
+        """relaxation: relaxation of all foam, or of the foam at a place (2,) [m]"""
         super().__init__(scene)
         self._relaxation = relaxation if callable(relaxation) else lambda xy_m: relaxation
         self._now_s = 0.0
@@ -70,8 +70,8 @@ class CreepingWorld(SlabWorld):
         self._memory: _Memory | None = None
 
     def at(self, time_s: float) -> None:
-        """The next press is at this time [s]. Of several presses at one time the last counts; without any since the
-        last time, nothing touched the foam meanwhile."""
+        """The next press is at this time [s]. The last of several presses at one time counts. Without a press since the
+        last time, nothing touched the foam."""
         if time_s < self._now_s:
             raise InputError("a time not before the last", f"{time_s:g} s after {self._now_s:g} s")
         if time_s > self._now_s:

@@ -96,7 +96,8 @@ class DepthView(RayCamera):
         return Rendered(depth, np.rint(color).astype(np.uint8), seen, facing)
 
     def _all(self, vertex: FloatArray) -> Rendered:
-        """The picture of foam and table without the robot. vertex: (n, 3) of the foam's surface in the world [m]"""
+        """The picture of foam and table without the robot. vertex: (n, 3) vertex of the foam's surface in the world
+        [m]"""
         foam, edge = _triangles(*self._grid)
         low, high = -TABLE_M, np.asarray(self.scene.size_m) + TABLE_M
         corners = np.array([[low, low, 0.0], [high[0], low, 0.0], [high[0], high[1], 0.0], [low, high[1], 0.0]])

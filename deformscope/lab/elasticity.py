@@ -47,8 +47,8 @@ SOLVED_TO = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """A static state. displacement: (N, 3) of every node [m]; force: (N, 3) of the support on each node [N], zero at
-    free nodes Several displacements solved at once have a leading axis."""
+    """A static state. displacement: (N, 3) displacement of every node [m]; force: (N, 3) force of the support on each
+    node [N], zero at free nodes Several displacements solved at once have a leading axis."""
 
     displacement: FloatArray
     force: FloatArray
@@ -62,7 +62,8 @@ class ElasticBox:
     element: "serendipity" (20 nodes) and "quadratic" (27) do not lock when nearly incompressible, "trilinear" (8) does
 
     nodes: (N, 3) positions at rest of corners, and of the middles of edges, faces and elements where the element has
-    nodes there [m]; corners: (nx ny nz,) those on the axes alone, last axis fastest; centres: (E, 3) of the elements
+    nodes there [m]; corners: (nx ny nz,) those on the axes alone, last axis fastest; centres: (E, 3) centres of the
+    elements
     """
 
     def __init__(
@@ -207,7 +208,8 @@ class HeldBox:
 def stiffness_of(basis: Basis, young: FloatArray, poisson: FloatArray) -> csr_array:
     """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'.
 
-    basis: scalar elements with N nodes; young, poisson: (E,) of each element, [Pa] and a ratio
+    basis: scalar elements with N nodes; young, poisson: (E,) Young's modulus and Poisson's ratio of each element, [Pa]
+    and a ratio
     """
     lame = (young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)))[:, None, None, None, None]
     shear = (0.5 * young / (1.0 + poisson))[:, None, None, None, None]

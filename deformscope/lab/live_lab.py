@@ -67,8 +67,8 @@ class _Table:
 class _Shared:
     """Values that the processes share, each with one writer.
 
-    wrench: (6,) on the arm's end; center_m: (3,) of the tip; pressed: x, y, depth [m] of the dent; max_force_n
-    finger_n: (3,) of a person on the tip, surface frame; board: a person has fixed it to the arm
+    wrench: (6,) on the arm's end; center_m: (3,) centre of the tip; pressed: x, y, depth [m] of the dent; max_force_n
+    finger_n: (3,) force of a person's finger on the tip, surface frame; board: a person has fixed it to the arm
     """
 
     def __init__(self, T_base_links: FloatArray) -> None:
@@ -127,8 +127,8 @@ class LiveLab:
         randomized: RandomizedRig | None = None,
         described: RobotDescription = AS_CAPSULES,
     ) -> None:
-        """arm, described: of the rig file; T_surface_camera: (4, 4), default where the scene is seen well
-        randomized: where things truly are; None = as placement and T_surface_camera say"""
+        """arm, described: sections [arm] and [shape] of the rig file; T_surface_camera: (4, 4), default where the scene
+        is seen well; randomized: where things truly are; None = as placement and T_surface_camera say"""
         if randomized is not None:
             placement, T_surface_camera = randomized.placement, randomized.T_surface_camera
         self.size_m, self.truth = scene.size_m, Truth(scene.regions)

@@ -30,7 +30,7 @@ class DepthViewConfig:
     """A camera, its pose, and its errors.
 
     width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
-    distance_m: from the middle of its view; elevation_deg: of the camera above the table, as seen from there
+    distance_m: from the middle of its view; elevation_deg: elevation of the camera above the table, as seen from there
     azimuth_deg: its direction around that, from the x axis towards y
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
     which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)

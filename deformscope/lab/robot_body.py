@@ -61,7 +61,8 @@ class RobotBody:
     ) -> tuple[tuple[Capsule, ...], tuple[PosedSolid, ...]]:
         """A camera's view of it, surface frame: stick, ball and cable; all else.
 
-        T_base_links: (k, 4, 4) of joints and end; center_m: (3,) of the tip, which a push moves off the chain's own
+        T_base_links: (k, 4, 4) poses of joints and end; center_m: (3,) centre of the tip, which a push moves off the
+        chain's own
         """
         stick = arm_shape(placement, T_base_links, center_m, description=self._truth)
         return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)

@@ -64,7 +64,7 @@ class SceneLab:
         travel_speed_m_s: float = 0.05,
     ) -> None:
         """parked_m: first z of the tip's centre [m, surface frame]; errors: distributions of its hidden errors, default
-        none; sensor: of SENSORS, the camera's error model, empty = noise alone
+        none; sensor: sensor of SENSORS, the camera's error model, empty = noise alone
         robot: that the camera sees, None = capsules; described: the known description of its shape; travel_speed_m_s:
         between touches"""
         self._robot, self._described = robot, described

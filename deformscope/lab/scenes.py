@@ -293,7 +293,8 @@ class Scene:
 class OwnScene(Protocol):
     """A simulated table of one's own, for `deformscope.explore(scene)`: foams of `THICKNESS_M` side by side.
 
-    name: of it in recordings; hardnesses: of each foam in N, as in the names of scenes: "60", "110c30p20", "rigid"
+    name: name of it in recordings; hardnesses: hardnesses of each foam in N, as in the names of scenes: "60",
+    "110c30p20", "rigid"
     """
 
     name: str

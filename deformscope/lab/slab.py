@@ -57,8 +57,8 @@ class RigidTip:
 
 @dataclass(frozen=True, slots=True)
 class Dent:
-    """A slab under a tip. displaced: (n, 3) of the requested points (n, 3) [m]; depth: of the tip [m]; force: on it
-    [N]; touched: (n,) points under the tip"""
+    """A slab under a tip. displaced: (n, 3) displacements of the requested points (n, 3) [m]; depth: depth of the tip
+    [m]; force: on it [N]; touched: (n,) points under the tip"""
 
     displaced: FloatArray
     depth: float
@@ -78,7 +78,7 @@ def press(
 ) -> Dent:
     """Press a tip into a slab at a place (x, y) [m], to a depth [m] or with a force [N].
 
-    points: (n, 3) of the upper face at rest; those beyond the mesh come back unmoved
+    points: (n, 3) points of the upper face at rest; those beyond the mesh come back unmoved
     finest: size of the elements at the tip [m], default a third of its half width
     """
     if (depth is None) == (force is None):
@@ -136,7 +136,7 @@ def _ball(
     bonded: bool,
 ) -> tuple[FloatArray, float, float]:
     """A ball touches the nodes that it would overlap, and pulls at none: rounds until that is so. upper: (n,) mask of
-    the nodes that it may touch; aside: (n, 2) of every node from the ball's middle [m]"""
+    the nodes that it may touch; aside: (n, 2) horizontal distance of every node from the ball's middle [m]"""
     away = np.linalg.norm(aside, axis=1)
     rise = np.where(away < radius, radius - np.sqrt(np.maximum(radius**2 - away**2, 0.0)), np.inf)
     candidate = upper & np.isfinite(rise)

@@ -71,8 +71,8 @@ MOST_PATCHES = 3
 class Contact:
     """A tip at one place, and the foam's response.
 
-    center_m: (3,) where the tip is (middle of a ball, of a flat tip's face); normal: (3,) of the rest surface below it
-    depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
+    center_m: (3,) where the tip is (middle of a ball, of a flat tip's face); normal: (3,) normal of the rest surface
+    below it; depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
     gap_m: from tip to foam, along the normal; 0 in contact [m]
     force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, plus the table's
     place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each, along the normal [N]: its contact
@@ -103,7 +103,7 @@ class Patch:
 
     xy_m: (2,) the place [m]; reach_m: (2,) farthest from it, along x and y, that a tip's edge may come [m]
     fine_m: (2,) size of the elements there [m]
-    normal: (3,) of the rest surface at the place; candidate_m: (n, 3) nodes that a tip may touch, at rest [m]
+    normal: (3,) normal of the rest surface at the place; candidate_m: (n, 3) nodes that a tip may touch, at rest [m]
     compliance: (n, n) how far each moves down along the normal, for a unit push on each down along it [m/N]
     """
 

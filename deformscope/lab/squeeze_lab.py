@@ -74,11 +74,11 @@ NAMES: Final = ("hand", "pads", "camera")
 class ContainerTruth:
     """The simulated truth, up to now.
 
-    content, container: their names; fill: share of the height; mass_kg: of all that is squeezed
+    content, container: their names; fill: share of the height; mass_kg: mass of all that is squeezed
     contact_ns: when a finger first pressed the wall; steady_ns: from when on the pressing joints turned less than
     `STILL_DEG_S` until they were opened again, or until now; None where there was none (yet)
-    T_hand_container, T_hand_camera: (4, 4)
-    force_n, dent_m: (2,) of finger 0 and finger 2: how hard they press, and the most that the wall moved inwards
+    T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force and dent of finger 0 and finger 2: how hard
+    they press, and the most that the wall moved inwards
     inward_m: (nodes along s, along z) depth of the wall within the undeformed container; a content bulges it also
     before contact
     """
@@ -101,7 +101,7 @@ class ContainerCase:
     """The content of the laboratory.
 
     container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
-    seed: of grasp, fill, temperatures and noise; session: of the room's temperature
+    seed: seed of grasp, fill, temperatures and noise; session: session of the room's temperature
     grasp: (4, 4) container to hand as planned, from which the true pose differs a little; None = a random one
     alike: every content has the physics of water, under any name
     """

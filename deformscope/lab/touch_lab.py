@@ -43,7 +43,7 @@ POLL_NS = 2_000_000
 class TouchLab:
     """The doubles of a laboratory, closed devices over them, and their faults.
 
-    arm, force, camera: the real drivers' devices, to be opened by `open`; body: of the simulated arm; contact: its
+    arm, force, camera: the real drivers' devices, to be opened by `open`; body: body of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
     arm_late_s: its driver comes to its turn this seldom, as on a host that is busy
     """
@@ -67,7 +67,7 @@ class TouchLab:
         seed: int = 0,
         goes_on: bool = False,
     ) -> None:
-        """arm_stiffness_n_m, goes_on: as of `ArmContact`
+        """arm_stiffness_n_m, goes_on: as in `ArmContact`
 
         as_felt: output of the force sensor for a force on it (3,) [N] at a time [s]; default the same
 

@@ -24,7 +24,7 @@ FIRST_M, STEP_M, FINER = 2e-6, 3e-4, 1.35
 class Sensing:
     """Errors of arm and force sensor.
 
-    rate_hz: samples a second; speed_m_s: of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
+    rate_hz: samples a second; speed_m_s: speed of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
     arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
     gain: force as measured over the true one, which decides where it stops; overshoot_m: overshoot after that
     friction: force aside over the normal one, towards `friction_rad` from the x axis

@@ -140,7 +140,7 @@ def log_color_bar(rec: rr.RecordingStream, path: str, canvas: Canvas, end: float
 
 
 def deep_bar(name: Callable[[float], str]) -> list[tuple[float, str, Rgb]]:
-    """A colour bar for `log_deep_legend`. name: of the marks at 0, 0.5 and 1"""
+    """A colour bar for `log_deep_legend`. name: name of the marks at 0, 0.5 and 1"""
     share = np.linspace(0.0, 1.0, 21)
     return [
         (float(at), name(float(at)) if place % 10 == 0 else "", (int(r), int(g), int(b)))

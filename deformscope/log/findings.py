@@ -24,7 +24,7 @@ from deformscope.stages.see.triangulation import spacing_of
 
 @dataclass(frozen=True, slots=True)
 class RigFindings:
-    """Results of devices that are recorded in the same file. streams: of the devices, whose views are below"""
+    """Results of devices that are recorded in the same file. streams: streams of the devices, whose views are below"""
 
     found: Findings
     streams: tuple[Stream, ...]

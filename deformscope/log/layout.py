@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class RecordingLayout(ABC):
     """How a session with devices is recorded and shown. To make one does not import rerun.
 
-    streams: of the devices
+    streams: streams of the devices
     by_touch: whether device items are on the timelines of an exploration (`deformscope.log.rig.Place`)
     """
 
@@ -46,7 +46,7 @@ class RecordingLayout(ABC):
         """Make results ready, those of one moment: items of a robot that touches, unless a layout takes others.
 
         session_ns: when, since the recording's start [ns]; place: on the timelines of an exploration
-        cell_m: of maps that do not say it themselves [m]; failed: receives errors of views
+        cell_m: cell size of maps that do not say it themselves [m]; failed: receives errors of views
         """
         from deformscope.log.exploration.results import prepare_results
 

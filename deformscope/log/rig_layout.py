@@ -16,7 +16,7 @@ RIG = Application("deformscope-rig", devices=True)
 
 @dataclass(frozen=True, slots=True)
 class RigLayout(RecordingLayout):
-    """stages: (name, device) of those whose results will come"""
+    """stages: (name, device) stages of those whose results will come"""
 
     stages: tuple[tuple[str, str], ...] = ()
 

@@ -18,9 +18,9 @@ SOMETIMES = "sometimes"
 class ShownStage:
     """A stage of computation: its name, and where recordings store its results.
 
-    name: as its costs are named; chapter: of the thesis, 0 = records of the run itself; gives: in words
-    entity: place of its rows, with entities below it, "" = that of its type of result
-    field: of the result, without which a row holds nothing of the stage, "" = each does
+    name: as its costs are named; chapter: chapter of the thesis, 0 = records of the run itself; gives: its result in
+    words; entity: place of its rows, with entities below it, "" = that of its type of result
+    field: field of the result, without which a row holds nothing of the stage, "" = each does
     costs: names of other stages that are computed for it
     when: the setting of a recording that requests it, as `explore.hold_s`, or with one of its values, as
     `stages.names=beta`. Several, separated by spaces, are all needed; "" = it is always present, `SOMETIMES` = it may

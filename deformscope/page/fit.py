@@ -69,7 +69,7 @@ class _SetAnew(Exception):
 class PageFit:
     """One thread computes, in `run`; another may `handle` requests of pages.
 
-    config: of the command, with which it begins; subject: source of the fit
+    config: config of the command, with which it begins; subject: source of the fit
     send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
     camera: that is followed: each of its pictures becomes the subject, until one is held
     keeps_last: the final picture is held

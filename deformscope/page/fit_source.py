@@ -90,7 +90,7 @@ FitSubject = ImagesSubject | PairSubject
 
 
 def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) -> FitSubject:
-    """The subject in the files that a command's options name. note: of the present step, as text"""
+    """The subject in the files that a command's options name. note: the present step, as text"""
     if ending_of(config.sources[0]) == ".npz":
         return PairSubject(config)
     images = images_of(config)
@@ -102,7 +102,7 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
 class FollowedCamera:
     """Pictures may come from any thread; all else is for one other.
 
-    name: of the camera; first: its first picture, which shows the thing at rest; method: of the flow
+    name: name of the camera; first: its first picture, which shows the thing at rest; method: method of the flow
     flow: computes it in a process, whose OpenCV nothing else uses meanwhile: the same pictures give the same to the
     last bit
     next_folder: for pictures to store; want: asks for the next picture
@@ -188,8 +188,8 @@ class FollowedCamera:
 
 
 def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> CachedFlow:
-    """From one picture (H, W[, 3]) to the other, as of two files. threads: of OpenCV. Raises InputError where
-    the sizes differ."""
+    """From one picture (H, W[, 3]) to the other, as with two files. threads: number of threads of OpenCV. Raises
+    InputError where the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
         raise InputError("pictures of one size", came, "take the image at rest again")

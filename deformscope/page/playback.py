@@ -41,7 +41,7 @@ def show_comparison(
     name: str,
 ) -> None:
     """Show other settings' results for a recorded exploration as a layer over it. recorded: its results; again: those
-    that the settings give; size_m: of the surface; name: of the settings"""
+    that the settings give; size_m: size of the surface; name: name of the settings"""
     from deformscope.log.exploration.compare import comparison_rrd
 
     streams = read_streams(recording.path, trust=True)
@@ -61,7 +61,7 @@ def playback_of(path: Path) -> Playback:
 
 
 def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
-    """In order of time. rows: of notes and phases"""
+    """In order of time. rows: notes and phases"""
     found = []
     touches = [row for row in rows if isinstance(row.item, PhaseStart)]
     begun = [row for row in touches if row.item.name in ("look", "travel") or row.item.name.startswith("stopped")]

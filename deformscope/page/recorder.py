@@ -56,7 +56,7 @@ class _FileTake:
     ) -> None:
         """Record the device items of this source; a file that begins meanwhile begins with the first of them.
 
-        streams: of the devices as they were opened; one that reconnects may have no kind
+        streams: streams of the devices as they were opened; one that reconnects may have no kind
         """
         if isinstance(items, Sequence):
             if not self.begun and items:
@@ -146,7 +146,7 @@ class BackgroundWork:
 
 
 class MakeRecorder(Protocol):
-    """A recorder into this file, or none, with this viewer; at_once: of existing items, so that it may wait"""
+    """A recorder into this file, or none, with this viewer; at_once: the items exist already, so that it may wait"""
 
     def __call__(self, file: Path | None, viewer: Literal["page", "none"], *, at_once: bool = False) -> Recorder: ...
 
@@ -218,7 +218,7 @@ class PageRecorder:
             raise self._failure
 
     def _end_last(self, recorder: Recorder, kind: type[BaseException] | None) -> None:
-        """Record the last seconds before the end. kind: of the error that ended it"""
+        """Record the last seconds before the end. kind: type of the error that ended it"""
         assert self._recent is not None
         recorder.stopped_because(f"the last {self._recent.held_s:.1f} s before the end")
         end_with_recent(recorder, self._recent, self._streams, self._lossless, kind)

@@ -49,7 +49,7 @@ CURVE_POINTS = 60
 class PageSteering(RobotPage):
     """`Steering` of an exploration, and `PageRun` of its page.
 
-    arm: its name; set_force_n: of a touch; budget: touches at most where it explores
+    arm: its name; set_force_n: set force of a touch; budget: touches at most where it explores
     paused: begin so, and touch only where the page says
     """
 

@@ -393,7 +393,7 @@ def _draw_errors(figure: Figure, place: SubplotSpec, result: Result, index: int)
 def _draw_flat_errors(
     axes: Any, comparison: Comparison, error: FloatArray, end: float, image: ImageArray | None, shown: CloseUp | None
 ) -> None:
-    """Draw the error (K,) over the area of a flat body or of a surface, with a ring around the largest. end: of its
+    """Draw the error (K,) over the area of a flat body or of a surface, with a ring around the largest. end: end of its
     scale"""
     known = np.flatnonzero(_known(comparison))
     if shown is not None:
@@ -418,7 +418,7 @@ def _draw_flat_errors(
 
 
 def _draw_deep_errors(axes: Axes3D, comparison: Comparison, error: FloatArray, end: float) -> None:
-    """Draw the error (K,) over the skin of a body in space. end: of its scale"""
+    """Draw the error (K,) over the skin of a body in space. end: end of its scale"""
     import matplotlib as mpl
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

@@ -82,8 +82,8 @@ LEAST_SURE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class DrawnMap:
-    """A map as a picture. values: (rows, columns) as its colour bar has them; colors: (rows, columns, 3) of each cell,
-    from 0 to 255; both empty where there is no field to draw"""
+    """A map as a picture. values: (rows, columns) as its colour bar has them; colors: (rows, columns, 3) colours of
+    each cell, from 0 to 255; both empty where there is no field to draw"""
 
     png: bytes
     values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -681,7 +681,7 @@ def _one(
     *given: P.args,
     **named: P.kwargs,
 ) -> bytes:
-    """place: of the axes in the picture: left, bottom, width, height, shares of it"""
+    """place: place of the axes in the picture: left, bottom, width, height, shares of it"""
     figure = canvas(WIDE, HIGH)  # no layout engine: it takes longer than the drawing
     axes = figure.add_axes(place)
     draw(axes, *given, **named)

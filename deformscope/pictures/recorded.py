@@ -23,8 +23,8 @@ DATA_AXES = "data", "axes fraction"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """Lines in one panel. label: of the axis, with its unit; at: (n,); values: (n, k), NaN = unknown; names: (k,)
-    or none; low, high: (n, k) of the interval, None = none"""
+    """Lines in one panel. label: name of the axis, with its unit; at: (n,); values: (n, k), NaN = unknown; names: (k,)
+    or none; low, high: (n, k) lower end and upper end of the interval, None = none"""
 
     label: str
     at: FloatArray
@@ -40,7 +40,7 @@ def curves_png(
     events: Sequence[tuple[str, float]] = (),
     phases: Sequence[tuple[str, float]] = (),
 ) -> bytes:
-    """Panels below one another over the same axis. label: of that, with its unit; events: upright lines; phases:
+    """Panels below one another over the same axis. label: its name, with its unit; events: upright lines; phases:
     shaded, by name and where they begin"""
     from matplotlib.ticker import MaxNLocator
 

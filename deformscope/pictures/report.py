@@ -55,7 +55,8 @@ class Link:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """names: of the columns, empty = a table of names and values; rows: their cells, shown as `str` shows them."""
+    """names: names of the columns, empty = a table of names and values; rows: their cells, shown as `str` shows
+    them."""
 
     rows: Sequence[Sequence[object]]
     names: Sequence[str] = ()

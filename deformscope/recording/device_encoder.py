@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class DeviceEncoder:
     """An `Encoder` that gathers device items into portions.
 
-    layout: of the recording; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour images
-    are stored without loss; at_frames: of inputs, and of results without a moment
+    layout: layout of the recording; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour
+    images are stored without loss; at_frames: number of frames, for inputs and for results without a time
     failed: takes results that could not be shown; gather_s: time over which items are gathered [s]
     """
 

@@ -16,7 +16,7 @@ from deformscope.recording.ledger import add_discard, check_recording, read_disc
 
 @dataclass(frozen=True, slots=True)
 class Discard:
-    """episode: its number, from 1, 0 = the whole recording; label: of the episode"""
+    """episode: its number, from 1, 0 = the whole recording; label: the episode's label"""
 
     reason: str
     episode: int = 0

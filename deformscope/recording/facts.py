@@ -107,7 +107,7 @@ def _run(command: list[str], environment: dict[str, str] | None = None) -> subpr
 
 
 def gather_facts(path: Path, *, brief: bool = False) -> Facts:
-    """Read them here. brief: as of `read_facts`"""
+    """Read them here. brief: as in `read_facts`"""
     from deformscope.recording.reader import Replay
 
     facts: dict[str, Any] = {}

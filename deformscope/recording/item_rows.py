@@ -93,7 +93,7 @@ def read_rows(
 
 
 class Starts:
-    """The earliest time of each portion that is still to come. coming: (earliest time [ns], id) of each"""
+    """The earliest time of each portion that is still to come. coming: (earliest time [ns], id) coming of each"""
 
     def __init__(self, coming: Iterable[tuple[int, str]]) -> None:
         self._coming = list(coming)

@@ -15,8 +15,8 @@ BATCH_NS, BATCH_BYTES = 200_000_000, 16 << 20
 class ItemSource:
     """`session.run(ItemSource(items, streams), ...)`: `take` gives about a fifth of a second at a time.
 
-    streams: of the devices; start_ns: of the session, None = the first item's; now_ns: of the newest that was taken
-    ended: nothing is left; until_ns: nothing later is given
+    streams: streams of the devices; start_ns: start of the session, None = the first item's; now_ns: now time of the
+    newest that was taken; ended: nothing is left; until_ns: nothing later is given
     """
 
     failures: Mapping[str, str] = {}

@@ -123,7 +123,7 @@ class Lateness:
         return RecordingError("a processor that keeps up with the encoding", came, hint, path)
 
     def _ran_s(self) -> float:
-        """Of the thread that encodes, on a processor so far [s]."""
+        """Processor time of the thread that encodes, so far [s]."""
         with suppress(OSError, ValueError, IndexError):
             return int((self._task / "schedstat").read_text().split()[0]) / 1e9
         return 0.0

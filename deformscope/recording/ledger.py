@@ -90,7 +90,7 @@ class LedgerCheck:
 
 
 class LedgerWriter:
-    """Makes a ledger, a block at a time. path: of the ledger; one that is there is replaced"""
+    """Makes a ledger, a block at a time. path: path of the ledger; one that is there is replaced"""
 
     def __init__(self, path: Path, recording: Path) -> None:
         self._recording, self._at, self._chain = recording, 0, ""
@@ -271,7 +271,7 @@ def _take(ledger: Ledger, known: Mapping[str, Any]) -> None:
 
 
 def _read_old(content: bytes) -> Ledger:
-    """Of format 1: one JSON of a SHA-256 for each MiB, written at the end."""
+    """A ledger of format 1: one JSON with a SHA-256 for each MiB, written at the end."""
     try:
         found = json.loads(content)
     except ValueError:

@@ -53,7 +53,8 @@ class Outputs:
     ) -> None:
         """Gather a stage's cost for the file: many in one portion, which alone takes a kilobyte.
 
-        session_ns, frame: of its result; behind_ns: from there to the newest frame; None if frames wait, or continue
+        session_ns, frame: session time and frame of its result; behind_ns: from there to the newest frame; None if
+        frames wait, or continue
         """
         if self.file is not None:
             behind_ms = None if behind_ns is None else behind_ns / 1e6

@@ -115,5 +115,5 @@ def arrays_size(value: object) -> int:
 
 @functools.cache
 def _field_names(kind: type[Any]) -> tuple[str, ...]:
-    """Of a dataclass; none of another type."""
+    """Names of a dataclass's fields; empty for another type."""
     return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()

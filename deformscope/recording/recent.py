@@ -136,7 +136,7 @@ class WatchedRecorder:
             one.stopped_because(reason)
 
     def summary(self) -> RecordingSummary:
-        """Of the stored items, and of the view's missing ones."""
+        """Summary of the stored items, and of those that the view lacks."""
         return replace(self._kept.summary(), dropped=self._watch.summary().dropped)
 
 
@@ -196,8 +196,8 @@ def end_with_recent(
     lossless: Collection[str],
     kind: type[BaseException] | None,
 ) -> None:
-    """Record the stored items at a session's end, and close the file. kind: of the error that ended it, None = none
-    did"""
+    """Record the stored items at a session's end, and close the file. kind: type of the error that ended it, None =
+    none did"""
     try:
         if (taken := recent.taken()) is not None:
             write_recent(recorder, taken, streams, lossless)

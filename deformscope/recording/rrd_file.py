@@ -57,7 +57,7 @@ def merged_path(part: Path) -> Path:
 class RecordingFile:
     """Written by one thread at a time.
 
-    part: an empty file to record into; properties: of the whole; name: of the recording in a viewer
+    part: an empty file to record into; properties: properties of the whole; name: name of the recording in a viewer
     deterministic: content and portions depend only on the recorded items Raises RecordingError once the disk has too
     little room, with enough left to end the file, or takes no more; `broken` then, and only `close` is left.
     """
@@ -233,7 +233,7 @@ class RecordingFile:
 
 
 def _refusal(error: Exception) -> str:
-    """Error of a disk with room when a flush fails on it. error: of the flush"""
+    """Error of a disk with room when a flush fails on it. error: the error of the flush"""
     if "shut down" in str(error):
         return "one that refuses it: its quota is full, or it is gone"
     waits = "that takes nothing" if writes_are_held_up() else "or a processor that is so busy that nothing is taken"

@@ -35,8 +35,8 @@ LIVE_MS = 1000.0
 class RecordedStage:
     """A stage as in a recording.
 
-    timelines: of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms: median delay
-    of its results behind the newest frame; live: whether that is soon; None where it was not recorded
+    timelines: timelines of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms:
+    median delay of its results behind the newest frame; live: whether that is soon; None where it was not recorded
     missing: rows were to be expected, by the recording's settings, and there are none; when: they are to be expected
     """
 

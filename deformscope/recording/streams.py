@@ -116,9 +116,9 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class RecordedStream:
-    """One stream. entity: its place in the recording; kinds: of what each row holds; about: the device, or None
-    schema: of its batches; rows: how many there are, those that were recorded in part included
-    until_ns: time of the last since the recording's start [ns]; paths: of the entities, in rerun's spelling
+    """One stream. entity: its place in the recording; kinds: kinds of what each row holds; about: the device, or None
+    schema: schema of its batches; rows: how many there are, those that were recorded in part included
+    until_ns: time of the last since the recording's start [ns]; paths: paths of the entities, in rerun's spelling
     words: columns that an anonymous export leaves out
     """
 
@@ -409,7 +409,7 @@ def _quantity(schema: pa.Schema, prefix: str) -> list[str]:
 
 
 def _kinds_of(names: Iterable[str]) -> list[type]:
-    """Of what columns hold, without a rerun transform."""
+    """Types of what columns hold, without a rerun transform."""
     return [_KINDS[owner] for owner in dict.fromkeys(name.partition(":")[0] for name in names) if owner in _KINDS]
 
 
@@ -612,7 +612,7 @@ def _shape_of(value: object) -> str:
 
 
 def _arrays_of(key: str, values: Sequence[Any], shapes: set[str]) -> dict[str, pa.Array]:
-    """Values out of JSON as columns. shapes: of all that the recording has"""
+    """Values out of JSON as columns. shapes: shapes of all that the recording has"""
     own = shapes - {"none"}
     if (not own and "interval" in key) or (own and all(shape.startswith("list") for shape in own)):
         lists = pa.array(values, pa.list_(pa.float64()))

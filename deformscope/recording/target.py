@@ -93,7 +93,7 @@ class RecordingTarget:
 
 
 def remove_strays(folder: Path) -> None:
-    """Of runs that were killed: the file of large portions, of no use without its end. Their recordings stay."""
+    """Removes what killed runs left: the file of large portions, of no use without its end. Their recordings stay."""
     for stray in folder.glob(f"*{merged_path(Path(f'.part*{SUFFIX}'))}"):
         if not is_being_written(stray.with_suffix("")):
             with suppress(OSError):  # in a folder that is only read

@@ -14,7 +14,7 @@ class Writer:
 
     tick: called after each job and at the least every `tick_s`; the first job or tick that fails ends the thread, and
     every later `put` raises its error
-    capacity_jobs, capacity_bytes: of jobs that wait
+    capacity_jobs, capacity_bytes: largest number and size of jobs that wait
     overrun: makes the error if more than that waits, of the waiting bytes; None = the caller of a job then waits for
     room, for a file or a simulation
     """

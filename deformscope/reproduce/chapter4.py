@@ -94,7 +94,7 @@ class HeldBeta:
 
 @dataclass(frozen=True, slots=True)
 class FoamDent:
-    """One touch of a foam. dent: as the thesis's process sees it; betas: of every hold and cluster size
+    """One touch of a foam. dent: as the thesis's process sees it; betas: betas of every hold and cluster size
     seen_m: (n, 3) points of the camera around it meanwhile; ball: the tip, None = not stored"""
 
     hardness_n: float
@@ -148,8 +148,8 @@ class Scenario:
     """One exploration by the thesis's rules.
 
     contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why none follows
-    truth: (rows, columns) labels; hardness: of each label, in words
-    variance: (rows, columns) of the field, for any beta; fields: of each beta model
+    truth: (rows, columns) labels; hardness: hardness of each label, in words
+    variance: (rows, columns) variance of the field, for any beta; fields: fields of each beta model
     """
 
     scene: str
@@ -252,7 +252,7 @@ SAME = 0.02
 
 
 def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float = THESIS_STEP) -> list[str]:
-    """Results of figure 4.5 and the explorations, each sentence from their numbers. step: of the sweep"""
+    """Results of figure 4.5 and the explorations, each sentence from their numbers. step: step of the sweep"""
     as_many = sum(len(one.contacts_m) == SCENARIOS[one.scene][0] for one in explored)
     made = f"As many touches as in the thesis in {as_many} of {len(explored)} explorations."
     return [*_trends(foams), made, *(_format_field(name, explored, swept_betas(step)) for name in explored[0].fields)]
@@ -274,7 +274,7 @@ def _trends(foams: Sequence[FoamDent]) -> list[str]:
 
 
 def _format_field(name: str, explored: Sequence[Scenario], swept: FloatArray) -> str:
-    """Of one way to model the dents: how many regions it finds, and between which of the swept betas (b,)."""
+    """For one way to model the dents: how many regions it finds, and between which of the swept betas (b,)."""
     fields = [(one.fields[name], int(one.truth.max()) + 1) for one in explored]
     right = sum(found.regions == count for found, count in fields)
     betas = [beta for found, _ in fields for beta in found.touches]

@@ -46,7 +46,7 @@ def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:
 
 
 def run_closed_form(job: TableJob, prior: RegionPrior | None = None) -> TableRun:
-    """Explore one scene. prior: of the estimator, None = as in `explore`"""
+    """Explore one scene. prior: prior of the estimator, None = as in `explore`"""
     began = time.perf_counter()
     scene, options = built_in(job.scene, job.seed), PlanOptions(planner=job.planner, budget=job.touches)
     truth, random = _truth(scene), np.random.default_rng([job.seed, 0xC10])

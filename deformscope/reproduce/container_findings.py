@@ -30,7 +30,7 @@ class FindingComparison:
 
 
 def compare_findings(five: Evaluation, three: Evaluation) -> list[FindingComparison]:
-    """The thesis's statements, each with ours. five: of all contents; three: of empty, liquid, granular"""
+    """The thesis's statements, each with ours. five: accuracy for all contents; three: for empty, liquid, granular"""
     touch, vision, both = (five.score(name, "knn") for name in (TOUCH, VISION, BOTH))
     return [
         FindingComparison("Vision is most informative for water.", _better(five, touch, vision, ("water",))),
@@ -74,7 +74,7 @@ def _recall(found: Evaluation, score: ClassificationScore, label: str) -> str:
 
 
 def _better(found: Evaluation, touch: ClassificationScore, vision: ClassificationScore, labels: tuple[str, ...]) -> str:
-    """Of some contents, which modality names more of them rightly."""
+    """Which modality classifies more of some contents correctly."""
     words = []
     for label in labels:
         at = found.table.classes.index(label)

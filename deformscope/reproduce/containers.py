@@ -31,7 +31,7 @@ FAST_CAMERA_HZ = 10.0
 
 @dataclass(frozen=True, slots=True)
 class SqueezeJob:
-    """One trial. folder: of the data set; whole: its recording is stored, at the camera's full rate"""
+    """One trial. folder: folder of the data set; whole: its recording is stored, at the camera's full rate"""
 
     content: str
     container: str
@@ -91,7 +91,7 @@ def squeeze_jobs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezedTrial:
-    """One squeeze with all that is known of it. made: the laboratory, not opened; frames: of the devices"""
+    """One squeeze with all that is known of it. made: the laboratory, not opened; frames: frames of the devices"""
 
     entry: TrialEntry
     made: ContainerLab

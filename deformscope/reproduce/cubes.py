@@ -77,7 +77,7 @@ class Cube:
 
 @dataclass(frozen=True, slots=True)
 class ElementTime:
-    """Time of the finite elements of one resolution, mean over Poisson's ratios. unknowns: of the equations
+    """Time of the finite elements of one resolution, mean over Poisson's ratios. unknowns: unknowns of the equations
     assemble_s, solve_s: by a direct solver [s]; cg_s: by `CG_STEPS` conjugate gradients alone, as the thesis's SOFA-CG
     does [s]; cg_left: share of the right-hand side that these leave"""
 
@@ -96,7 +96,7 @@ class CubeResult:
     theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
     one_cluster, overlapping: lowest error with beta fitted too; None where the comparison was left out
     searches: the thesis's and ours on the same errors
-    equal_share_theta: of the lowest error where the held particles weigh `HELD_SHARE` of the body
+    equal_share_theta: theta of the lowest error where the held particles weigh `HELD_SHARE` of the body
     simulated: (K, d) at theta; seconds: [s] for the calibration
     """
 
@@ -310,7 +310,7 @@ def standard_error(values: Iterable[float]) -> float:
 class Spread:
     """theta over cubes of one Poisson's ratio.
 
-    of: other properties that they share, "" without any; count: of cubes; sem: standard error of the mean;
+    of: other properties that they share, "" without any; count: number of cubes; sem: standard error of the mean;
     equal_share_sem: that of `Found.equal_share_theta`
     """
 

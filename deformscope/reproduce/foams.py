@@ -53,8 +53,8 @@ VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 
 class FoamSetup:
     """The push and its images.
 
-    depth_m: of the
-    clamp at the end; images: with the one at rest; noise: of the camera [grey values]
+    depth_m: depth of the
+    clamp at the end; images: with the one at rest; noise: noise of the camera [grey values]
     """
 
     foams: tuple[Foam, ...] = FOAMS
@@ -98,8 +98,8 @@ class FoamFit:
 class FoamResult:
     """One foam pushed, seen and fitted.
 
-    depth_m, force_n: of every pose; lost: particles; error_px: (K,) distance of each from where it truly is in the
-    last image, NaN where lost; noise_px: (K,) the flow's noise, one standard deviation per coordinate
+    depth_m, force_n: depth and force of every pose; lost: particles; error_px: (K,) distance of each from where it
+    truly is in the last image, NaN where lost; noise_px: (K,) the flow's noise, one standard deviation per coordinate
     image: the last one; mask: (H, W) the foam in the first one
     """
 
@@ -221,8 +221,8 @@ class Trend:
     """How beta goes with hardness over the foams, for one combination.
 
     drop: beta of the softest less that of the firmest foam (Thesis: .04, .16, .21 at cluster sizes 2, 4, 5)
-    rank_correlation: of beta with hardness (Spearman), None where all are one or there are only two foams
-    common: the betas that lie in every foam's interval; None where there are none, so that beta does differ
+    rank_correlation: rank correlation of beta with hardness (Spearman), None where all are one or there are only two
+    foams; common: the betas that lie in every foam's interval; None where there are none, so that beta does differ
     told: in words (a key of the JSON)
     """
 

@@ -34,7 +34,8 @@ BORDER = 0.02
 class PokedSlab:
     """A slab and where it is poked.
 
-    normal, middle: (2,) of the border of halves, or the direction of a gradual change; middle, radius: of a disc
+    normal, middle: (2,) normal and middle of the border of halves, or the direction of a gradual change; middle,
+    radius: middle and radius of a disc
     modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2) [m]; fitted: (24,) the others are unseen
     """
 

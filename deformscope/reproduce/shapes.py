@@ -28,7 +28,7 @@ ENDS: dict[Basis, tuple[float, tuple[float, float]]] = {
 @dataclass(frozen=True, slots=True)
 class HeldLattice:
     """A lattice of which some particles are held elsewhere, and its model. seen: its observation, in which only these
-    have moved; shape: of the lattice"""
+    have moved; shape: shape of the lattice"""
 
     name: str
     seen: Observation

@@ -85,10 +85,10 @@ def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
     first, steady: events less truth in sample periods of their device; the same with frames lost; held: 1 where the
     interval holds the truth. tracked, refused, used_off: images tracked, of these refused, and not refused but off
     shift_mm, turn_deg: largest of those not refused. depth_rms_mm, depth_mean_mm: measured change of depth less the
-    true one over the patch; noise_mm, depth_stated_mm: of one pixel of the camera, simulated and stated
-    depth_off: of depth_known values, measured or filled in, those off by more than OFF times the stated noise;
-    wrong_..., hidden_...: tracked, refused, used_off, for a model 15 % larger than the container, and for a hidden
-    lower half
+    true one over the patch; noise_mm, depth_stated_mm: noise and depth stated of one pixel of the camera, simulated and
+    stated; depth_off: error of the depth of depth_known values, measured or filled in, those off by more than OFF times
+    the stated noise; wrong_..., hidden_...: tracked, refused, used_off, for a model 15 % larger than the container, and
+    for a hidden lower half
     """
     simulated = SimulatedSqueeze()
     trial = squeeze_trial(job, simulated.note)
@@ -150,7 +150,8 @@ def with_losses(frames: SqueezeFrames, seed: int) -> SqueezeFrames:
 def event_errors(
     found: SqueezeEvents, true_ns: tuple[int, int], periods_s: tuple[float, float], ending: str
 ) -> Numbers:
-    """Of first contact and steady state, each with its true time and its device's period; NaN = not found."""
+    """Errors of the times of first contact and steady state, each with its true time and its device's period; NaN = not
+    found."""
     numbers: Numbers = {}
     for name, when_ns, interval_ns, at_ns, period_s in (
         ("first", found.first_ns, found.first_interval_ns, true_ns[0], periods_s[0]),
@@ -166,7 +167,7 @@ def event_errors(
 
 
 def pose_errors(found: TrialFeatures, T_hand_camera: FloatArray, simulated: SimulatedSqueeze) -> list[PoseError]:
-    """Of each tracked image. T_hand_camera: (4, 4) the true pose [m]"""
+    """Pose error of each tracked image. T_hand_camera: (4, 4) the true pose [m]"""
     T_camera_hand = np.linalg.inv(T_hand_camera)
     return [
         pose_error(one.pose, T_camera_hand @ simulated.T_hand_container[simulated.at(one.when_ns)])
@@ -232,10 +233,10 @@ def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: Simulat
 
 
 def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
-    """Of the measured values, and of all with those that were filled in, which have no noise of their own.
+    """Errors of the measured depths, and of all depths with those that were filled in, which add no noise.
 
-    change_m: (61, 61) of the simulated wall, also behind the finger; NaN outside the container: a measured value there
-    is an error
+    change_m: (61, 61) change of the simulated wall, also behind the finger; NaN outside the container: a measured value
+    there is an error
     """
     assert features.vision is not None
     assert features.noise_m is not None

@@ -100,7 +100,7 @@ class LabRobot:
     """A simulated table with foam, seen by a camera and touched by a ball on a stick.
 
     scene: as it truly is, without its scatter; arm: as its calibration says
-    errors: of this session; truth: of the scene; most_force_n: the largest true contact force so far
+    errors: errors of this session; truth: the scene's true values; most_force_n: the largest true contact force so far
     felt: `felt_log_stiffness` of each touch
     sees: whether the camera looks again while the ball presses, which only beta needs
     """

@@ -40,8 +40,8 @@ class TableJob:
 class MapAfter:
     """The map after some touches.
 
-    travel_m: of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in closed
-    form: as the planner reckons); compute_s: from this touch to the next target
+    travel_m: travel of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in
+    closed; form: as the planner reckons); compute_s: from this touch to the next target
     log_stiffness, log_sd, rigid: the last touch's measurement [N/mm], at `xy_m`; felt_log_stiffness: its measurement
     without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed

@@ -132,13 +132,13 @@ def _ratio(pairs: FloatArray) -> tuple[float, float, float]:
 
 
 def _median(values: Any) -> float | None:
-    """Of those that are known."""
+    """Median of the values that are known."""
     known = [value for value in values if value is not None]
     return round(float(np.median(known)), 4) if known else None
 
 
 def _mean(values: Any) -> float | None:
-    """Of those that are known."""
+    """Mean of the values that are known."""
     known = [value for value in values if value is not None]
     return round(float(np.mean(known)), 4) if known else None
 

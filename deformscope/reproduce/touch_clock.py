@@ -40,7 +40,7 @@ class PlannedTouches(AsMeasured):
 
 
 class TouchClock:
-    """seconds: of the touches so far; center_m: (3,) where the tip's centre is [m, surface frame]"""
+    """seconds: seconds of the touches so far; center_m: (3,) where the tip's centre is [m, surface frame]"""
 
     def __init__(self, center_m: FloatArray, center_offset_m: float) -> None:
         self.seconds, self.center_m = 0.0, np.asarray(center_m, dtype=np.float64)

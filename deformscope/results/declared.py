@@ -46,7 +46,7 @@ class Quantity:
     older_key: by which JSON has it too
     optional: JSON lacks the key where the value is None; flat: its JSON has the value's parts instead
     line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
-    name: of the field or property; place: rises in the order of declaration
+    name: name of the field or property; place: rises in the order of declaration
     """
 
     label: str = ""
@@ -95,7 +95,7 @@ def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function
 reported = _as_metadata(Quantity)
 """The metadata of a field that is reported; arguments as `Quantity` has them."""
 derived = _as_decorator(Quantity)
-"""For a method, or below `@property`, that is reported as a field is; arguments as of `Quantity`."""
+"""For a method, or below `@property`, that is reported as a field is; arguments as in `Quantity`."""
 
 
 LATER: Mapping[str, object] = {"deformscope.later": True}

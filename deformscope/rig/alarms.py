@@ -53,7 +53,7 @@ Flags = npt.NDArray[np.bool_]
 class _Stretches:
     """How long each of a sensor's values has been the same.
 
-    last: (n,) newest; since_ns, run: of the present stretch, its beginning and its readings after the first
+    last: (n,) newest; since_ns, run: when the present stretch began, and its number of readings after the first
     equal, seen: readings before it that were equal to the one before, and all that were compared
     """
 
@@ -90,8 +90,8 @@ class _Stretches:
 
 @dataclass(slots=True)
 class _Watched:
-    """A device. words: of its active alarms, by their subject; newest_ns: of the last checked item, by its kind,
-    because only items of its kind clear an alarm; seen_ns: when each cause was last seen, silence since then left
+    """A device. words: texts of its active alarms, by their subject; newest_ns: time of the last checked item, by its
+    kind, because only items of its kind clear an alarm; seen_ns: when each cause was last seen, silence since then left
     out"""
 
     stuck_after_s: float | None
@@ -136,14 +136,14 @@ class SensorAlarms:
 
 
 def _leave_out_silence(watched: _Watched, kind: type, first_ns: int) -> None:
-    """Nothing is cleared by time in which nothing came. first_ns: of new items"""
+    """Nothing is cleared by time in which nothing came. first_ns: time of new items"""
     silent_ns = first_ns - watched.newest_ns.get(kind, first_ns)
     if silent_ns > CLEAR_S * 1e9:
         watched.seen_ns = {what: at_ns + silent_ns * (what[0] is kind) for what, at_ns in watched.seen_ns.items()}
 
 
 def _changes(name: str, watched: _Watched, kind: type, causes: Mapping[str, str], now_ns: int) -> list[SessionNote]:
-    """kind: of the readings that show them; causes: as text, by their subject"""
+    """kind: kind of the readings that show them; causes: their causes as text, by subject"""
     notes = []
     watched.newest_ns[kind] = now_ns
     for what, words in causes.items():

@@ -20,9 +20,9 @@ LATEST_S = 0.5
 class CalibrationEntry:
     """One measurement.
 
-    date: of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a turn
-    about them [deg], in the transform's target frame; half_size_m: those of a surface's sides [m]
-    half_gain: of the force sensor's gain
+    date: date of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a
+    turn about them [deg], in the transform's target frame; half_size_m: those of a surface's sides [m]
+    half_gain: half width of the interval of the force sensor's gain
     offset_s, half_s: delay of `device` relative to the force sensor `beside`, below 0 a lead
     oldest_days: after which it is measured again, None = as is usual for its kind
     """

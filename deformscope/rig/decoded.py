@@ -34,7 +34,7 @@ from deformscope_drivers.transport import CAN_FRAME_BYTES
 class DeviceComparison:
     """How a device's recorded frames compare with its bytes.
 
-    frames: recorded; compared: of these, decoded again; left_out: parts without a comparison, and why
+    frames: recorded; compared: how many frames were decoded again; left_out: parts without a comparison, and why
     difference: the first one, in words; empty = none
     """
 
@@ -157,7 +157,7 @@ REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": Ds
 def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
     """Decode every device's recorded bytes again and compare with its recorded frames, to the last bit.
 
-    rig: None where no driver of ours gave the frames; items: of the recording, in order of time
+    rig: None where no driver of ours gave the frames; items: items of the recording, in order of time
     Raises InputError where the rig lacks a device that was recorded
     """
     configs = {} if rig is None else {entry.name: entry.config for entry in rig.devices}

@@ -14,7 +14,7 @@ class Driver:
     """One kind of device.
 
     package, device, config: place of its class (or of its factory) and its configuration
-    kind: of its frames; doubled: whether there is a simulated one
+    kind: kind of its frames; doubled: whether there is a simulated one
     probed: whether it can be opened by its port or bus alone, without anything moving
     """
 

@@ -40,7 +40,7 @@ FINGER_CLOSED = 6800.0
 
 
 def to_frame(kind: Kind, reading: object, index: int, name: str, device: object) -> Frame:
-    """A driver's reading as a frame. index: its place in the device's stream; name: of the device in its rig"""
+    """A driver's reading as a frame. index: its place in the device's stream; name: name of the device in its rig"""
     return _FRAMES[kind](reading, index, name, device)
 
 

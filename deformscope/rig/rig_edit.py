@@ -24,7 +24,7 @@ HEADER = re.compile(r"\s*\[+\s*[\w\"'.-]+\s*\]+\s*(#.*)?$")
 
 
 def lines_of(values: Values, digits: str = DIGITS) -> str:
-    """The values as lines of a rig file. digits: as of `toml_value`"""
+    """The values as lines of a rig file. digits: as in `toml_value`"""
     return "\n".join(
         "\n".join([f"[{section}]", *(f"{key} = {toml_value(value, digits)}" for key, value in keys.items())])
         for section, keys in values.items()

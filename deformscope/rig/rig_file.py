@@ -97,11 +97,11 @@ class Camera:
 class Tool:
     """The tip of the arm.
 
-    length_m: from the arm's end to the tip; tip: its shape; radius_m: of the tip
+    length_m: from the arm's end to the tip; tip: its shape; radius_m: radius of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
     R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and turned about the stick; default: the same
-    stick_radius_m: of the thickest part between the arm's end and the tip, such as a force sensor: it is removed from
-    the camera's image
+    stick_radius_m: radius of the thickest part between the arm's end and the tip, such as a force sensor: it is removed
+    from the camera's image
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
     force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured, as
@@ -271,7 +271,8 @@ SECTIONS: dict[str, Any] = {
 class Rig:
     """A rig as its file says it.
 
-    name: of the file, for titles; text: the file, for recordings; folder: that of the file, from which its paths count
+    name: name of the file, for titles; text: the file, for recordings; folder: that of the file, from which its paths
+    count
     """
 
     name: str

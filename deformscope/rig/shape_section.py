@@ -37,12 +37,12 @@ class ShapeSection:
     removal: "mesh": points within margin_m of any mesh of a URDF; "hull": of the convex hull of one of its links
     (Thesis 4.4); "capsules": within 4.5 cm of the lines between joints. Default: "mesh" with a urdf or a gripper, which
     are this file's own and show the robot's true shape, else "capsules"
-    urdf: of the arm, with all that is mounted on it and has its joints' angles; gripper: of the tool at its end, if the
-    arm's urdf has none; paths relative to the rig file
+    urdf: URDF of the arm, with all that is mounted on it and has its joints' angles; gripper: gripper of the tool at
+    its end, if the arm's urdf has none; paths relative to the rig file
     T_ee_gripper: 4x4, the gripper's root to the arm's end [m]
     closed: joints that nothing reports, as those of fingers: share of the way from their lower limit to their upper one
-    margin_m: of meshes and hulls, in addition to [camera] doubt_m
-    cables: of any removal
+    margin_m: margin of meshes and hulls, in addition to [camera] doubt_m
+    cables: cables of any removal
     """
 
     removal: Literal["capsules", "hull", "mesh"] | None = None

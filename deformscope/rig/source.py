@@ -54,8 +54,8 @@ class RigSource:
     raw: also the bytes of every wire; clock: that the devices stamp by
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
     opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
-    latest_ns: by how much the stamps of the latest device are put back; start_ns: of the session, this long before them
-    open: no frame is older
+    latest_ns: by how much the stamps of the latest device are put back; start_ns: start of the session, this long
+    before them; open: no frame is older
     """
 
     def __init__(

@@ -67,9 +67,9 @@ class SqueezeSection:
     """The squeeze: the proximal axes of both fingers close at a low speed under a low current limit, until they are at
     rest.
 
-    current_a: limit of the motor currents while it closes [A]; speed_deg_s: of the proximal axes
-    open_deg: of the proximal axes in the pre-shape; None = 20 deg before the contact that the container's width gives
-    distal_deg: of the distal axes throughout; None = so that the fingertips are upright at that contact
+    current_a: limit of the motor currents while it closes [A]; speed_deg_s: speed of the proximal axes; open_deg:
+    angles of the proximal axes in the pre-shape; None = 20 deg before the contact that the container's width gives
+    distal_deg: angles of the distal axes throughout; None = so that the fingertips are upright at that contact
     thumb_deg: proximal and distal angle at which the thumb is parked
     onset_counts: rise of the sum of a fingertip's texels above its value in the air that means contact
     onset_frames: in this number of successive frames

@@ -76,7 +76,7 @@ def touch_by_hand(
     still_seen: Callable[[], bool] = lambda: True,
     on_phase: Callable[[Phase, int], None] = lambda phase, time_ns: None,
 ) -> TouchRecord:
-    """A touch by an arm that a person places (`ManualArm`); arguments and result as of `touch.run_touch`."""
+    """A touch by an arm that a person places (`ManualArm`); arguments and result as in `touch.run_touch`."""
     return carried_out(PlacedRun(robot, plan, on_phase, person), robot, still_seen)
 
 
@@ -152,7 +152,8 @@ class PlacedRun(TouchRun):
     def _step_m(self, set_n: float, along_n: float, stiffness_n_m: float) -> float:
         """How much further down the next step goes [m]: a STEPS-th of the set force by the stiffness of the last step.
 
-        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: of the last step [N/m]
+        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: stiffness of the last step
+        [N/m]
         """
         arm = self._robot.arm
         assert isinstance(arm, ManualArm)
@@ -163,8 +164,8 @@ class PlacedRun(TouchRun):
         return float(np.clip(np.round(wanted_m / finest_m), 1, max(1, round(FREE_STEP_M / finest_m))) * finest_m)
 
     def _dwell(self, steps: _Steps, depth_m: float, still_seen: Callable[[], bool]) -> None:
-        """Keep the tip where it is for the plan's `dwell_s`, while the camera looks. depth_m: of the tip below the
-        contact [m]"""
+        """Keep the tip where it is for the plan's `dwell_s`, while the camera looks. depth_m: depth of the tip below
+        the contact [m]"""
         self._depth_m, self._loading_s = depth_m, self._now_s()
         self._enter(steps, Phase.DWELL if steps.phase is Phase.PRESS else Phase.DWELL_MORE)
         self._robot.camera_needed = True

@@ -28,8 +28,8 @@ class ArmClearance:
     """Distances of an arm's links and stick from the table, from each other and from a box, for given link poses."""
 
     def __init__(self, placement: Placement, T_base_links: FloatArray) -> None:
-        """T_base_links: (n + 1, 4, 4) of the joints and, last, the arm's end, in any pose, for the lengths of the links
-        [m]"""
+        """T_base_links: (n + 1, 4, 4) poses of the joints and, last, the arm's end, in any pose, for the lengths of the
+        links [m]"""
         self._placement = placement
         points = self._points_m(T_base_links)
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)

@@ -58,9 +58,9 @@ class CollisionWatch:
     ) -> str:
         """Why this is a collision, with which joint; empty where it is none.
 
-        torques_nm: (n,) numbers, without gravity's, repeated until the next reading; joints_deg: (n,)
-        now_ns: when
-        tip_n: greatest magnitude lately of the force on the tip [N]; limit_nm: of noise and the model's error [Nm]
+        torques_nm: (n,) numbers, without gravity's, repeated until the next reading; joints_deg: (n,); now_ns: when
+        tip_n: greatest magnitude lately of the force on the tip [N]; limit_nm: limit of noise and the model's error
+        [Nm]
         """
         if torques_nm == self._before:
             return ""
@@ -108,7 +108,8 @@ class CurrentWatch:
     def look(self, currents: tuple[float, ...], joints_deg: tuple[float, ...], tip_n: float, now_ns: int) -> str:
         """Why this is a collision, with which joint; empty where it is none.
 
-        currents: (n,) of the motors, any unit; joints_deg: (n,); tip_n: as of `CollisionWatch.look` [N]; now_ns: when
+        currents: (n,) currents of the motors, any unit; joints_deg: (n,); tip_n: as in `CollisionWatch.look` [N];
+        now_ns: when
         """
         if not all(map(math.isfinite, currents)):
             return "a motor's current is no number"

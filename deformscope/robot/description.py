@@ -40,8 +40,8 @@ so that exchanged or reversed joints displace some link."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedPart:
-    """A rigid part of the robot. frame: of the arm, that it moves with (0 its base, i the link behind joint i, -1 its
-    end); solid: its triangles in that frame [m]"""
+    """A rigid part of the robot. frame: frame of the arm, that it moves with (0 its base, i the link behind joint i, -1
+    its end); solid: its triangles in that frame [m]"""
 
     frame: int
     solid: Solid
@@ -49,8 +49,8 @@ class DescribedPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedCable:
-    """A cable. frames: of the arm, that each of its points moves with; points_m: (n, 3), each in its frame; radius_m:
-    of the capsules from one point to the next"""
+    """A cable. frames: frames of the arm, that each of its points moves with; points_m: (n, 3), each in its frame;
+    radius_m: radius of the capsules from one point to the next"""
 
     frames: tuple[int, ...]
     points_m: FloatArray
@@ -73,7 +73,8 @@ class RobotDescription:
     margin_m: float = 0.0
 
     def solids(self, placement: Placement, T_base_links: FloatArray) -> tuple[PosedSolid, ...]:
-        """The parts in the surface frame. T_base_links: (k, 4, 4) of the arm's joints and, last, of its end [m]"""
+        """The parts in the surface frame. T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end
+        [m]"""
         frames = _surface_frames(placement, T_base_links)
         return tuple(PosedSolid(frames[part.frame], part.solid) for part in self.parts)
 
@@ -159,7 +160,7 @@ def _surface_frames(placement: Placement, T_base_links: FloatArray) -> FloatArra
 
 
 def describe(section: ShapeSection, chain: Chain | None, folder: Path) -> RobotDescription:
-    """A rig file's [shape]. folder: of the rig file; raises InputError, with the error."""
+    """A rig file's [shape]. folder: folder of the rig file; raises InputError, with the error."""
     solids = bool(section.urdf or section.gripper)
     removal: Removal = section.removal or ("mesh" if solids else "capsules")
     if removal != "capsules" and not solids:
@@ -238,8 +239,8 @@ def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list
 
 
 def _solids(drawn: Sequence[Solid], T: FloatArray, removal: Removal) -> list[Solid]:
-    """The solids of a link in its arm frame: all that is drawn of it, or its convex hull (Thesis 4.4). T: (4, 4) of the
-    link in that frame [m]"""
+    """The solids of a link in its arm frame: all that is drawn of it, or its convex hull (Thesis 4.4). T: (4, 4) T of
+    the link in that frame [m]"""
     moved = [one.moved(T) for one in drawn]
     return [_hull(moved)] if removal == "hull" and moved else moved
 

@@ -36,7 +36,7 @@ class FingertipReading:
 
 @dataclass(frozen=True, slots=True)
 class PadRate:
-    """rate_hz: of the arrays' frames"""
+    """rate_hz: rate of the arrays' frames"""
 
     rate_hz: float
 

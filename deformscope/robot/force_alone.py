@@ -37,7 +37,7 @@ An arm whose sensor fails on the way presses with its stiffness times this (509 
 class ForceAlone:
     """Bounds of the force of an arm that has no joint torques to show a contact.
 
-    stiffness_n_m: of tip, sensor, stick and arm in series; late_s: from a force until the arm rests
+    stiffness_n_m: stiffness of tip, sensor, stick and arm in series; late_s: from a force until the arm rests
     hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched
     """
 

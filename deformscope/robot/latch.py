@@ -24,7 +24,7 @@ class Action(StrEnum):
 
 
 _SEVERITY = {Action.GO_ON: 0, Action.BACK_OFF: 1, Action.STOP: 2}
-"""Of several alarms the one with the highest counts, of equal ones the first."""
+"""The alarm with the highest severity counts, the first of equal ones."""
 
 Alarm = tuple[Action, FaultT, str]
 """A rule's demand, the fault, and the reason with its numbers and units."""
@@ -32,7 +32,7 @@ Alarm = tuple[Action, FaultT, str]
 
 @dataclass(frozen=True)
 class Decision(Generic[FaultT]):
-    """Demand, and its reason. fault: the enumeration's NONE without a fault; time_ns: of the judgement that found it"""
+    """Demand, and its reason. fault: the enumeration's NONE without a fault; time_ns: when it was found"""
 
     action: Action
     fault: FaultT

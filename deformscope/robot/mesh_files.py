@@ -68,7 +68,8 @@ def _check(path: Path) -> None:
 
 
 def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
-    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: of the process that wrote them"""
+    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: ending of the process that wrote
+    them"""
     try:
         vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
     except (EOFError, OSError, ValueError) as error:

@@ -55,8 +55,8 @@ of the difference per second. So points that the arm skipped do not add up."""
 class JointMotion:
     """Joint rates for a velocity, and whether they may be sent.
 
-    rates_deg_s: (n,) [deg/s]; share: of the velocity that is left where a joint would be too fast or is near its limit
-    fault, reason: why they must not be sent; NONE where they may
+    rates_deg_s: (n,) [deg/s]; share: share of the velocity that is left where a joint would be too fast or is near its
+    limit; fault, reason: why they must not be sent; NONE where they may
     """
 
     rates_deg_s: FloatArray

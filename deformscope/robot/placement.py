@@ -53,8 +53,8 @@ Larger may step over a limit or a singularity between two; smaller takes longer 
 class Placement:
     """The rigid relations of base, surface, arm's end and tip.
 
-    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: of the arm Raises InputError for a transform
-    that is not rigid.
+    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: the arm's tool. Raises InputError for a
+    transform that is not rigid.
     """
 
     T_base_surface: FloatArray
@@ -184,8 +184,8 @@ def lead(
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
     """Which of k ways can be followed (k,) bool, and the joint angles (k, m) [deg] at their ends.
 
-    ways: of poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) where they begin; steered:
-    (k,) the arm comes to each place from the one before
+    ways: ways of poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) where they begin;
+    steered: (k,) the arm comes to each place from the one before
     """
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):

@@ -57,8 +57,8 @@ def _counted(refused: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacingSetup:
-    """The arm that places a hand. chain: of its joints; placement: of arm, table and hand; workspace: its limits; ages:
-    of the calibrations"""
+    """The arm that places a hand. chain: chain of its joints; placement: placement of arm, table and hand; workspace:
+    its limits; ages: ages of the calibrations"""
 
     chain: Chain
     placement: Placement
@@ -81,7 +81,8 @@ class PlacingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacle:
-    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: of its place; round: a cylinder"""
+    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: doubt of its place; round: a
+    cylinder"""
 
     T_table_container: FloatArray
     size_m: FloatArray
@@ -99,11 +100,12 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspPlan:
-    """A grasp that is reached. before_m, there_m: (4, 4) of the tip where the approach begins and ends, table's frame
+    """A grasp that is reached. before_m, there_m: (4, 4) poses and there of the tip where the approach begins and ends,
+    table's frame
 
     start_deg: (n,) from where it was planned; joints_deg: (k, n) turned to one after the other, the last where the
-    approach begins
-    tried: all that were drawn; refused: of each why not, empty = this one; path_m: (m, 3) of the tip, table's frame
+    approach begins; tried: all that were drawn; refused: for each, why it is refused, empty = this one; path_m: (m, 3)
+    path of the tip, table's frame
     """
 
     grasp: RandomGrasp
@@ -117,7 +119,7 @@ class GraspPlan:
 
 
 class NoGrasp(NotThere):
-    """None of the grasps is reached. tried, refused: as of `GraspPlan`"""
+    """None of the grasps is reached. tried, refused: as in `GraspPlan`"""
 
     def __init__(self, tried: Sequence[RandomGrasp], refused: Sequence[str]) -> None:
         came = f"none of {len(tried)}: {'; '.join(_counted(refused))}"
@@ -259,7 +261,7 @@ class _Ways:
         return moved(hand_capsules(np.array(self.grip.open_deg)), np.linalg.inv(self._T_hand_center))
 
     def _hand(self, T_table_center: FloatArray) -> list[Capsule]:
-        """Of the open hand, its middle between the pads there."""
+        """Capsules of the open hand, with the middle between its pads at that place."""
         return moved(self._of_center, T_table_center)
 
     def _low_m(self, T_table_center: FloatArray) -> float:

@@ -84,9 +84,9 @@ def check(
     """Check a robot at rest for half a second, and its planned motion.
 
     plans: the touches, or those at the corners of where it may touch; calibrated: the required calibrations, by name,
-    and whether they are done; ages: of the calibrations, by name; rates_hz: of "arm", "force sensor", "camera"
-    (default: as their configurations say); lift_m: the plans are so far above the surface; described: shapes of hand
-    and cables Raises RobotStopped when the supervisor stops meanwhile; nothing moves.
+    and whether they are done; ages: ages of the calibrations, by name; rates_hz: rates of "arm", "force sensor",
+    "camera" (default: as their configurations say); lift_m: the plans are so far above the surface; described: shapes
+    of hand and cables Raises RobotStopped when the supervisor stops meanwhile; nothing moves.
     """
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]

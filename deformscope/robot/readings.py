@@ -49,8 +49,8 @@ class ArmSample:
 
     time_ns: arrival; T_base_ee: (4, 4) pose of the arm's end in the base frame [m]; joints_deg: (n,); fifo_count:
     points that wait in the arm
-    torques_nm: (n,) of the joints without gravity's, read at times of their own; currents: (n,) of the motors in the
-    arm's own unit; either is empty where the arm reports none
+    torques_nm: (n,) torques of the joints without gravity's, read at times of their own; currents: (n,) currents of the
+    motors in the arm's own unit; either is empty where the arm reports none
     """
 
     time_ns: int

@@ -70,7 +70,8 @@ class MotionHeld(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
-    """A velocity of the tip, surface frame. linear_m_s: (3,) of its centre; angular_rad_s: (3,) about its centre
+    """A velocity of the tip, surface frame. linear_m_s: (3,) velocity of its centre; angular_rad_s: (3,) about its
+    centre
 
     angular_rad_s None = the robot holds the orientation as it was commanded last. If given, it is sent unchanged: the
     caller then closes the loop over the measured orientation.
@@ -82,7 +83,7 @@ class TipVelocity:
 
 @dataclass(frozen=True, slots=True)
 class JointRates:
-    """rates_deg_s: (n,) of the joints, in the driver's order and sense [deg/s]"""
+    """rates_deg_s: (n,) rates of the joints, in the driver's order and sense [deg/s]"""
 
     rates_deg_s: FloatArray
 
@@ -130,7 +131,8 @@ class Robot:
         """watch: called with the readings and the verdict of each period, for a recording; when it fails, the arm is
         halted first
 
-        compliance_m_per_n: of arm and stick under a push, 0 = not known; doubt_m: of the camera, where the surface is
+        compliance_m_per_n: compliance of arm and stick under a push, 0 = not known; doubt_m: uncertainty of the
+        camera's place, where the surface is
         """
         self.compliance_m_per_n, self.doubt_m = compliance_m_per_n, doubt_m
         self.arm, self.force, self.camera = arm, force, camera
@@ -201,7 +203,8 @@ class Robot:
         return None if silent or sample is None else float(np.linalg.norm(sample.force_n))
 
     def force_on_tip_n(self, sample: ForceSample, pose: ArmSample | None = None) -> FloatArray:
-        """(3,) force of the world on the tip, surface frame [N]. pose: of the arm at that time, None = the newest"""
+        """(3,) force of the world on the tip, surface frame [N]. pose: pose of the arm at that time, None = the
+        newest"""
         return self.placement.force_on_tip_n(sample.force_n, (pose or self.pose).T_base_ee)
 
     # The control period ----------------------------------------------------------------------------------------------
@@ -250,7 +253,7 @@ class Robot:
         return self.seen
 
     def look_on(self) -> SafetyDecision:
-        """Judge readings since the last call, as of an arm at rest; nothing is sent, and the caller stops it."""
+        """Judge readings since the last call, as those of an arm at rest; nothing is sent, and the caller stops it."""
         self.seen = self._look()
         self._turn_on()
         return self.supervisor.judge(self.seen, commanded_rotation=self.rotation.rotation)

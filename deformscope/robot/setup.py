@@ -75,11 +75,11 @@ class CameraView:
 class Setup:
     """Opened by `source`, then made one robot by `robot`.
 
-    open_source: opens all devices; names: of arm, force sensor and camera among them
-    compliance_m_per_n, compliance_sd: of the arm under a push [m/N]
-    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: of the
+    open_source: opens all devices; names: names of arm, force sensor and camera among them
+    compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]
+    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: ages of the
     calibrations
-    simulated: nothing real moves; truth: of the simulation, None without one
+    simulated: nothing real moves; truth: the simulation's true values, None without a simulation
     runs_itself: the devices have threads of their own and the host's clock, under any computation
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None where only the sensor can say
@@ -259,7 +259,7 @@ def rig_setup(
     """All devices of a rig file.
 
     double: makes a device of the rig that nothing is simulated around, or its double
-    table: of a `[surface] scene`, over which arm, force sensor and camera are doubles
+    table: table of a `[surface] scene`, over which arm, force sensor and camera are doubles
     person: places a real arm without motors
     give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
     """
@@ -337,8 +337,8 @@ def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
 
 
 def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "", driver: str = "") -> RigDevice:
-    """The one device of a kind. use: its purpose, for the message; name, driver: of it, empty = any (of a depth camera,
-    as `[camera]` says); raises InputError where there is none, or several"""
+    """The one device of a kind. use: its purpose, for the message; name, driver: name and driver of it, empty = any (of
+    a depth camera, as `[camera]` says); raises InputError where there is none, or several"""
     name = rig.camera.device or "" if kind == "depth" else name
     drivers = [one for one, known in DRIVERS.items() if known.kind == kind and driver in ("", one)]
     found = [one for one in rig.devices if one.driver.name in drivers and name in ("", one.name)]

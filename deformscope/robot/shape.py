@@ -21,7 +21,7 @@ a smaller one, parts of a thicker arm count as surface and may touch."""
 def link_capsules(T_base_links: FloatArray, T: FloatArray) -> list[Capsule]:
     """The links alone, from the arm's foot on, in another frame.
 
-    T_base_links: (k, 4, 4) of the arm's joints and, last, of its end; T: (4, 4) base to that frame [m]
+    T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end; T: (4, 4) base to that frame [m]
     """
     joints_m = [T[:3, 3], *(T @ T_base_links)[:, :3, 3]]
     return [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
@@ -38,9 +38,9 @@ def arm_shape(
 ) -> tuple[Capsule, ...]:
     """The links, the stick, the ball at its tip and the cables, in the surface frame [m].
 
-    T_base_links: (k, 4, 4) of the arm's joints and, last, of its end (`Chain.forward`); of the end alone where a person
-    holds it; center_m: (3,) where its tip's centre is, which a push moves off the chain's own
-    description: of the robot; links that are solids in it are left out
+    T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end (`Chain.forward`); of the end alone where a
+    person holds it; center_m: (3,) where its tip's centre is, which a push moves off the chain's own
+    description: description of the robot; links that are solids in it are left out
     link_margin_m, stick_margin_m: added around the links; around stick, ball and cables
     """
     frames = T_base_links if len(T_base_links) == 1 else (np.eye(4), *T_base_links)

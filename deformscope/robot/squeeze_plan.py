@@ -76,8 +76,9 @@ class GripShape:
 class RandomGrasp:
     """The hand's place on the container.
 
-    along_m: of the middle of the pads from the container's middle, along its longest edge; tilt_deg: of the hand about
-    the axis of closing; T_hand_container: (4, 4) container to hand [m]; turn_deg: about the container's own z axis
+    along_m: distance along the longest edge of the middle of the pads from the container's middle, along its longest
+    edge; tilt_deg: tilt of the hand about the axis of closing; T_hand_container: (4, 4) container to hand [m];
+    turn_deg: about the container's own z axis
     """
 
     along_m: float
@@ -153,8 +154,8 @@ def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatA
 
 
 def _contact_deg(half_m: float, distal_deg: float) -> float:
-    """The proximal angle [deg] at which the pad is half_m from the middle of the hand, by bisection. distal_deg: of the
-    distal axis"""
+    """The proximal angle [deg] at which the pad is half_m from the middle of the hand, by bisection. distal_deg: angles
+    of the distal axis"""
     low, high = -80.0, 80.0
     for _ in range(40):
         middle = (low + high) / 2

@@ -58,8 +58,8 @@ looks for a lost one after 0.05 s, then less often."""
 
 @dataclass(frozen=True, slots=True)
 class FingertipFrame:
-    """One tactile frame of the two squeezing fingertips. time_ns: arrival; sums: (2,) of each one's texels; peak: the
-    highest texel of both [counts]"""
+    """One tactile frame of the two squeezing fingertips. time_ns: arrival; sums: (2,) sums of each one's texels; peak:
+    the highest texel of both [counts]"""
 
     time_ns: int
     sums: FloatArray

@@ -50,7 +50,7 @@ class TrueMoments(Protocol):
 class SimulatedContainer(SimulatedDevices, Protocol):
     """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
 
-    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: of that camera
+    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: intrinsics and frame rate of that camera
     """
 
     @property
@@ -136,7 +136,7 @@ class SqueezeSetup:
     T_arm_camera: (4, 4) camera to the arm's base
     grasp: the hand's place on the container; placed: the hand is there already
     simulated: nothing real moves; runs_itself: the devices have threads of their own and the host's clock
-    truth: of a simulated squeeze, None where only the devices can say
+    truth: true values of a simulated squeeze, None with real devices
     placing: the arm that places the hand; None = a person does, or the hand is there already
     """
 
@@ -169,7 +169,7 @@ def squeeze_setup(
 
     double: makes a device of the rig that no container is simulated around, or its double
     container: between the doubles, with the hand at it; it brings the pose and projection of its camera
-    place: as of `SqueezeParts.of`
+    place: as in `SqueezeParts.of`
     """
     rig, seen = parts.rig, parts.rig.camera
     arm, camera = parts.arm, parts.camera

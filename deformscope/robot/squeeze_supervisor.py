@@ -69,7 +69,8 @@ ADVICE: dict[SqueezeFault, str] = {
 class SqueezeObservation:
     """Items since the last control period, oldest first.
 
-    position_deg: (n, 7) of the hand's readings, hand_ns: (n,) their times; hottest_c: of the motors, None = not known
+    position_deg: (n, 7) position of the hand's readings, hand_ns: (n,) their times; hottest_c: hottest of the motors,
+    None = not known
     peak_counts: (m,) the highest texel of the squeezing fingertips in each tactile frame; tactile_ns: (m,)
     lost: names of devices whose link is down, and why
     """
@@ -148,6 +149,6 @@ class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
 
 
 def gap_m(position_deg: FloatArray, fingers: tuple[int, int]) -> float:
-    """Distance between the two fingertips along the axis of closing [m]. position_deg: (7,) of the axes"""
+    """Distance between the two fingertips along the axis of closing [m]. position_deg: (7,) position of the axes"""
     tips = fingertips(np.asarray(position_deg, np.float64))
     return float(tips[fingers[0], 0] - tips[fingers[1], 0])

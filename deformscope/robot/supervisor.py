@@ -81,7 +81,7 @@ class Limits:
     arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
     excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: this many damaged frames, or readings that are not usable, within window_s
-    camera_period_s: of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
+    camera_period_s: period of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
     repeats of a picture that mean a frozen camera (noise makes two real ones differ)
     """
 
@@ -170,7 +170,7 @@ class Supervisor(LatchingSupervisor[Fault]):
     ) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end; default: the arm's end itself
         chain: whose joints have limits; None = none
-        clearance: of the chain from table and itself; None = it is not watched
+        clearance: clearance of the chain from table and itself; None = it is not watched
         by_hand: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
 
         axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = unknown, and
@@ -230,8 +230,9 @@ class Supervisor(LatchingSupervisor[Fault]):
     ) -> SafetyDecision:
         """The present demand.
 
-        commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) of the arm's end in the base
-        frame, None = any; camera_needed: its pictures matter now, so that it must not be silent or frozen
+        commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) commanded rotation of the
+        arm's end in the base frame, None = any; camera_needed: its pictures matter now, so that it must not be silent
+        or frozen
         """
         self._begin(seen.now_ns)
         found = [

@@ -65,10 +65,10 @@ class TouchEnding(StrEnum):
 class TouchPlan:
     """Where and how to touch; lengths [m], forces [N], speeds [m/s], in the surface frame.
 
-    point_m: (3,) estimated place of the surface; normal: (3,) of the surface there, outwards
+    point_m: (3,) estimated place of the surface; normal: (3,) normal of the surface there, outwards
     set_force_n: pressed with; more_force_n: with this where the dent stays below small_dent_m, None = never
-    max_depth_m: never deeper below the first contact
-    standoff_m: of the tip above the point before and after; travel_height_m: z of the tip's centre when it crosses
+    max_depth_m: never deeper below the first contact; standoff_m: height of the tip above the point before and after;
+    travel_height_m: z of the tip's centre when it crosses
     slow_within_m: nearer to the point than this, the approach is slow; miss_m: so far below the point it is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
     contact_force_n: along the normal means contact; dwell_s: duration at rest; dwell_at_most_s: dwell no longer
@@ -420,7 +420,7 @@ def run_touch(
 
 
 def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> TouchRecord:
-    """Travel, take the tare and touch; arguments, result and errors as of `run_touch`."""
+    """Travel, take the tare and touch; arguments, result and errors as in `run_touch`."""
     try:
         run.travel()
         run.tare()
@@ -441,7 +441,7 @@ def carried_out(run: TouchRun, robot: Robot, still_seen: Callable[[], bool]) -> 
 
 
 class TouchProgress(Protocol):
-    """Progress of a touch; attributes as of `TouchRecord`, spans: its phases."""
+    """Progress of a touch; attributes as in `TouchRecord`, spans: its phases."""
 
     contact_m: FloatArray | None
     settled: bool

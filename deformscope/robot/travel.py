@@ -61,7 +61,7 @@ def move_tip(
 ) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    passing: it continues from there, so that near is enough; near_m: else this near; braking_per_s: as of `TouchPlan`
+    passing: it continues from there, so that near is enough; near_m: else this near; braking_per_s: as in `TouchPlan`
     Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
@@ -131,7 +131,7 @@ def to_above(
     Straight where the arm can follow. The first time, and where a straight path leads near a joint's limit or a
     singularity, joint by joint: other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) end of a following straight path [m, surface
-    frame]; passing_m: distance from the place that is near enough; braking_per_s: as of `TouchPlan`. Raises NotThere
+    frame]; passing_m: distance from the place that is near enough; braking_per_s: as in `TouchPlan`. Raises NotThere
     where neither is possible: before it moves, or high above where it was.
     """
     way = find_way(
@@ -287,7 +287,7 @@ def _error(robot: Robot, goal: npt.NDArray[np.floating]) -> FloatArray:
 
 
 def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:
-    """A velocity (3,) towards an error (3,): in proportion to it, at most `fastest`. braking_per_s: as of
+    """A velocity (3,) towards an error (3,): in proportion to it, at most `fastest`. braking_per_s: as in
     `TouchPlan`"""
     wanted = (braking_per_s or GAIN_PER_S) * error
     size = float(np.linalg.norm(wanted))

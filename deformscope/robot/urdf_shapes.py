@@ -59,7 +59,8 @@ class UrdfJoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrdfShapes:
-    """root: the first link; joints: parents before children; solids: of each link, in its own frame, as it is seen"""
+    """root: the first link; joints: parents before children; solids: solids of each link, in its own frame, as it is
+    seen"""
 
     root: str
     joints: tuple[UrdfJoint, ...]
@@ -71,7 +72,8 @@ class UrdfShapes:
         return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
 
     def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
-        """(4, 4) of each link in the root's frame. values: of joints by name [rad or m], 0 where there is none"""
+        """(4, 4) of each link in the root's frame. values: values of joints by name [rad or m], 0 where there is
+        none"""
         found: dict[str, FloatArray] = {self.root: np.eye(4)}
         for joint in self.joints:
             found[joint.child] = found[joint.parent] @ joint.moved(values.get(joint.name, 0.0))
@@ -205,7 +207,7 @@ def _of_open3d(mesh: Any) -> Solid:
 
 
 def _mesh_file(name: str, path: Path) -> Path:
-    """Of a URDF at `path`: below the package that it is in, else below its own folder."""
+    """A mesh file of the URDF at `path`: below the package that it is in, else below its own folder."""
     folder = path.resolve().parent
     package = next((one for one in (folder, *folder.parents) if (one / "package.xml").exists()), folder)
     inside = name.removeprefix("package://").partition("/")[2] if name.startswith("package://") else ""

@@ -84,7 +84,7 @@ class CalibrationResult(SourceResult):
     """Result of `calibrate_beta` or `calibrate_theta`.
 
     estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
-    pokes: of a surface, where layers below it were fitted
+    pokes: pokes of a surface, where layers below it were fitted
     pair: the observation and the model's settings that `model` is made of, where it was one pair
     """
 

@@ -31,8 +31,8 @@ MOST_SHOWN = 24
 def calibration_page(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> str:
-    """All that was found, with pictures, settings and provenance, as one HTML page. settings: of the command, in
-    addition to those of the estimates"""
+    """All that was found, with pictures, settings and provenance, as one HTML page. settings: settings of the command,
+    in addition to those of the estimates"""
     return html_report(_title(results), calibration_sections(results, seed=seed, settings=settings, pokes=pokes))
 
 

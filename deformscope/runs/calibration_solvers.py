@@ -124,7 +124,7 @@ def _array(found: Arrays, name: str, shape: tuple[int, ...]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchedCorners:
-    """T_base_ee: (n, 4, 4) of the arm's end with the tip on corners; corner: (n,) which"""
+    """T_base_ee: (n, 4, 4) pose of the arm's end with the tip on corners; corner: (n,) which"""
 
     T_base_ee: FloatArray
     corner: IntArray
@@ -409,7 +409,7 @@ RECORDED_AT_MOST_S = 120.0
 
 
 def recorded_taps(path: Path, wrench: str, device: str, kind: type[ArmFrame | DepthFrame | ColorFrame]) -> Taps:
-    """Of a recording of a force sensor and another device, by their names in it.
+    """Taps in a recording of a force sensor and another device, by their names in it.
 
     Raises InputError where one is missing, or where it is too long.
     """

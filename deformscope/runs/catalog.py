@@ -48,8 +48,8 @@ PICTURE_PX, PAGE_ROWS = 320, 1000
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CatalogResult(LibraryResult):
-    """folder: of the recordings; table: the requested rows; names: of the columns to show; read: recordings that were
-    read now"""
+    """folder: folder of the recordings; table: the requested rows; names: names of the columns to show; read:
+    recordings that were read now"""
 
     folder: Path
     table: pa.Table
@@ -77,7 +77,8 @@ def catalogue(
 ) -> CatalogResult:
     """The recordings of a folder for which a condition holds (`select_rows`); the index is made or brought up to date.
 
-    names: of columns to show. Raises InputError for unusable arguments; a damaged recording is a row with that status.
+    names: names of columns to show. Raises InputError for unusable arguments; a damaged recording is a row with that
+    status.
     """
     if not folder.is_dir():
         raise InputError("a folder of recordings", "a file" if folder.exists() else "nothing there", where=folder)
@@ -211,7 +212,8 @@ class ComparedRecordings(LibraryResult):
     """How the second differs from the first.
 
     settings: those that differ, by name; results: (name, first, second, difference) as JSON has values with intervals
-    series: of the devices' measurements since the first contact; unaligned: why there are none, empty = there are
+    series: series of the devices' measurements since the first contact; unaligned: why there are none, empty = there
+    are
     """
 
     first: Path

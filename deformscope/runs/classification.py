@@ -37,7 +37,7 @@ TableSource: TypeAlias = str | Path | LabelledTable | Mapping[str, object]
 
 @dataclass(frozen=True, slots=True)
 class ClassificationResult(LibraryResult):
-    """Accuracy of contents. name: of the table; evaluation: every number"""
+    """Accuracy of contents. name: name of the table; evaluation: every number"""
 
     evaluation: Evaluation
     name: str = ""

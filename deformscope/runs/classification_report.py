@@ -80,7 +80,7 @@ def classification_page(
 ) -> str:
     """All that was found as one HTML page.
 
-    model: trained on all trials; drawn: of `classification_pictures`; settings: of the command
+    model: trained on all trials; drawn: result of `classification_pictures`; settings: the command's settings
     besides: sections that come after the first
     """
     title = f"Contents of containers: {result.name}" if result.name else "Contents of containers"

@@ -20,7 +20,7 @@ from deformscope.stages.squeeze.scores import ClassificationScore
 
 @dataclass(frozen=True, slots=True)
 class ClassifierCheckResult(LibraryResult):
-    """Evaluation of a trained classifier on new trials. trials: their number; name: of table and model"""
+    """Evaluation of a trained classifier on new trials. trials: their number; name: name of table and model"""
 
     check: ModelCheck
     trials: int

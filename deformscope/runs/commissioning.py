@@ -26,14 +26,14 @@ class RigStep:
 
 
 def begin(name: str) -> RigStep:
-    """The first step of all, for a file without devices. name: of the rig file"""
+    """The first step of all, for a file without devices. name: name of the rig file"""
     return RigStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
 
 
 def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:
     """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera.
 
-    name: of its file, for the commands
+    name: name of its file, for the commands
     """
     kinds = {entry.driver.kind for entry in rig.devices}
     if not {"arm", "wrench", "depth"} <= kinds:

@@ -15,7 +15,7 @@ from deformscope.stages.squeeze.table import LabelledTable
 
 
 class OpenDataset(LibraryResult):
-    """A data set of squeezes; each call reads it again. folder: of its index and recordings"""
+    """A data set of squeezes; each call reads it again. folder: folder of its index and recordings"""
 
     def __init__(self, folder: Path) -> None:
         """Raises InputError where it is none."""

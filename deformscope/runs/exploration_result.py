@@ -63,7 +63,7 @@ class TruthScore:
 class TouchOutcome:
     """A touch, and its effect on the exploration.
 
-    ended_s: since the session began; iou: of the map after it; failed: failures on it, as text
+    ended_s: since the session began; iou: IoU of the map after it; failed: failures on it, as text
     asked_for: by a person on the page, or by a planner of one's own
     """
 
@@ -80,11 +80,11 @@ class ExplorationResult(LibraryResult):
 
     feel: the mapped quantity; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
     estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
-    missed: None before any plan; probability: of each number of regions; max_force_n: in the laboratory
+    missed: None before any plan; probability: probability of each number of regions; max_force_n: in the laboratory
     measured_max_force_n: by the sensor
     seconds: computing, of the slowest touch, by the robot's clock and on this computer
-    supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move
-    arm_stands: whether it could be stopped; losses: of each device that lost something; fault: why it was stopped
+    supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move; arm_stands:
+    whether it could be stopped; losses: losses of each device that lost something; fault: why it was stopped
     simulated: the scene; laboratory: its settings; recorded: another robot touched before, and nothing was commanded
     """
 

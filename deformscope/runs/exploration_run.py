@@ -51,11 +51,11 @@ INCLUSION_FORCE_N = 5.0
 class ExplorationEnd:
     """Why and when an exploration ended; completed during the run.
 
-    error: that ended it, other than a stop; start_ns: of the session, on the robot's clock
+    error: that ended it, other than a stop; start_ns: start of the session, on the robot's clock
     arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
     session_s: by the robot's clock [s]; gaps_s: (n,) from each look of its supervisor to the next [s]
     largest_force_n: that the sensor measured in a touch [N]
-    losses: of each device that lost something (`deformscope.recording.losses`)
+    losses: losses of each device that lost something (`deformscope.recording.losses`)
     """
 
     error: BaseException | None = None
@@ -76,7 +76,7 @@ def explore_on(
 ) -> ExplorationResult | None:
     """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
 
-    planner: instead of the built-in one; scene: of the rig's name, where that is not built in
+    planner: instead of the built-in one; scene: scene of the rig's name, where that is not built in
     In any case, the arm is halted, and the results are reported before the recording is closed.
     """
     from deformscope.config.explore import ExploreFlags

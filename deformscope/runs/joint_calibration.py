@@ -24,7 +24,7 @@ from deformscope.stages.msm.solver import pick_device
 
 @dataclass(frozen=True, slots=True)
 class JointResult(LibraryResult):
-    """What `calibrate both` found. estimate: beta and theta, each with its interval; name: of the pair"""
+    """What `calibrate both` found. estimate: beta and theta, each with its interval; name: name of the pair"""
 
     estimate: JointEstimate
     name: str

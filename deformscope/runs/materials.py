@@ -88,9 +88,9 @@ KINDS: dict[str, type[MaterialEstimate]] = {
 class MaterialJob:
     """Settings that determine a result besides the inputs; they are recorded.
 
-    find: the quantity of a material; noise: of a position [m of files, px of images]; particles: of images
-    frame: of images, that axes or a field are fitted to; force_n: on the moved particles; at, released: see
-    `UnloadingOptions`; version: see `NEWEST_FIT`; relaxation_version: see `NEWEST_RELAXATION`
+    find: the quantity of a material; noise: noise of a position [m of files, px of images]; particles: number of
+    particles of images; frame: frame of images, that axes or a field are fitted to; force_n: on the moved particles;
+    at, released: see `UnloadingOptions`; version: see `NEWEST_FIT`; relaxation_version: see `NEWEST_RELAXATION`
     """
 
     find: Literal["axes", "field", "yield", "viscous"]

@@ -66,8 +66,8 @@ def setup_of(
 
     set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: no hidden
     errors in the laboratory; camera: error model of its camera; robot: the robot's model in the images;
-    removal: how that is taken out of its pictures; tangential: of a touch, None = as the rig file says, in the
-    laboratory free where `options` are the thesis's; scene: of a name that is not built in
+    removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
+    file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in
     """
     if name.startswith(LAB):
         from deformscope.experiments.measured import highest_m

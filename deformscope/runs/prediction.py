@@ -32,7 +32,7 @@ ModelSource: TypeAlias = FittedModel | CalibrationResult | Path | str
 
 @dataclass(frozen=True, slots=True)
 class PredictionResult(LibraryResult):
-    """Prediction of a poke. points: (n, 3) of the surface whose deformed positions are predicted too [m]"""
+    """Prediction of a poke. points: (n, 3) points of the surface whose deformed positions are predicted too [m]"""
 
     prediction: Prediction
     points: FloatArray | None = None
@@ -152,7 +152,7 @@ def format_poke(poke: Poke) -> str:
 
 
 def predicted(model: FittedModel, text: PokeText, points_m: FloatArray | None, device: Device) -> PredictionResult:
-    """Prediction of a poke. points_m: (n, 3) as of `PredictionResult`"""
+    """Prediction of a poke. points_m: (n, 3) as in `PredictionResult`"""
     quiet_warp()
     found = fitted.predict(model, poke_of(text, model), device=pick_device(device))
     return PredictionResult(found, None if points_m is None else np.asarray(points_m, dtype=np.float64))

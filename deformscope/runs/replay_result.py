@@ -76,10 +76,11 @@ def compare(
     cut_short: bool = False,
     distance: Callable[[Any, Any], float] | None = None,
 ) -> float | None:
-    """Raises Different unless each recorded result is as computed, to the last bit. path: of the recording
+    """Raises Different unless each recorded result is as computed, to the last bit. path: path of the recording
 
     leave_out: fields of a result that may differ; cut_short: more may have been computed than was recorded
-    distance: of two results that differ, where less than `CLOSE` may; returns the largest, None = to the last bit
+    distance: compares two results that may differ by less than `CLOSE`, returns their largest difference; None = no
+    difference is allowed
     """
     if len(recorded) > len(computed) or (len(recorded) < len(computed) and not cut_short):
         raise Different(f"{len(recorded)} {what} as recorded", str(len(computed)), where=path)

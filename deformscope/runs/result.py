@@ -77,7 +77,7 @@ class FoundResult(LibraryResult):
 class SourceResult(LibraryResult):
     """Results of a source.
 
-    name: of the source; recording: of the run; problems: damage of the source
+    name: name of the source; recording: recording of the run; problems: damage of the source
     settings, seed: inputs that determine the result
     """
 

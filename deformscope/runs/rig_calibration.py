@@ -46,7 +46,7 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 class RigCalibrationResult:
     """Result of a rig calibration.
 
-    kind: place, tip, camera, force or time; values: for the rig file; rows: of the table, names and values
+    kind: place, tip, camera, force or time; values: for the rig file; rows: names and values of the table
     figure: how far each measurement is off; found: for JSON
     """
 
@@ -86,7 +86,7 @@ class Station:
 class SetupTask(Generic[M]):
     """One of these commands.
 
-    kind: of it; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays
+    kind: its kind; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays
     solve: its solution; recorded: measurements from a recording
     """
 

@@ -53,7 +53,7 @@ PAGE_HOLDS_S = 30.0
 class RigRun:
     """Outcome of a rig's run.
 
-    result: of the recording; failures: reason of each device that failed, by name; why: it ended
+    result: result of the recording; failures: reason of each device that failed, by name; why: it ended
     early_by: the signal that ended it before its end, 0 = none
     """
 
@@ -126,7 +126,8 @@ def _recorder(
     *,
     at_end: bool,
 ) -> Recorder | WatchedRecorder | PageRecorder:
-    """Of one file from the beginning to the end, or of the recent items then; on a page, of as many as it requests."""
+    """A recorder of one file from the beginning to the end, or of the recent items at the end; on a page, of as many
+    files as it requests."""
 
     def make(file: Path | None, viewer: ViewerChoice, *, at_once: bool = False) -> Recorder:
         files = dataclasses.replace(output, record=file, viewer=viewer)
@@ -160,7 +161,7 @@ def _new_file(rig: Rig) -> Path:
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
     """The options of the requested stages. Raises InputError if the rig lacks a device of one of them.
 
-    streams: of the devices, where they are not the rig's
+    streams: streams of the devices, where they are not the rig's
     """
     from deformscope.experiments.calibration_inputs import particle_options
     from deformscope.experiments.device_stages import LiveOptions, for_rig

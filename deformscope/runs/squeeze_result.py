@@ -28,9 +28,9 @@ class SqueezeResult(LibraryResult):
     """Outcome of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
 
     content: the requested one or, in the laboratory, the random one; stop: why it ended before its steady state
-    start_ns: of the recording; computed: None where it was stopped; answer: of a model, None without one
-    placement, sightings: of an arm that placed the hand, None and none where a person did; withdrawal: why it stopped
-    on its way back
+    start_ns: start of the recording; computed: None where it was stopped; answer: answer of a model, None without one
+    placement, sightings: placement and sightings of an arm that placed the hand, None and none where a person did;
+    withdrawal: why it stopped on its way back
     hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are restored
     truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
     """

@@ -59,7 +59,8 @@ GREEN, AMBER = "#1b7f4b", "#b3541e"
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """One way to compute a file. settings: the varied ones, by name; argument: of the function, besides the file
+    """One way to compute a file. settings: the varied ones, by name; argument: argument of the function, besides the
+    file
 
     identity: all that decides the result but for the file, in words
     """
@@ -145,8 +146,8 @@ def sweep_on(
 ) -> SweepResult:
     """Compute each source in each way that was not computed before, and write the outcome of all.
 
-    function: of a module; returns values of JSON's types Raises InputError without a worker, or for an unusable folder;
-    a task that fails is a row with its reason.
+    function: function of a module; returns values of JSON's types Raises InputError without a worker, or for an
+    unusable folder; a task that fails is a row with its reason.
     """
     make_folder(out)
     began, computed, skipped = time.monotonic(), 0, 0

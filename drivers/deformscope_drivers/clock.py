@@ -36,7 +36,7 @@ class Stamp:
         return self.host_ns + (self.late_ns or 0)
 
     def put_back(self, late_ns: int) -> Stamp:
-        """Of a device that is so late [ns]: when the reading was taken."""
+        """When a device that is late by this [ns] took the reading."""
         return Stamp(self.arrived_ns - late_ns, self.device_ticks, late_ns)
 
 
@@ -144,6 +144,6 @@ class ClockFit:
 
 
 def _earliest(readings: list[tuple[int, int]], tick_ns: float) -> tuple[int, int]:
-    """Of readings (ticks, host [ns]), the one with the shortest delay."""
+    """The reading (ticks, host [ns]) with the shortest delay."""
     tick_0, host_0 = readings[0]
     return min(readings, key=lambda reading: reading[1] - host_0 - tick_ns * (reading[0] - tick_0))

@@ -50,7 +50,7 @@ class _Pause:
         return max(0.0, (now_ns - self.start_ns) / 1e9 * self.rate_hz - (got - self.got))
 
     def cost(self, now_ns: int, got: int) -> tuple[float, float]:
-        """(seconds without readings, readings missing) that this pause counts for, as of now_ns [ns]."""
+        """(seconds without readings, readings missing) that this pause counts for, until now_ns [ns]."""
         if not self.rate_hz:
             return ((self.resumed_ns or now_ns) - self.start_ns) / 1e9, 0.0
         count = self.short_of(now_ns, got) if self.resumed_ns is None else self.fewest

@@ -35,7 +35,7 @@ QUEUE_EVENTS = 1024
 RAW_DROPPED = "raw_dropped"
 """In `Health.extra`: pieces of raw bytes that a reader was too slow to take."""
 JOINING_BYTES = "joining_bytes"
-"""In `Health.extra`: skipped bytes that came before the first good frame of a link, as of a device that was sending
+"""In `Health.extra`: skipped bytes that came before the first good frame of a link, as from a device that was sending
 already: nothing is lost with them."""
 
 

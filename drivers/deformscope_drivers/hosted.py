@@ -50,7 +50,7 @@ class HostedProcess:
 
     @property
     def process_id(self) -> int | None:
-        """Of the process that was started; None where none runs."""
+        """Identifier of the process that was started; None where none runs."""
         return None if self._process is None else self._process.pid
 
     def start(self, serve: Callable[..., None], *settings: object, quiet: bool = False) -> None:
@@ -157,7 +157,8 @@ class Channel:
 
 
 def hosted_command(descriptor: str) -> list[str]:
-    """This interpreter, with no module of the working folder's (-P). descriptor: of the process's end of the socket"""
+    """This interpreter, with no module of the working folder's (-P). descriptor: descriptor of the process's end of the
+    socket"""
     return [sys.executable, "-S", "-P", "-m", "deformscope_drivers.hosted", descriptor]
 
 

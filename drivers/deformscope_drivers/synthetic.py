@@ -28,9 +28,9 @@ ViewT = TypeVar("ViewT")
 
 @dataclass(frozen=True, slots=True)
 class SyntheticConfig:
-    """rate_hz: pictures a second of a scene; seed: of everything that is random
-    silence_s: without a picture, after which the link counts as lost; stuck_after_s: of the same picture, after which
-    it counts as stuck; None = never
+    """rate_hz: pictures a second of a scene; seed: seed of everything that is random
+    silence_s: without a picture, after which the link counts as lost; stuck_after_s: time of the same picture, after
+    which it counts as stuck; None = never
     """
 
     name: str

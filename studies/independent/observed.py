@@ -49,8 +49,8 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Pushed:
-    """rest, true: (K, d); seen: (K, d) with errors; held, tool: (n,) of which tool was moved; sigma: of the noise
-    clusters: particles a side, 0 of finite elements; beta: the truth, NaN there"""
+    """rest, true: (K, d); seen: (K, d) with errors; held, tool: (n,) held particles, and those that the tool moved;
+    sigma: deviation of the noise; clusters: particles a side, 0 of finite elements; beta: the truth, NaN there"""
 
     rest: Floats
     shape: tuple[int, ...]

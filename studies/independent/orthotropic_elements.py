@@ -17,7 +17,7 @@ from scipy.sparse.linalg import spsolve
 from deformscope.arrays import FloatArray, IntArray
 
 SPACING_M, FINE = 0.01, 3
-"""Of particles; elements along a side of one of their cells."""
+"""Spacing of particles; elements along a side of one of their cells."""
 NOISE_SHARES, NOISE_REACH = (0.005, 0.02), (0.5, 2.0)
 """Deviation of a coordinate, and of the Gaussian filter behind it [spacings]; even in their logarithms."""
 
@@ -26,8 +26,8 @@ PlateWay = Literal["stretch", "shear"]
 
 @dataclass(frozen=True, slots=True)
 class OrthotropicLaw:
-    """stiff, soft: Young's moduli along the two axes; nu: of a pull along the stiff one; shear: modulus; angle: of the
-    stiff axis from x [rad]"""
+    """stiff, soft: Young's moduli along the two axes; nu: nu of a pull along the stiff one; shear: modulus; angle:
+    angle of the stiff axis from x [rad]"""
 
     stiff: float
     soft: float
@@ -56,7 +56,7 @@ class OrthotropicLaw:
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """Observation of one deformation. rest, deformed: (K, 2) [m], last axis fastest; held: (n,); shape: of the
+    """Observation of one deformation. rest, deformed: (K, 2) [m], last axis fastest; held: (n,); shape: shape of the
     lattice"""
 
     rest: FloatArray
@@ -72,7 +72,7 @@ def deformed_plate(
     way: PlateWay,
     strain: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Particles (K, 2) at rest and moved [m]. factor: of the law's stiffness at places (n, 2) [m]"""
+    """Particles (K, 2) at rest and moved [m]. factor: factor of the law's stiffness at places (n, 2) [m]"""
     nx, ny = (FINE * (n - 1) + 1 for n in shape)
     h = SPACING_M / FINE
     index = np.arange(nx * ny).reshape(nx, ny)
@@ -141,7 +141,8 @@ def plate(
     rng: np.random.Generator,
     strain: float = 0.06,
 ) -> Plate:
-    """Observation of a plate. factor: of the law's stiffness at places (n, 2) [m]; camera: has an error of its own"""
+    """Observation of a plate. factor: factor of the law's stiffness at places (n, 2) [m]; camera: has an error of its
+    own"""
     rest, deformed = deformed_plate(shape, law, factor, way, strain)
     deformed = deformed + plate_noise(shape, rng)
     if camera:

@@ -15,7 +15,7 @@ from deformscope.arrays import FloatArray, IntArray
 
 SIZE_M = (0.6, 0.4)
 LEAST_SHARE = 0.08
-"""Of the surface, that each material covers."""
+"""Least share of the surface that each material covers."""
 LEVEL_N_PER_MM, LEAST_FACTOR = (0.25, 2.5), 1.25
 """Stiffness of materials, even in its logarithm; the least ratio of two."""
 CONTACT_M = (0.010, 0.016)
@@ -30,9 +30,9 @@ Labels = Callable[[FloatArray], IntArray]
 
 @dataclass(frozen=True, slots=True)
 class RandomSurface:
-    """count: of materials, 0 where stiffness changes gradually; labels: (n,) of places (n, 2) [m]; level: (count,) log
-    stiffness [N/mm]; log_stiffness: (n,) of places, without scatter; scatter: (n,) of places; contact_m: radius of a
-    contact's disc"""
+    """count: number of materials, 0 where stiffness changes gradually; labels: (n,) labels of places (n, 2) [m]; level:
+    (count,) log stiffness [N/mm]; log_stiffness: (n,) log stiffness of places, without scatter; scatter: (n,) scatter
+    of places; contact_m: radius of a contact's disc"""
 
     count: int
     kind: str

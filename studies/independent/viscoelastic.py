@@ -22,7 +22,7 @@ Modulus = Callable[[FloatArray], FloatArray]
 """E(t) / E0 at times (n,) [s]."""
 
 STEP_S, RATE_HZ = 2e-3, 100.0
-"""Of the integral, and of the samples of place and force."""
+"""Step of the integral, and rate of the samples of place and force."""
 CLEARANCE_M, SPEED_M_S, RADIUS_M, SET_N = 0.005, 0.01, 0.01, 3.0
 PLACE_SD_M, FORCE_SD_N, COUNT_N = 1e-4, 0.02, 0.0037
 """Noise of the arm's place, and of an OptoForce, of which one count is this (5.4 counts of noise)."""
@@ -33,7 +33,7 @@ ARM_M_PER_N, ARM_OFF_M_PER_N = 1.0 / 12e3, 0.1 / 12e3
 FOAM_N_PER_M, THICKNESS_M, POISSON = (350.0, 900.0), (0.035, 0.06), (0.05, 0.35)
 """Force over depth at SET_N, about; thickness and Poisson's ratio of the layer."""
 PARTS = 64
-"""Of a step over which E is averaged where it falls fast."""
+"""Parts of a step over which E is averaged where it falls fast."""
 
 
 # Laws -----------------------------------------------------------------------------------------------------------------
@@ -75,8 +75,8 @@ def stretched_mean_s(time_s: float, order: float) -> float:
 @dataclass(frozen=True, slots=True)
 class Recorded:
     """time_s, place_m, force_n: (n,) as recorded, along the normal; loading: samples up to the set force
-    at_once_n_per_mm: force over depth at SET_N without memory; relaxed_n_per_mm: of `left`, the remaining share of the
-    modulus
+    at_once_n_per_mm: force over depth at SET_N without memory; relaxed_n_per_mm: stiffness of `left`, the remaining
+    share of the modulus
     kept: (T,) share of the force at the end of the approach that is left `kept_s` (T,) after it, held in place"""
 
     time_s: FloatArray

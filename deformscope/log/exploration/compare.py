@@ -36,8 +36,8 @@ def comparison_rrd(
 ) -> bytes:
     """rerun data that a viewer lays over a recording, with views of both.
 
-    identity, streams, size_m: of the recording and its surface; recorded: its results with their time since its start
-    [ns]; again: those that other settings give; name: of these
+    identity, streams, size_m: identity, streams and size of the recording and its surface; recorded: its results with
+    their time since its start [ns]; again: those that other settings give; name: name of these
     """
     rec = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
     encoded = rr.binary_stream(rec)

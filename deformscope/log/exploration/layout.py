@@ -22,10 +22,10 @@ EXPLORATION = Application("deformscope-exploration", devices=True, robot_moves=T
 
 @dataclass(frozen=True, slots=True)
 class ExplorationLayout(RecordingLayout):
-    """size_m: of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to the
-    arm's base frame [m], None = the same
+    """size_m: size of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to
+    the arm's base frame [m], None = the same
 
-    truth: whether it is known; inclusions: whether they are sought; mapped: as of `MapEstimate`
+    truth: whether it is known; inclusions: whether they are sought; mapped: as in `MapEstimate`
     full: also results between frames and estimates; T_surface_camera: (4, 4), None = not known
     """
 

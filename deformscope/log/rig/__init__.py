@@ -109,7 +109,7 @@ def prepare_items(
     rather than JPEG, because something is computed from them (about 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes); place: in an exploration
     shown: data that a viewer has already, reused from call to call: they are not sent again
-    changes_only: of a device's health, only changes of its state relative to `shown`
+    changes_only: log only changes of a device's state relative to `shown`
     """
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}

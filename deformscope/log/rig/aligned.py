@@ -25,7 +25,7 @@ COLORS = RECORDED, OTHER
 class AlignedSeries:
     """Measurements of a device of one of the recordings.
 
-    quantity: with its unit, a plot each; name: of recording and device; which: 0 the first recording, 1 the second
+    quantity: with its unit, a plot each; name: name of recording and device; which: 0 the first recording, 1 the second
     since_ns: (n,) since the recording's first contact [ns]; values: (n,)
     """
 
@@ -37,7 +37,7 @@ class AlignedSeries:
 
 
 def aligned_rrd(series: Sequence[AlignedSeries], names: tuple[str, str]) -> bytes:
-    """A recording of rerun's, with its views. names: of the two recordings"""
+    """A recording of rerun's, with its views. names: names of the two recordings"""
     rec = rr.RecordingStream("deformscope-aligned", send_properties=False)
     encoded = rr.binary_stream(rec)
     quantities = list(dict.fromkeys(one.quantity for one in series))

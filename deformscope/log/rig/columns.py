@@ -63,7 +63,7 @@ class Place:
 class Batch:
     """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
 
-    place: of an exploration: where rows are on its timelines
+    place: place of an exploration: where rows are on its timelines
     """
 
     def __init__(self, place: Place | None = None) -> None:

@@ -40,8 +40,8 @@ TEXEL_MM = 3.4
 class Hand:
     """Places of the drawn texels.
 
-    pads: in the device's order; corners: (row, column) of each one's first texel, in texels
-    rows, columns: of the whole picture; texel_mm: (width, height) of a texel
+    pads: in the device's order; corners: (row, column) corners of each one's first texel, in texels
+    rows, columns: size of the whole picture; texel_mm: (width, height) size of a texel
     """
 
     pads: tuple[Pad, ...]

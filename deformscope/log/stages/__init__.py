@@ -53,7 +53,7 @@ def prepare_stage_results(
 ) -> Batch:
     """Make results ready for one stream or several: the cost is by stage, little by result, but for drawn pictures.
 
-    start_ns: host time at which `session` is 0 [ns]; latest: of every stage, reused from call to call
+    start_ns: host time at which `session` is 0 [ns]; latest: newest result of every stage, reused from call to call
     newest_pictures: draw and mark only the newest result of each stage
     """
     batch = Batch()

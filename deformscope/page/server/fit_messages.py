@@ -36,8 +36,8 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FitResult(msgspec.Struct, frozen=True):
-    """A whole fit. command: the command line of the result; value, low, high: of the parameter, at this level;
-    aee_free: average error of the free particles there; verdict: in words"""
+    """A whole fit. command: the command line of the result; value, low, high: value, lower end and upper end of the
+    parameter, at this level; aee_free: average error of the free particles there; verdict: in words"""
 
     command: str
     value: float
@@ -51,14 +51,15 @@ class FitResult(msgspec.Struct, frozen=True):
 class FitState(msgspec.Struct, frozen=True):
     """A fit that is set on the page.
 
-    kind: of its subject; parameter: the fitted one; size_px: of the picture [px]; pictures: file names, rest and
-    deformed
-    settings: the shown ones; number: of the `SetFit` that brought them, 0 = none yet; command: gives the same numbers
+    kind: kind of its subject; parameter: the fitted one; size_px: size of the picture [px]; pictures: file names, rest
+    and deformed; settings: the shown ones; number: number of the `SetFit` that brought them, 0 = none yet; command:
+    gives the same numbers
     problem: why they cannot be simulated, as text; the other fields are then of the earlier ones
     grid: rows, columns; spacing_px: between neighbours [px]
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
     held: which are; aee_free: average error of the free particles [unit]; the average of all that were seen is `aee`
-    values, errors: of the parameter, and the average error of all seen there [unit], as far as they were simulated
+    values, errors: values and errors of the parameter, and the average error of all seen there [unit], as far as they
+    were simulated
     busy: the present computation, as text; found: the last whole fit; picture: the file that shows it, empty = none
     camera: the followed one, empty = none; following: its newest picture is shown, which has no command line yet
     cameras: possible ones, besides the running fit

@@ -32,7 +32,7 @@ class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 
 
 class Hello(FromPage, frozen=True, tag="hello"):
-    """The first message. version: of the page's script; page: its unique name, reused after reconnection"""
+    """The first message. version: version of the page's script; page: its unique name, reused after reconnection"""
 
     version: int
     page: Name
@@ -91,13 +91,14 @@ class StopRun(FromPage, frozen=True, tag="stop"):
 
 
 class ConfirmMove(FromPage, frozen=True, tag="confirm"):
-    """Carry out the waiting motion. number: of the `PendingMove`"""
+    """Carry out the waiting motion. number: number of the `PendingMove`"""
 
     number: Number
 
 
 class SeeMove(FromPage, frozen=True, tag="seen"):
-    """The page has drawn the request for a confirmation: its time counts from now on. number: of the `PendingMove`"""
+    """The page has drawn the request for a confirmation: its time counts from now on. number: number of the
+    `PendingMove`"""
 
     number: Number
 
@@ -178,7 +179,8 @@ class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
 
 
 class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
-    """The page has drawn the settings' result. number: of the `SetFit`; after_ms: since a person changed it [ms]"""
+    """The page has drawn the settings' result. number: number of the `SetFit`; after_ms: since a person changed it
+    [ms]"""
 
     number: Number
     after_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
@@ -243,9 +245,9 @@ class DriftState(msgspec.Struct, frozen=True):
 
 
 class DeviceState(msgspec.Struct, frozen=True):
-    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: of the newest [s]
+    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: age of the newest [s]
 
-    jitter_s: standard deviation of the time between readings [s]; drift: of a force sensor
+    jitter_s: standard deviation of the time between readings [s]; drift: drift of a force sensor
     """
 
     name: str
@@ -322,7 +324,7 @@ class Chapter(msgspec.Struct, frozen=True):
 class Playback(msgspec.Struct, frozen=True):
     """A recording that a page plays.
 
-    timeline: of the viewer; from_ns, until_ns: its ends [ns]; step_ns: of a single step
+    timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step time of a single step
     layer: a file of the page that is to be shown over it, empty = none
     """
 
@@ -337,14 +339,14 @@ class Playback(msgspec.Struct, frozen=True):
 class PageState(ToPage, frozen=True, tag="state"):
     """All that a page shows around the viewer.
 
-    now_s: since the server began [s]; title: of the session; reason: why it stopped
+    now_s: since the server began [s]; title: title of the session; reason: why it stopped
     recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
     present pace; episode: label of the present one; held_s: number of last seconds that can still be recorded
     commands: requests that are possible at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
-    pending: waits for a confirm; next_place, curve: of an exploration; beat_s: time without a `Beat` after which
-    motions stop that a page confirmed [s]; playback: of a page that shows a recording; fit: the one that is set on the
-    page
+    pending: waits for a confirm; next_place, curve: next place and curve of an exploration; beat_s: time without a
+    `Beat` after which motions stop that a page confirmed [s]; playback: playback of a page that shows a recording; fit:
+    the one that is set on the page
     """
 
     version: int = VERSION

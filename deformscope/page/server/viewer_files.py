@@ -68,7 +68,8 @@ class ViewerFiles:
             return self._places[name][1]
 
     async def parts(self, name: str) -> AsyncIterator[bytes]:
-        """Of one of `NAMES`, after `size`. They are at hand in memory: a thread for each would take longer."""
+        """The file's parts, for one of `NAMES`, after `size`. They are at hand in memory: a thread for each would take
+        longer."""
         assert self._file is not None
         at, left = self._places[name]
         while left > 0:

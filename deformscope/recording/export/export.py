@@ -35,7 +35,7 @@ _drafts = count()
 
 @dataclass(frozen=True, slots=True)
 class ExportedFile:
-    """A file of an export. rows: of a stream, messages of an MCAP, or images"""
+    """A file of an export. rows: number of rows of a stream, messages of an MCAP, or images"""
 
     entity: str
     file: str
@@ -53,7 +53,8 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class Credits:
-    """What goes along into every format. license: of the data, as an SPDX identifier; citation: how it is cited"""
+    """What goes along into every format. license: licence of the data, as an SPDX identifier; citation: how it is
+    cited"""
 
     license: str = ""
     authors: tuple[str, ...] = ()

@@ -35,7 +35,7 @@ class ExportedImages:
 
 
 def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tuple[str, str], int]:
-    """Number of images, by device and kind. devices: of these alone; None = of all
+    """Number of images, by device and kind. devices: export only these devices' images; None = all
 
     Raises InputError where there is none.
     """

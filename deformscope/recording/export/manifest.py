@@ -31,7 +31,7 @@ class ExportedStream(msgspec.Struct, frozen=True):
 
 class Manifest(msgspec.Struct, frozen=True):
     """All of it; a new one belongs to no export. devices: by name, without it
-    topics, device_topics: of an MCAP, of entities and of devices"""
+    topics, device_topics: topics and device topics of an MCAP, of entities and of devices"""
 
     session_starts_ns: int | None = None
     streams: tuple[ExportedStream, ...] = ()

@@ -60,8 +60,8 @@ class CsvFile:
 
 
 class NpzFile:
-    """An array for each column. Of lists, text and bytes: all values, and `NAME_offsets` (rows + 1,) where each row
-    begins in them; of numbers that some rows lack: `NAME_valid` (rows,)."""
+    """An array for each column. For lists, text and bytes: all values, and `NAME_offsets` (rows + 1,) where each row
+    begins in them; for numbers that some rows lack: `NAME_valid` (rows,)."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self._path, self._draft = path, path.with_name(f"{path.name}.arrow")  # how long it is shows at its end

@@ -19,8 +19,8 @@ from deformscope.stages.msm.solver import Msm
 class AtValue:
     """The error there.
 
-    value: of the parameter; aee: average Euclidean error over the particles seen (Thesis eq. 3.18, 3.19); aee_free: the
-    same over those that are not held [unit of the observations]
+    value: value of the parameter; aee: average Euclidean error over the particles seen (Thesis eq. 3.18, 3.19);
+    aee_free: the same over those that are not held [unit of the observations]
     converged: the simulation came to rest
     """
 
@@ -44,7 +44,7 @@ def simulate(seen: Observation, model: Model, values: FloatArray, body: Msm | No
 
 
 def errors_of(seen: Sequence[Observation], value: float, found: Sequence[Comparison]) -> AtValue:
-    """Over all particles of all observations together. found: of each observation"""
+    """Over all particles of all observations together. found: states of each observation"""
     each = [distances(one.simulated, one.observed) for one in found]
     every = np.concatenate([one[obs.observed] for one, obs in zip(each, seen, strict=True)])
     free = np.concatenate([one[obs.free_observed] for one, obs in zip(each, seen, strict=True)])

@@ -5,7 +5,7 @@ its own. `Endless`: those of all times follow one power of the time. The complia
 about 0 as log(1 + t / t0), and reaches no plateau.
 
 Times have a log-uniform prior from a part of the approach's duration to ten holds, which is a sum of Gaussians about
-nodes: of every choice of nodes the parameters have one likeliest value.
+nodes: nodes of every choice of nodes the parameters have one likeliest value.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ Filtered = Callable[[FloatArray, int], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class Branches:
-    """A number of filters; parameters (2 b,): log j, then log l of each. nodes: (n,) of log l; prior: probability, of
-    all choices of nodes together"""
+    """A number of filters; parameters (2 b,): log j, then log l of each. nodes: (n,) nodes of log l; prior:
+    probability, of all choices of nodes together"""
 
     count: int
     nodes: FloatArray
@@ -75,7 +75,7 @@ class Branches:
 @dataclass(frozen=True, slots=True)
 class Endless:
     """Filters of the log times (b,), whose strengths go as l^n; parameters (2,): log of their sum within the hold, and
-    n. within: (b,) which are; methods as of `Branches`"""
+    n. within: (b,) which are; methods as in `Branches`"""
 
     log_times: FloatArray
     within: FloatArray
@@ -122,7 +122,7 @@ Spectrum = Branches | Endless
 
 
 def _exp(log: FloatArray) -> FloatArray:
-    """Of far-off draws too, whose weight is nothing."""
+    """exp without overflow, also for far-off draws, whose weight is 0."""
     return np.exp(np.clip(log, -LARGEST_LOG, LARGEST_LOG))
 
 

@@ -41,7 +41,7 @@ def unexplained(
 
 def explained_share(left: Iterable[tuple[float, float]], size: float) -> float:
     """Share of a motion beyond a rigid one that a simulation explains, from its parts (`unexplained`). It is 0 or less
-    if it explains nothing, and 0 without deformation. size: of the body [unit]"""
+    if it explains nothing, and 0 without deformation. size: size of the body [unit]"""
     by_model, by_rigid = np.sum(list(left), axis=0)
     return float(1.0 - by_model / by_rigid) if by_rigid > (1e-9 * size) ** 2 else 0.0
 

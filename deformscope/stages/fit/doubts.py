@@ -95,7 +95,7 @@ def found_in_numbers(
 
     noise: size of the residuals in units of the known noise, if any; their own noise [unit], if it is known apart from
     a misfit; and the source of the known noise; rank: mass of the posterior below the value, where there is a
-    posterior; version: see `model.NEWEST_FIT`; seen: as of `little_explained`
+    posterior; version: see `model.NEWEST_FIT`; seen: as in `little_explained`
     """
     ratio, shown, source = noise
     # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
@@ -137,8 +137,8 @@ def not_converged(converged: bool) -> Iterator[Doubt]:
 
 
 def little_explained(share: float, *, left_is_noise: bool = False, seen: Sequence[Observation] = ()) -> Iterator[Doubt]:
-    """share: of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: what is left is no
-    larger than noise, for which the interval allows; seen: what was fitted, to say whether anything moved"""
+    """share: share of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: what is left is
+    no larger than noise, for which the interval allows; seen: what was fitted, to say whether anything moved"""
     words = f"the model explains {max(share, 0.0):.0%} of the motion"
     if seen and (still := _still(seen, share)):
         yield Doubt("nothing-moved", still, "unidentified")
@@ -165,7 +165,7 @@ def _background(seen: Sequence[Observation]) -> str:
 
 def _still(seen: Sequence[Observation], share: float) -> str:
     """In words, that all motion beyond a common one is noise; empty where it is more, or where the noise is not known
-    and there is some. share: as of `little_explained`: motion that the model explains must be less to be noise"""
+    and there is some. share: as in `little_explained`: motion that the model explains must be less to be noise"""
     held, every, noise = 0.0, list[FloatArray](), list[float]()
     for one in seen:
         known, size = known_of(one), size_of(one.rest)
@@ -350,8 +350,8 @@ def swapped_axes(
     """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
     the motion beyond a rigid one, because the exchanged part may be less than before.
 
-    bulge: the states of `bulging`: a bulge as of rubber is no motion of another axis, so that the columns in another
-    order have to fit better than it too, None = not tried; weight: (n,) of each observation, default 1
+    bulge: the states of `bulging`: a bulge as that of rubber is no motion of another axis, so that the columns in
+    another order have to fit better than it too, None = not tried; weight: (n,) weight of each observation, default 1
     rival: squared error [unit^2] of another explanation, which other axes have to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight

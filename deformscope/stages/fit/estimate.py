@@ -145,7 +145,7 @@ class Identifiability:
     rise: by how many standard deviations the data separate the likeliest value of the range from the least likely one
     explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles).
     It is 0 or less if misfit or noise are as large as the motion itself
-    deviation: of the posterior; misfit: root mean square of the model's error, per coordinate [unit]
+    deviation: deviation of the posterior; misfit: root mean square of the model's error, per coordinate [unit]
     """
 
     rise: float = field(metadata=reported(key="rise_sd"))
@@ -174,7 +174,7 @@ class Choice:
     chosen: bool = field(default=False, metadata=reported())
 
     def as_json(self, parameter: Parameter, scale: float) -> dict[str, object]:
-        """scale: of the lengths."""
+        """scale: scale of the lengths."""
         errors = {"held_out_aee": scale * self.held_out, "scatter": scale * self.scatter, "fit_aee": scale * self.fit}
         return to_json(self) | errors | {parameter: self.value}
 
@@ -197,7 +197,7 @@ class Estimate(ReportedResult):
     reasons: to doubt the parameter, those that lower its verdict first
     selection: choices of model that were tried, where some were to be chosen; selection_text: remarks on them
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
-    nearest: one-sided nearest-neighbour error (eq. 4.6); unit: of every length here
+    nearest: one-sided nearest-neighbour error (eq. 4.6); unit: unit of every length here
     converged: every simulation that the value and the interval rest on reached its static state
     """
 
@@ -318,7 +318,7 @@ class Estimate(ReportedResult):
 
     @property
     def _scale(self) -> float:
-        """Of lengths in JSON: to metres where the scale is known."""
+        """Factor of lengths in JSON: to metres where the scale is known."""
         return 1.0 if self.metres_per_unit is None else self.metres_per_unit
 
 

@@ -19,7 +19,7 @@ BESIDE, MOST_STEPS = 1e-3, 5000
 
 @dataclass(frozen=True, slots=True)
 class FixedSteps:
-    """value: where it stopped; error: there [cm]; steps; evaluations: of the error; stopped: why"""
+    """value: where it stopped; error: there [cm]; steps; evaluations: evaluations of the error; stopped: why"""
 
     value: float
     error: float

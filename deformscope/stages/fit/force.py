@@ -77,9 +77,9 @@ def stiffness(
 ) -> Stiffness | None:
     """k at each beta and theta (g,), from the measured forces of all observations; None where there is none to compare.
 
-    positions: for each observation (g, K, d); misfit: of each, as a share of its motion. A static state's energy is
-    stationary, so that errors of its positions change its force to the second order: the square of that share adds to
-    the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; if several forces
+    positions: for each observation (g, K, d); misfit: misfit of each, as a share of its motion. A static state's energy
+    is stationary, so that errors of its positions change its force to the second order: the square of that share adds
+    to the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; if several forces
     scatter more than their noise, its deviation grows in proportion (Birge's ratio). Eq. 3.17 has no energy, so with
     theta in that form there is no force to compare.
     """

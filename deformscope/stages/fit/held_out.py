@@ -35,7 +35,7 @@ TOLD_LEAST = 0.01
 class HeldOut:
     """Errors of one choice of model over all frames [unit].
 
-    error: held-out AEE; block: (b,) of each block; fit: AEE of the same particles when all are fitted; value: the
+    error: held-out AEE; block: (b,) error of each block; fit: AEE of the same particles when all are fitted; value: the
     parameter then; usable: the simulation stayed finite
     """
 

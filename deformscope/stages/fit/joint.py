@@ -86,7 +86,7 @@ class JointEstimate:
 
     beta, theta: each with its marginal posterior; its curve is the least error over the other
     density: (b, t) joint posterior over `beta.posterior.parameter` and `theta.posterior.parameter`, whose integral is 1
-    correlation: of the two in the posterior
+    correlation: correlation of the two in the posterior
     """
 
     beta: Estimate

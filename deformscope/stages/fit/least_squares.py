@@ -96,9 +96,9 @@ def minimise(
 class Noise:
     """Variation between repeats of an observation.
 
-    deviation: of one observed number; shared: how many times more the mean of all varies than if their errors were
-    independent (variances); held: (r, n) variation of the simulation in repeats of the prescribed positions' noise;
-    none (0, n) if they are exact
+    deviation: deviation of one observed number; shared: how many times more the mean of all varies than if their errors
+    were independent (variances); held: (r, n) variation of the simulation in repeats of the prescribed positions'
+    noise; none (0, n) if they are exact
     """
 
     deviation: float

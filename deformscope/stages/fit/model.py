@@ -114,7 +114,7 @@ class Model:
     beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
     overlapping clusters
-    version: of how errors are explained, see `NEWEST_FIT`
+    version: version of how errors are explained, see `NEWEST_FIT`
     """
 
     parameter: Parameter = "beta"
@@ -148,7 +148,7 @@ class FitOptions:
 
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3).
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only along its path
-    level: of the interval; seed: of its random repeats
+    level: level of the interval; seed: seed of its random repeats
     at: a value whose error is reported as well, None = none
     """
 

@@ -14,7 +14,7 @@ class MomentFit:
     rest_px, observed_px, simulated_px: (K, 2) positions at rest, as seen, as simulated with `value` (NaN without a fit)
     [px]; seen: (K,) whether the flow followed it; held: (n,) particles whose motion is prescribed
     noise_px: (K,) one standard deviation of each observed coordinate [px]
-    parameter: beta or theta; value, interval: NaN without a fit; verdict, verdict_text: as of any estimate, or why
+    parameter: beta or theta; value, interval: NaN without a fit; verdict, verdict_text: as in any estimate, or why
     there is none; aee_px: mean error over all seen particles (Thesis eq. 3.18) [px]
     explained: share of the motion beyond a rigid one that the model explains
     """
@@ -49,9 +49,9 @@ class ParticleMoment:
 class FieldMoment:
     """Relative stiffness of each place at one moment, as in `calibrate field` for a frame.
 
-    place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: of the particles [px]
+    place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: spacing of the particles [px]
     stiffness: (C,) over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak
-    ratio, ratio_interval: stiffest over softest; verdict: as of a `FieldEstimate`; explained: share of the motion
+    ratio, ratio_interval: stiffest over softest; verdict: as in a `FieldEstimate`; explained: share of the motion
     """
 
     place_px: FloatArray

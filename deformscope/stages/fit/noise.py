@@ -104,9 +104,9 @@ class Measured:
     """The particles of one observation, and the stated sizes of their errors.
 
     rest: (n, d) free observed particles; held_rest: (k, d) prescribed ones, whose k d coordinates are the directions of
-    a response; None if m random combinations, noise included, represent too many of them
-    noise, held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed
-    positions carry noise, None = not known; spacing: of the particles; floor: smallest deviation that numbers resolve
+    a response; None if m random combinations, noise included, represent too many of them; noise, held_noise: (n,), (k,)
+    deviation of a coordinate, None if unknown; held_measured: whether the prescribed positions carry noise, None = not
+    known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed ones that may be anywhere near, None = none
     touched: (k,) prescribed ones that something moved, None where `held_rest` is
     shift: deviation of what all that is held is off by, as one [unit]
@@ -153,8 +153,8 @@ class NoiseHypotheses:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """log_likelihood: (h, g) of residuals g under hypothesis h, its prior and scale included; log_scale: (h, g) of the
-    white noise against the stated one (or 1), the most likely; log_scale_deviation: (h, g)"""
+    """log_likelihood: (h, g) log likelihood of residuals g under hypothesis h, its prior and scale included; log_scale:
+    (h, g) log scale of the white noise against the stated one (or 1), the most likely; log_scale_deviation: (h, g)"""
 
     log_likelihood: FloatArray
     log_scale: FloatArray
@@ -165,8 +165,8 @@ class Evidence:
 class Products:
     """chi2 of all sums of r residuals under hypotheses h: x'P x of the sum with shares x.
 
-    rows: (h,) the hypotheses; product: (h, r, r) P; log_det: (h,) of the covariance; white: (r, r) P of the stated
-    noise alone; count: numbers in a residual
+    rows: (h,) the hypotheses; product: (h, r, r) P; log_det: (h,) log determinant of the covariance; white: (r, r) P of
+    the stated noise alone; count: numbers in a residual
     """
 
     rows: IntArray

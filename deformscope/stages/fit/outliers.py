@@ -24,8 +24,8 @@ from deformscope.stages.fit.model import Observation
 
 FALSE_ALARMS = 0.05
 """Share of right ones among those that are left out of white noise, and chance that clean noise loses one, were its
-scale known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies. Of lost tracks 58, 64 and 69 %
-were found at 0.01, 0.05 and 0.2, and 0.01, 0.07 and 0.4 % of the others left out."""
+scale known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies. At 0.01, 0.05 and 0.2, 58, 64 and
+69 % of lost tracks were found, and 0.01, 0.07 and 0.4 % of the others left out."""
 
 SCALE_MARGIN = 1.25
 """The bound's factor for the scale's uncertainty: it comes from few particles, and neighbours are noisy too."""
@@ -49,8 +49,8 @@ STOPPED = 0.8
 
 BEHIND_GAIN, BEHIND_ROUNDS = 10.0, 50
 """Gain in twice the log likelihood that lost tracks need together if none of them is an outlier alone; rounds to their
-share. Compared with 5 and without on tuning seeds, 150 bodies. Of lost tracks 68, 69 and 65 % were found, of wrong
-tracks and of white or shared noise as many as without."""
+share. Compared with 5 and without on tuning seeds, 150 bodies. 68, 69 and 65 % of lost tracks were found; the shares
+for wrong tracks and for white or shared noise did not change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ Fitted = Callable[[Sequence[Observation]], Sequence[FloatArray]]
 def without_outliers(
     every: Sequence[Observation], spacing: Sequence[float], fitted: Fitted
 ) -> tuple[list[Observation], tuple[LeftOut, ...]]:
-    """The observations without their outliers, and those by name. spacing: of each one's particles [unit]"""
+    """The observations without their outliers, and those by name. spacing: spacing of each one's particles [unit]"""
     off = [np.zeros(len(one.rest), dtype=bool) for one in every]
     seen = list(every)
     positions = fitted(seen)
@@ -172,7 +172,7 @@ def _behind(residual: FloatArray, way: FloatArray, scale: FloatArray) -> BoolArr
 
 
 def _named(rest: FloatArray, deformed: FloatArray, expected: FloatArray, off: BoolArray) -> LeftOut:
-    """Of particles (K,) that are off: whether each stayed on its expected way, or left it."""
+    """Whether each of the particles (K,) that are off stayed on its expected way, or left it."""
     rows = np.flatnonzero(off)
     way, came = (expected - rest)[rows], (deformed - rest)[rows]
     length = np.sum(way**2, axis=1)

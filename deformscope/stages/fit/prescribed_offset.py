@@ -40,8 +40,8 @@ SETTLED = 0.02
 """A last change of the estimated positions below this ends the rounds [spacings]."""
 
 FIELDS_TRIED, SIZES = (("matern", (1.0, 3.0, 8.0)), ("gaussian", (1.4, 2.8, 4.0))), 3
-"""Of the smooth fields, those of these roughnesses and lengths, and every so manieth size, stand for all; of version 1,
-the first roughness."""
+"""Roughnesses and lengths of the smooth fields that represent all, and the step between sizes; version 1 has the first
+roughness."""
 
 EFFECT = 0.02
 """Share of the (stretched) range by which the parameter is changed for a derivative."""

@@ -51,8 +51,8 @@ def force_kept(
 ) -> FloatArray:
     """(d, T) share of the force at the end of an approach that is left `after_s` (T,) later, held in place.
 
-    strength, retarded_s: (d, b); exponent: (d,) of the elastic force over the time of the approach, which is even and
-    takes `ramp_s`
+    strength, retarded_s: (d, b); exponent: (d,) exponent of the elastic force over the time of the approach, which is
+    even and takes `ramp_s`
     """
     share, relaxed_s = relaxing(strength, retarded_s)
     gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS
@@ -66,7 +66,8 @@ def force_kept(
 
 @dataclass(frozen=True, slots=True)
 class ForceKept:
-    """share: of the force at the end of the push that is left `after_s` later [s], held in place; interval: of 90 %"""
+    """share: share of the force at the end of the push that is left `after_s` later [s], held in place; interval: 90 %
+    interval"""
 
     after_s: float
     share: float
@@ -80,7 +81,7 @@ class ForceKept:
 def kept_of(
     strength: FloatArray, retarded_s: FloatArray, exponent: FloatArray, ramp_s: float, held_s: float
 ) -> tuple[ForceKept, ...]:
-    """The remaining force after round times within the hold, and at its end, of equally weighted draws; arguments as of
+    """The remaining force after round times within the hold, and at its end, of equally weighted draws; arguments as in
     `force_kept`."""
     after_s = np.array([*(one for one in KEPT_AFTER_S if one < 0.95 * held_s), held_s])
     kept = np.quantile(force_kept(strength, retarded_s, exponent, ramp_s, after_s), (0.05, 0.5, 0.95), axis=0).T
@@ -96,8 +97,8 @@ class RelaxationSeen:
 
     reasons: to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that nothing ends
     open: whether these together exceed `OPEN`
-    within: (d,) draws of which all relaxes within the record; share: (d,) of the modulus that relaxes, of endless creep
-    within the record
+    within: (d,) draws of which all relaxes within the record; share: (d,) share of the modulus that relaxes, of endless
+    creep within the record
     """
 
     reasons: tuple[Doubt, ...]

@@ -186,7 +186,7 @@ class Residuals:
 
         Details that the parameter does not change distinguish such errors from it if white noise dominates. If misfit
         and shared errors outweigh it, they only bound the size of such errors.
-        response: of held positions (n, d, m)
+        response: that of held positions (n, d, m)
         """
         one = self.explanation
         variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2

@@ -55,7 +55,7 @@ WEIGHT_LEAST = 0.02
 class Shared:
     """How the errors of two frames correlate.
 
-    mean, most: of all pairs on the average, and its upper bound; far, near: of C
+    mean, most: mean and most of all pairs on the average, and its upper bound; far, near: far and near of C
     """
 
     mean: float
@@ -81,8 +81,8 @@ FULLY = Shared(RHO_MOST, RHO_MOST, RHO_MOST, 0.0)
 class Together:
     """The information of frames together.
 
-    weight: (F,) of each frame's error and log likelihood; 1 = as an observation of its own
-    information: (F,) of each frame alone on the parameter, in standard deviations over `STEP` of the range
+    weight: (F,) weight of each frame's error and log likelihood; 1 = as an observation of its own
+    information: (F,) information of each frame alone on the parameter, in standard deviations over `STEP` of the range
     shared: how the frames' errors correlate
     """
 

@@ -3,7 +3,8 @@
 - Of the tool: all held positions have a common displacement. The particles that something moved, and those held still,
   are each shifted and turned (the registration of a robot or a fixture).
 - Of the camera: all measured positions have a displacement that is linear in the place: a wrong scale along some
-  direction, or a drift. Bent ones, as of a lens, are left to the smooth fields of `deformscope.stages.fit.noise`.
+  direction, or a drift. Bent displacements, such as those by a lens, are left to the smooth fields of
+`deformscope.stages.fit.noise`.
 
 Each has a Gaussian prior, so that they add a covariance of low rank to that of the noise. They are always included. A
 tool's displacement is hardly distinguishable from another parameter in the residuals, so that evidence would decide

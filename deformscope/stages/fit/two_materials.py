@@ -101,9 +101,9 @@ def _inclusions(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> 
 class Local:
     """One observation about its fit.
 
-    part: its particles and error model; residual: (n, d) at the fit; response: of held positions there (n, d, m)
+    part: its particles and error model; residual: (n, d) at the fit; response: (n, d, m) there, to held positions
     fitted: (q, n, d) derivatives by the parameters fitted; apart: (s, n, d) by a difference between the parts of each
-    split; weight: of the observation
+    split; weight: weight of the observation
     """
 
     part: Residuals
@@ -195,10 +195,10 @@ class FittedBody:
     """One observation at its fit, with the values for changing the beta of each cluster.
 
     part: its particles and error model; grouped: its clusters; position: (K, d) simulated at the fit
-    response: of held positions there (n, d, m); others: (q, n, d) derivatives by parameters besides beta
-    states: positions (B, K, d) for -log(1 - beta) of each cluster (B, C); weight: of the observation
-    whole: of a history of which the observation is one frame, all observed numbers (n,), and the derivative of each by
-    (B, C), as (B, n): two betas fit errors of one frame more easily than those of all
+    response: (n, d, m) there, to held positions; others: (q, n, d) derivatives by parameters besides beta
+    states: positions (B, K, d) for -log(1 - beta) of each cluster (B, C); weight: weight of the observation
+    whole: if the observation is one frame of a history, all observed numbers of it (n,), and their derivatives for (B,
+    C), as (B, n): two betas fit errors of one frame more easily than those of all
     """
 
     part: Residuals

@@ -16,11 +16,10 @@ PROPOSAL_FREEDOM = 5.0
 FEWEST_EFFECTIVE = 40.0
 """Where fewer weighted draws than these count in effect, unweighted ones about the best fit are taken."""
 DRAWS_OF_ALL, TEMPERED, FREEDOM_OF_ALL = 4000, 0.6, 4.0
-"""Of all choices of all models; the power of their evidence by which these are drawn, since that is known but about;
-the proposal's freedom."""
+"""Number of draws of all choices of all models; power of their evidence, which is only roughly known, by which choices
+are drawn; degrees of freedom of the proposal."""
 ROUNDS, DAMPING, SETTLED = 30, 1e-2, 1e-3
-"""Of the search for the likeliest parameters: rounds at most, damping at first, change of half the squares at its
-end."""
+"""The search for the likeliest parameters: most rounds, first damping, change of half the squares at its end."""
 
 
 def draw_about(
@@ -32,8 +31,8 @@ def draw_about(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Draws (d, k), their weights (d,) which add up to 1, and the log evidence.
 
-    best: (k,) of least squares; jacobian: (m, k) there of residuals, which takes (d, k) and gives (d, m), in
-    deviations, priors among them; log_size: logarithm of the density's divisor
+    best: (k,) parameters of least squares; jacobian: (m, k) derivative of residuals there; residuals: takes (d, k),
+    gives (d, m), in deviations, priors among them; log_size: logarithm of the density's divisor
     """
     root = np.linalg.cholesky(jacobian.T @ jacobian)
     stretch = np.sqrt(PROPOSAL_FREEDOM / random.chisquare(PROPOSAL_FREEDOM, (DRAWS, 1)))
@@ -73,8 +72,8 @@ def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.
 class DrawnModel:
     """One model in many choices, that differ by their priors alone.
 
-    mean: (c, k) of the Gaussian priors of each choice, where the search begins; spread: (k,) deviations, infinite: none
-    prior: probability of all choices together, each alike; residuals: (d, k) to (d, m), without priors
+    mean: (c, k) mean of the Gaussian priors of each choice, where the search begins; spread: (k,) deviations, infinite:
+    none; prior: probability of all choices together, each alike; residuals: (d, k) to (d, m), without priors
     linear: (d, k) to these and their derivatives (d, k, m)
     """
 
@@ -85,7 +84,7 @@ class DrawnModel:
     linear: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
     def minima(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of each choice the likeliest parameters (c, k), half its squares there (c,), and their curvature (c, k, k):
+        """The likeliest parameters of each choice (c, k), half its squares there (c,), and their curvature (c, k, k):
         all in one pass (Levenberg 1944, Marquardt 1963)."""
         best, holds = self.mean, np.diag(1.0 / self.spread**2)
         off, moved = self.linear(best)

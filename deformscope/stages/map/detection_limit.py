@@ -3,7 +3,7 @@
 An inclusion is a disc of some radius, twice as stiff or twice as soft as its surroundings. Its centre may be anywhere
 on the surface if all of it lies there, each place with equal probability. The touches are taken to read as the map
 explains
-them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as of any
+them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as with any
 region), in standard deviations of them. So a touch inside excludes it, and one at its rim leaves it open. Rigid parts
 have no
 inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.

@@ -29,7 +29,7 @@ DISPLAY = "display"
 class SurfaceEstimate:
     """The surface as the camera saw it, and as the world Gaussian process estimates it (Thesis eq. 4.3, 4.4).
 
-    points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: of the grid
+    points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: cell size of the grid
     layer_m, layer_sd_m: assumed thickness of a level layer of this foam, and its deviation [m]: as stated, or as
     measured over the table around it; None = unknown
     """
@@ -51,15 +51,15 @@ class TouchEstimate:
     fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began, on the same axis
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
     modulus_pa, modulus_interval_pa: corrected for the tip and the layer, None = rigid, or thickness not known
-    depth_m, peak_force_n: of the dent
-    peak_rate_n_per_s, peak_rate_interval_n_per_s: greatest rate of the force on the approach (`contact.peak_rate`),
-    None with too few samples
-    beta, beta_interval, beta_verdict: of the MSM fitted to the dent, None = not fitted
+    depth_m, peak_force_n: depth and peak force of the dent; peak_rate_n_per_s, peak_rate_interval_n_per_s: greatest
+    rate of the force on the approach (`contact.peak_rate`), None with too few samples
+    beta, beta_interval, beta_verdict: beta, beta interval and beta verdict of the MSM fitted to the dent, None = not
+    fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     speed_m_s: at which the tip came down in contact, None = not known: foam that creeps is the stiffer the faster
     creep: the foam's creep by the touch's hold and retract, None = not requested, or not fitted
-    thickness_m: of the foam there, as it was seen; level_n_per_mm: its stiffness on level foam of the stated thickness,
-    which is mapped; both None if the foam is assumed to be that
+    thickness_m: thickness of the foam there, as it was seen; level_n_per_mm: its stiffness on level foam of the stated
+    thickness, which is mapped; both None if the foam is assumed to be that
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
@@ -176,7 +176,7 @@ class TouchEstimate:
 class MapRegion:
     """A region of a map: a place where all is alike.
 
-    stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) of 90 %; rigid: the former is a lower bound
+    stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) 90 % interval; rigid: the former is a lower bound
     modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam with this stiffness. It is shown without the
     interval, which does not cover foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times stiffer. None
     with an unknown thickness, the interval also for a bound
@@ -225,23 +225,23 @@ class MapEstimate:
     """The maps after a number of touches, and every number that is reported of them: terminal, JSON, panel, pictures
     and replay take them from here.
 
-    stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: of its logarithm
+    stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: deviation of its logarithm
     beta, beta_sd: (rows, columns), None before two touches gave one
     labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
-    label_probability: of that label, the doubt about the number of regions and about `gradual` included
+    label_probability: probability of that label, the doubt about the number of regions and about `gradual` included
     region_count: 0 without regions; at_least: there may be more, it is the largest number that is distinguished
-    verdict: "regions" or "gradual"; probability: of verdict and region_count (`RegionMap.claimed`)
-    level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) of 90 %
+    verdict: "regions" or "gradual"; probability: probability of verdict and region_count (`RegionMap.claimed`)
+    level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) 90 % interval
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
-    contacts_m: (n, 2) touches so far; tip_radius_m: of the touching tip
+    contacts_m: (n, 2) touches so far; tip_radius_m: tip radius of the touching tip
     travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
     level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
     its 90 %, a lower bound for rigid parts; None with an unknown thickness
     levelled_m: all stiffness is as on a level layer so thick [m], None = apparent
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
-    level_loss: (region_count,) of each region, level_loss_interval: (region_count, 2) of 90 %; all four None unless the
-    regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the touches, the levels
-    its means, none of them a bound
+    level_loss: (region_count,) loss of each region, level_loss_interval: (region_count, 2) of 90 %; all four None
+    unless the regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the touches,
+    the levels its means, none of them a bound
     isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
     `probability` is then that of as many regions by stiffness; None = the regions are of stiffness, or of the loss
     truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
@@ -326,8 +326,8 @@ class DetectionLimit:
     """Detection limit of the touches so far.
 
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
-    lump_radius_m: (n,) of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of these
-    exists, undetected by the touches; it was `prior` before any touch
+    lump_radius_m: (n,) radii of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of
+    these exists, undetected by the touches; it was `prior` before any touch
     contrast: ratio of their stiffness to that of their surroundings, or the inverse
     deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
     """
@@ -347,7 +347,7 @@ class DetectionLimit:
         return [*map(MissProbability, self.lump_radius_m, self.lump_probability)]
 
     def probability(self, radius_m: float) -> float:
-        """Of inclusions of one of these radii [m]; 0 where they do not fit."""
+        """Probability of inclusions of one of these radii [m]; 0 where they do not fit."""
         return float(self.lump_probability[self.lump_radius_m == radius_m].sum())
 
 
@@ -356,11 +356,12 @@ class InclusionsResult:
     """Posterior of inclusions below a homogeneous surface, by the touches so far (`stages.map.inclusion_posterior`).
 
     centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
-    radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) of each
-    depth: of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty if it is not identified
-    covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: of that map
-    size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found, were
-    inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
+    radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) probability
+    of each
+    depth: depth of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty if it is not identified
+    covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: cell size of that
+    map; size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found,
+    were inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
     prior, contrast, deepest_m: assumptions. Before any touch an inclusion exists with probability `prior`. It is at
     least `contrast` times as stiff or as soft as the foam. Its uppermost point is at most `deepest_m` down [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
@@ -449,8 +450,8 @@ class PlannedTouch:
     """Place of the next touch, and its reason.
 
     target_m: (2,), None = no further touch; excluded: cells that may not be touched
-    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: of gain, as
-    `plan.TouchChoice` has it
+    gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: unit of
+    `gain`, as in `plan.TouchChoice`
     reason: in words; stop_reason: why none follows; missed: by the touches so far, None where it was not computed
     """
 
@@ -468,11 +469,11 @@ class PlannedTouch:
 class TouchForecast:
     """The plan of a touch that a person requests, and its forecast.
 
-    xyz_m: (3,) estimated place of the surface; normal: (3,) along which it is touched; way_m: (k, 3) of the tip's
+    xyz_m: (3,) estimated place of the surface; normal: (3,) along which it is touched; way_m: (k, 3) way of the tip's
     lowest point, down to it [m]; set_force_n: pressed with
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force, as one touch is expected to measure it in 90 %
-    force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) of the dent at each, and its interval [m]
-    touches: those of the estimate
+    force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) depth, lower end and upper end of the dent at each, and
+    its interval [m]; touches: those of the estimate
     """
 
     xyz_m: FloatArray
@@ -537,7 +538,7 @@ class PhaseStart:
 class ExplorationStop:
     """The exploration ended before the end of its plan.
 
-    kind: of the fault, in the supervisor's text or the touch's; reason: its evidence; advice: the remedy
+    kind: kind of the fault, in the supervisor's text or the touch's; reason: its evidence; advice: the remedy
     action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first
     touch: as in PhaseStart
     """

@@ -84,7 +84,8 @@ BETA_PRIOR = FieldPrior(sigma_e=0.25, nugget=0.05, nugget_spread=0.7, level_sd=1
 
 @dataclass(frozen=True, slots=True)
 class FieldMap:
-    """A field on a grid. mean, deviation: (rows, columns), of the field itself, without a touch's noise"""
+    """A field on a grid. mean, deviation: (rows, columns), mean and deviation of the field itself, without a touch's
+    noise"""
 
     grid: MapGrid
     mean: FloatArray
@@ -115,7 +116,8 @@ class _State:
 class Field:
     """A field given its touches.
 
-    places_m: (n, 2) [m]; value, sd: (n,) of the touches; level: the constant that the mean varies around
+    places_m: (n, 2) [m]; value, sd: (n,) value and standard deviation of the touches; level: the constant that the mean
+    varies around
     kernel, nugget: likeliest; log_likelihood: marginal, at these; at_bound: which of "sigma_e", "length", "nugget" came
     to rest at the end of its range; states: hyper-parameters of the average, one alone if they are fixed
     """

@@ -51,7 +51,8 @@ class Kernel:
 
 @dataclass(frozen=True, slots=True)
 class ProcessPrediction:
-    """Values at places, as a process predicts them. mean, deviation: (n,), of the process itself, without noise"""
+    """Values at places, as a process predicts them. mean, deviation: (n,), mean and deviation of the process itself,
+    without noise"""
 
     mean: FloatArray
     deviation: FloatArray

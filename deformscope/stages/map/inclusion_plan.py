@@ -38,7 +38,7 @@ def plan_inclusion_touch(
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
 ) -> TouchChoice:
-    """The next touch, on cells half as wide as those of the map of gains; arguments as of `plan.plan_touch`.
+    """The next touch, on cells half as wide as those of the map of gains; arguments as in `plan.plan_touch`.
 
     tip_m: (2,), left_out_m: (k, 2) [m]; reachable: (rows, columns) mask of the posterior's grid
     """

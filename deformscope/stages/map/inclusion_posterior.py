@@ -111,8 +111,8 @@ BACKGROUNDS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class InclusionPrior:
-    """smallest_m: radius of the inclusions that must not be missed [m]; tip_radius_m, set_force_n: of touches;
-    error: of touches; the foam's scatter is that of `BACKGROUNDS`"""
+    """smallest_m: radius of the inclusions that must not be missed [m]; tip_radius_m, set_force_n: tip radius and set
+    force of touches; error: error model of touches; the foam's scatter is that of `BACKGROUNDS`"""
 
     smallest_m: float = 0.02
     tip_radius_m: float = 0.01
@@ -211,10 +211,10 @@ class InclusionShifts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundInclusion:
-    """An inclusion that the touches speak for.
+    """An inclusion that the touches make probable.
 
-    centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: of
-    90 % [m]; stiff: rather than soft; probability: that there is one
+    centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: its
+    radius and the 90 % interval [m]; stiff: it is stiffer than the foam, not softer; probability: that there is one
     deep: probability that it is (DEEP_M); log_shift: its effect on log stiffness right above it
     posterior: (j,) over the guesses
     """
@@ -300,15 +300,15 @@ class InclusionState:
     """Posterior after the found inclusions: whether there is one more.
 
     odds_log: (j,) logarithm of each guess's likelihood over that of none; open: (j,) guesses that stay apart from all
-    that were found; posterior: (j,) of one more, its kinds and places, 1 in all; exists: that there is one more, of
-    all radii
+    that were found; posterior: (j,) posterior of one more, its kinds and places, 1 in all; exists: that there is one
+    more, of all radii
     backgrounds: (b,) posterior of `BACKGROUNDS`
     """
 
     def __init__(
         self, hypotheses: InclusionHypotheses, felt: InclusionShifts, left: LeftOver, open_: BoolArray
     ) -> None:
-        """felt: of the touches"""
+        """felt: effect on the touches"""
         self.left, self.open = left, open_
         self._hypotheses = hypotheses
         none, one = np.zeros(len(BACKGROUNDS)), np.zeros((len(BACKGROUNDS), len(hypotheses)))
@@ -353,7 +353,7 @@ class InclusionState:
 class InclusionPosterior:
     """Posterior of inclusions given touches of a surface; each touch makes a new posterior.
 
-    touches; found: inclusions, in the order in which they explain most; state: of the remaining part
+    touches; found: inclusions, in the order in which they explain most; state: state of the remaining part
     """
 
     def __init__(self, grid: MapGrid, prior: InclusionPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
@@ -505,7 +505,7 @@ class InclusionPosterior:
 
     @property
     def probability(self) -> dict[str, float]:
-        """Of the number of regions: the foam and the inclusions, those that were found or one more."""
+        """Probability of the number of regions: the foam and the inclusions that were found, or one more."""
         count, more = len(self.found) + 1, self.state.exists
         return {str(count): 1.0 - more, str(count + 1): more}
 
@@ -598,7 +598,7 @@ def _shares(joint: FloatArray, posterior: FloatArray) -> FloatArray:
 
 
 def _interval(values: FloatArray, share: FloatArray) -> tuple[float, float]:
-    """Of 90 %, of values (n,) on a grid, each as broad as the way to its neighbours."""
+    """The 90 % interval of values (n,) on a grid, each as broad as the distance to its neighbours."""
     edges = np.concatenate([[1.5 * values[0] - 0.5 * values[1]], 0.5 * (values[1:] + values[:-1])])
     edges = np.append(edges, 1.5 * values[-1] - 0.5 * values[-2])
     low, high = np.interp([0.05, 0.95], np.append(0.0, np.cumsum(share)), edges)

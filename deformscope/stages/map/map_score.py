@@ -46,16 +46,16 @@ class TrueMap:
 class MapScore:
     """A map against the truth. Without a truth it is None; shares are from 0 to 1.
 
-    region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are
-    iou: `match_regions`; least_iou: of the smallest true region with its match; boundary_m: `boundary_distance`
+    region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are; iou: `match_regions`;
+    least_iou: least IoU of the smallest true region with its match; boundary_m: `boundary_distance`
     ordered: the matched regions' levels have the true order
     rigid_found: most of the rigid area is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
     to; None with a wrong number of regions
     wrong, wrong_claimed: share of the surface whose label is not that of its matched region, and the map's expectation
     of it
-    field_rms: of log stiffness; field_covered: share of cells whose truth lies in the field's 90 % interval; both
-    without rigid parts
+    field_rms: root mean square of log stiffness; field_covered: share of cells whose truth lies in the field's 90 %
+    interval; both without rigid parts
     """
 
     region_count: int

@@ -16,9 +16,9 @@ from deformscope.stages.see.pixel_labels import SeenPixels
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
-    """Measurement of the camera. points_m: (n, 3) of the surface, robot and outliers taken away, surface frame [m]
-    noise_m: (n,) deviation of each height [m]; table: around it, None = not visible, or not sought
-    pixels: of the points, None = not requested, or no images"""
+    """Measurement of the camera. points_m: (n, 3) points of the surface, robot and outliers taken away, surface frame
+    [m]; noise_m: (n,) deviation of each height [m]; table: around it, None = not visible, or not sought
+    pixels: number of pixels of the points, None = not requested, or no images"""
 
     points_m: FloatArray
     noise_m: FloatArray
@@ -66,7 +66,7 @@ class LookFrames:
     """The frames from which a look at the surface is computed.
 
     camera, depth_ns (k,): depth images; arm, arm_ns: the arm's state in all of them, and before the first touch
-    arm_model: as the vendor calls it; focal_px, center_px: (x, y) of the camera
+    arm_model: as the vendor calls it; focal_px, center_px: (x, y) focal length and centre of the camera
     """
 
     camera: str

@@ -102,8 +102,8 @@ class LookPerception:
 class TouchPerception:
     """Input of a touch's estimate, and its training data; each None if missing.
 
-    number: from 1; masks: of its depth images, but for those that showed nothing of the surface; surface: under it
-    error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
+    number: from 1; masks: masks of its depth images, but for those that showed nothing of the surface; surface: under
+    it; error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
     (eq. 4.6), least at its estimate; else of particles from the points that they stand for, while the estimate weighs
     these by their noise; estimate: beta of it, one of those tried
     stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: training data of the field of beta

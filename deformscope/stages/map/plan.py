@@ -74,19 +74,19 @@ class FieldKernel:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """planner; fill: touches that fill the space before regions are planned; cell_m: of the places considered
+    """planner; fill: touches that fill the space before regions are planned; cell_m: cell size of the places considered
     border_m, apart_m: least distance from the border and from earlier touches, except for `regions`, which may repeat
     one
     touch_s, speed_m_s: costs of touch and route
-    threshold: of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
+    threshold: threshold of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: touches in all
     inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected one below which
     the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     missed: where inclusions alone are sought: probability of a missed one, below which enough is known
     (`inclusion_plan`)
-    version: of what touches are expected to read: 1, as in older recordings, has the scatter that is shared with
-    earlier touches at their very places alone, 2 also near them
+    version: version of what touches are expected to read: 1, as in older recordings, has the scatter that is shared
+    with earlier touches at their very places alone, 2 also near them
     """
 
     planner: Planner = "regions"
@@ -117,8 +117,8 @@ class TouchChoice:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
     target_m: (2,) the best place [m], None if there is none; stop: why no further touch is useful, None to continue
-    gain: expected of each place, nan where excluded; unit: of gain ("label": share of cells that get the right label)
-    missed: detection limit of the touches so far
+    gain: expected of each place, nan where excluded; unit: unit of gain ("label": share of cells that get the right
+    label); missed: detection limit of the touches so far
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
     reason: in words
     """
@@ -149,7 +149,8 @@ def plan_touch(
 
     tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
-    reachable: (rows, columns) of `posterior.grid`; thesis: the field of the planner "thesis"; seed: of random planners
+    reachable: (rows, columns) reachable share of `posterior.grid`; thesis: the field of the planner "thesis"; seed:
+    seed of random planners
     """
     grid = MapGrid(posterior.grid.size_m, options.cell_m)
     places = grid.centres_m
@@ -273,8 +274,8 @@ def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int)
 def exclusions(
     places: FloatArray, touched: FloatArray, cells: MapGrid, reachable: BoolArray | None, options: PlanOptions
 ) -> IntArray:
-    """(p,) codes of places (p, 2): where a touch may be made, and why not elsewhere. touched: (n, 2) of earlier ones;
-    cells: that `reachable` is given on"""
+    """(p,) codes of places (p, 2): where a touch may be made, and why not elsewhere. touched: (n, 2) places of earlier
+    touches; cells: that `reachable` is given on"""
     excluded = np.full(len(places), ALLOWED)
     if len(touched):
         nearest = np.hypot(*(places[:, None] - touched).transpose(2, 0, 1)).min(axis=1)
@@ -368,7 +369,7 @@ def _stop(
     limit: DetectionLimit,
 ) -> StopReason | None:
     """Why no further touch is made, None while one is. While the number of regions is in doubt, or inclusions may be
-    there unseen, only the budget and the reach end it. gain: (n,) of each place, NaN where no touch is allowed"""
+    there unseen, only the budget and the reach end it. gain: (n,) gain of each place, NaN where no touch is allowed"""
     if made >= options.budget:
         return "budget"
     if not np.isfinite(gain).any():

@@ -36,7 +36,8 @@ OUTLIER_ROUNDS = 3
 
 @dataclass(frozen=True, slots=True)
 class HeightMap:
-    """Heights on a grid. mean_m, deviation_m: (rows, columns) of the surface itself, without a point's noise [m]"""
+    """Heights on a grid. mean_m, deviation_m: (rows, columns) mean and deviation of the surface itself, without a
+    point's noise [m]"""
 
     grid: MapGrid
     mean_m: FloatArray

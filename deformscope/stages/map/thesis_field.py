@@ -42,7 +42,7 @@ APART = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ThesisField:
-    """places_m: (n, 2) dented ones of all touches [m]; beta: (n,) of their touches
+    """places_m: (n, 2) dented ones of all touches [m]; beta: (n,) beta of their touches
     touches: beta of each touch; dented: number of its places; width_m: sigma_w of the kernel"""
 
     places_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))

@@ -27,14 +27,14 @@ ACROSS_VIEW = "one view, or a plane of particles, shows nothing along the third 
 class AxisEstimate(ReportedResult):
     """Betas along the axes of a material (linear clusters, theta = 0).
 
-    axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) of -log(1 - beta)
-    verdict: (d,) of each, as for one beta; reasons: (d,) to doubt each, including those of all
+    axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) correlation of -log(1 - beta)
+    verdict: (d,) verdict of each, as for one beta; reasons: (d,) to doubt each, including those of all
     anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
     beta: the best single one, and p_isotropic: probability of this additional error if it were true
-    identifiability: (d,) of each axis, its rise with fixed betas along the others
+    identifiability: (d,) identifiability of each axis, its rise with fixed betas along the others
     aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
     strain: (d,) mean strain along each axis, of all observations, and strain_sd: (d,) its standard deviation by noise
-    unit, metres_per_unit: of all lengths; None: not known
+    unit, metres_per_unit: unit and scale of all lengths; None: not known
     """
 
     parameter: ClassVar[str] = "beta"

@@ -118,7 +118,7 @@ def directional_modulus(law: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _strain(gradient: FloatArray) -> FloatArray:
-    """(C, s, m d) strains of displacements, shear last. gradient: (C, m, d) of the shape functions"""
+    """(C, s, m d) strains of displacements, shear last. gradient: (C, m, d) gradient of the shape functions"""
     count, m, d = gradient.shape
     pairs = [(i, j) for i in range(d) for j in range(i + 1, d)]
     strain = np.zeros((count, d + len(pairs), m, d))
@@ -133,7 +133,7 @@ def _strain(gradient: FloatArray) -> FloatArray:
 class CellState:
     """A static state. moved: (K, d); slope: (K d, C) derivative by each cell's p; by_nu: (K d,), zero for "beta"
     by_bent: (K d, m) derivative by the anisotropy's parameters, (K d, 0) without any
-    response: (K d, n d) of every displacement to the held ones; force: (K, d) of the body's support"""
+    response: (K d, n d) response of every displacement to the held ones; force: (K, d) force of the body's support"""
 
     moved: FloatArray
     slope: FloatArray

@@ -82,8 +82,8 @@ PLAUSIBLE = 0.05
 """Least probability of a description that intervals hold."""
 
 SHOWN, DIRECTIONS_SHOWN = 1e-4, 1e-3
-"""Probability of one material below which places differ, and of a plain one among these below which directions do. Of
-noise that is smoother than the model's one material had 6e-4, and a plain one 7e-3, where neither differs."""
+"""Probability of one material below which places differ, and of a plain one among these below which directions do. With
+noise smoother than the model's, one material had 6e-4, and a plain one 7e-3, where neither differs."""
 
 CELLS_ERROR = 0.03
 """Standard deviation of the log ratio of two materials due to the cells, as they are as coarse as the particles: of
@@ -110,9 +110,9 @@ STRAIN_MOST = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """One way to describe the field. fit: that it is a point of; label: (C,) materials, -1 where it is smooth; root: of
-    the covariance after the data (p, q); weight: logarithm of its probability, without the common part; misfit: chi2
-    for each number"""
+    """One way to describe the field. fit: the fit that `point` belongs to; label: (C,) materials, -1 where it is
+    smooth; root: root of the covariance after the data (p, q); weight: logarithm of its probability, without the common
+    part; misfit: chi2 for each number"""
 
     name: str
     fit: FieldFit
@@ -328,7 +328,7 @@ def _described(
     label: IntArray | None = None,
     cost: float = 0.0,
 ) -> Description:
-    """With the noise that is likeliest under it. label: (C,) materials; cost: of their borders"""
+    """With the noise that is likeliest under it. label: (C,) materials; cost: cost of their borders"""
     noise, _ = likeliest_noise(fit, prior, point, near=noise)
     point = fit.fit(prior, noise, point.at)
     _, evidence = likeliest_noise(fit, prior, point, near=noise)

@@ -19,7 +19,7 @@ IDENTIFIED_FACTOR, WEAK_FACTOR = 1.5, 2.5
 
 
 def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
-    """Verdict of each place, by the factor that its interval spans. interval: (C, 2) of a stiffness"""
+    """Verdict of each place, by the factor that its interval spans. interval: (C, 2) interval of a stiffness"""
     factor = interval[:, 1] / interval[:, 0]
     return tuple(
         "identified" if x <= IDENTIFIED_FACTOR else "weak" if x <= WEAK_FACTOR else "unidentified" for x in factor
@@ -28,9 +28,9 @@ def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
 
 @dataclass(frozen=True, slots=True)
 class DirectionalStiffness:
-    """Stiffness of a material that is stiffer along one direction. stiffest, softest: (d,) of unit length
+    """Stiffness of a material that is stiffer along one direction. stiffest, softest: (d,) directions of unit length
 
-    ratio: of Young's moduli along these: an estimate that has no interval
+    ratio: ratio of Young's moduli along these: an estimate that has no interval
     """
 
     stiffest: FloatArray
@@ -50,21 +50,21 @@ def directions_text(found: DirectionalStiffness | None) -> str:
 class FieldEstimate(ReportedResult):
     """Stiffness of a body from place to place, by one deformation.
 
-    place: (C, d) middles of the cells [unit]; spacing: of the particles [unit]
-    stiffness: (C,) of each place over the geometric mean of all, interval: (C, 2) at `level`, verdicts: (C,)
+    place: (C, d) middles of the cells [unit]; spacing: spacing of the particles [unit]
+    stiffness: (C,) stiffness of each place over the geometric mean of all, interval: (C, 2) at `level`, verdicts: (C,)
     material: (C,) which of the materials, from the softest on; -1 where the field is smooth
     ratio: stiffest over softest, and its interval
-    beta: (C,) of clusters of 2^d particles, beta_interval: (C, 2); beta_ratio: of 1 - beta, largest over smallest
+    beta: (C,) beta of clusters of 2^d particles, beta_interval: (C, 2); beta_ratio: largest 1 - beta over the smallest
     absolute: (C,) stiffness of a cell [N per unit], absolute_interval: (C, 2); None without a force
-    directions: of one anisotropic material, else None
+    directions: directions of one anisotropic material, else None
     verdict: "uniform", "anisotropic" (one material, stiffer along a direction), "materials", "gradual"; "unidentified"
     if the data do not determine most of the places
     reasons: to doubt it
-    poisson, poisson_sd: Poisson's ratio; reach: of the smooth field [spacings]
+    poisson, poisson_sd: Poisson's ratio; reach: reach of the smooth field [spacings]
     held_out: (h,) error of left-out data, chi2 for each number, of each of `tried` (borders as they were found from
-    all); probability: (h,) of each by its evidence; plausible: (h,) whether intervals hold it
-    noise, noise_reach: of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error (Thesis eq. 3.18) of
-    the elastic body and of the engine with its betas [unit]
+    all); probability: (h,) probability of each by its evidence; plausible: (h,) whether intervals hold it
+    noise, noise_reach: noise and noise reach of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error
+    (Thesis eq. 3.18) of the elastic body and of the engine with its betas [unit]
     explained: share of the motion beyond a rigid one that the elastic body explains
     """
 

@@ -103,7 +103,7 @@ class StiffnessPrior:
     """Prior of all parameters, those of the cells and the common ones (Poisson's ratio, or the whole body's level, and
     a rival's).
 
-    mean: (C + 1 + m,); root: (C + 1 + m, q) of the covariance
+    mean: (C + 1 + m,); root: (C + 1 + m, q) root of the covariance
     """
 
     mean: FloatArray
@@ -118,7 +118,7 @@ class FieldFit:
     anisotropy (`cell_model.elasticity`), of "smooth error" the displacements that are errors (`smooth_modes`).
 
     cells: (C, 2^d); place: (C, d) [unit]; held: (n,) particles whose displacement is prescribed; displacement: (K, d)
-    without the rigid motion [spacings]; rows: (m,) of its numbers, those that are judged; target: (m,)
+    without the rigid motion [spacings]; rows: (m,) indices of its numbers that are judged; target: (m,)
     """
 
     def __init__(self, seen: Observation, law: Law, rival: Rival = "none") -> None:
@@ -216,7 +216,7 @@ class FieldFit:
         return 1.0 - float(np.tanh(at[len(self.cells)] / self._half - 1.0)) ** 2
 
     def noise_root(self, noise: NoiseModel, response: FloatArray) -> FloatArray:
-        """(n, n) Cholesky factor of the covariance of errors. response: (K d, n d) of the held positions"""
+        """(n, n) Cholesky factor of the covariance of errors. response: (K d, n d) response to the held positions"""
         d = self.displacement.shape[1]
         one = noise.correlation(self._reach)
         if self.seen.held_measured is False:
@@ -411,7 +411,8 @@ def likeliest_noise(
 
 @dataclass(frozen=True, slots=True)
 class LeftOutError:
-    """Squared errors of blocks left out, of one way to describe the field. block: (b,) mean of each; total: of all"""
+    """Squared errors of blocks left out, of one way to describe the field. block: (b,) mean of each; total: total of
+    all"""
 
     block: FloatArray
     total: float

@@ -74,9 +74,9 @@ SURE = 0.99
 class YieldOptions:
     """Known and unknown parameters.
 
-    beta: None, to be found along with the yield strain; creep: "none" (loads act as long as it takes), "fit", or a
-    rate [1/s]; maximum: bound of the plastic strain; level: of the intervals; seed: of the noise of held positions
-    version: see `NEWEST_FIT`
+    beta: None, to be found along with the yield strain; creep: "none" (loads act as long as it takes), "fit", or a rate
+    [1/s]; maximum: bound of the plastic strain; level: level of the intervals; seed: seed of the noise of held
+    positions; version: see `NEWEST_FIT`
     """
 
     beta: float | None = None
@@ -103,9 +103,9 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
 
     The interval of the yield strain holds every value whose squared error, with beta and creep at their best, exceeds
     the least by no more than noise does in `level` of all repeats. It is open above, and the verdict `unidentified`, if
-    an elastic body is not ruled out at 99 %; also `unidentified` if the model explains too little of the motion. Noise:
-    of observed and of prescribed positions; errors that neighbours or frames share, as those of a model that misfits
-    are, widen the interval.
+    an elastic body is not ruled out at 99 %; also `unidentified` if the model explains too little of the motion. Noise
+    includes that of observed and of prescribed positions. Errors that neighbours or frames share, as those of a model
+    that misfits are, widen the interval.
     """
     options = options or YieldOptions()
     fit = _YieldFit(motion, options)
@@ -506,7 +506,7 @@ class _YieldFit:
         *,
         converged: bool,
     ) -> tuple[Doubt, ...]:
-        """Reasons to doubt the yield strain. simulated: (T, K, d) at the best; ends: of its interval"""
+        """Reasons to doubt the yield strain. simulated: (T, K, d) at the best; ends: ends of its interval"""
         high = np.inf if ends[1] is None else ends[1]
         rows = np.flatnonzero(self.judged.any(axis=1))
         frames = [self.frame(row) for row in rows]

@@ -57,7 +57,7 @@ class PressCycle(ReportedResult):
 
     loaded: last frame at the deepest; unloaded: first frame without a load, and at which by displacement it rests
     course: (T,) displacement of the pressed particles along the push [unit of the positions]
-    kept: share of that way that is left at the unloaded frame; source: of the unloaded frame
+    kept: share of that way that is left at the unloaded frame; source: source of the unloaded frame
     """
 
     loaded: int = field(metadata=reported(key="loaded_frame"))
@@ -122,7 +122,7 @@ def find_cycle(
 ) -> PressCycle:
     """The loaded and the unloaded frame of a course (T,).
 
-    noise: deviation of the course; time_s: (T,) of the frames, for a force; given: both frames, if named Raises
+    noise: deviation of the course; time_s: (T,) times of the frames, for a force; given: both frames, if named Raises
     InputError for a motion without a push, or without its end.
     """
     last = len(course) - 1

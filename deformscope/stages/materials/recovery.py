@@ -81,8 +81,8 @@ def fit_recovery(
     """Fit the law to shares (T,) of the largest displacement.
 
     time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
-    the frame from which the law holds without a force
-    force_n: (T,) of the tool [N], and the deviation of one sample; largest: displacement of the pressed particles then
+    the frame from which the law holds without a force; force_n: (T,) force of the tool [N], and the deviation of one
+    sample; largest: displacement of the pressed particles then
     version: see `NEWEST_RELAXATION`
 
     Raises InputError if too little was recorded after the release, and no force before it.
@@ -202,9 +202,9 @@ def _released(time_s: FloatArray, amplitude: FloatArray, loaded: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _RecoveryDraws:
-    """Of one model: log evidence, its best parameters; weight (d,); j_i and l_i [s] (d, b), with strength 0 for absent
-    branches; mean relaxation time [s], permanent share, immediate force of the largest displacement [N], and whether
-    the spectrum has no end, all (d,)."""
+    """Draws of one model: log evidence, its best parameters; weight (d,); j_i and l_i [s] (d, b), with strength 0 for
+    absent branches; mean relaxation time [s], permanent share, immediate force of the largest displacement [N], and
+    whether the spectrum has no end, all (d,)."""
 
     log_evidence: float
     best: FloatArray

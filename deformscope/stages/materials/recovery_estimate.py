@@ -29,7 +29,7 @@ class Number:
 class RecoveryEstimate(ReportedResult):
     """Results of a push and its recovery.
 
-    share: of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share
+    share: share of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share
     share and time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded; their
     intervals are open in that direction from a smaller probability of it on (`relaxation.OPEN`)
     force_kept: remaining share of the force at the end of the push, held there, for times within the record
@@ -40,7 +40,7 @@ class RecoveryEstimate(ReportedResult):
     reasons: to doubt it; explained: share of the motion after the release (squares) that one shape explains
     held_s: from the push to the release; watched_s: after it; released: first frame after it
     time: (T,) [s]; observed, simulated: (T,) share of the largest displacement, simulated from the release on
-    unit, metres_per_unit: of the displacements
+    unit, metres_per_unit: unit and scale of the displacements
     """
 
     parameter: ClassVar[str] = "relaxing_share"

@@ -453,7 +453,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         theta: lane,
         volume: int,
     ):
-        """Derivative of `blend` along a direction whose own fit is `affine_t`; change: of the target along it."""
+        """Derivative of `blend` along a direction whose own fit is `affine_t`; change: change of the target along
+        it."""
         affine_t = with_null(rest, cluster, step, affine_t, change)
         if volume != wp.static(NONE):
             affine_t = conserve_change(rest, cluster, step, kept, position, affine_t, theta, volume)

@@ -199,7 +199,7 @@ class GeneralOperator(Operator):
         return self._cluster_fields(self.strain, d * d).reshape(-1, self.body.cluster_count, d, d) + np.eye(d)
 
     def set_law(self, yield_strain: FloatArray, share: FloatArray, maximum: FloatArray) -> None:
-        """Parameters of `flow`, (B,) each; share: of S - I that flows at once."""
+        """Parameters of `flow`, (B,) each; share: share of S - I that flows at once."""
         self.law = [self.layout.each(each) for each in (yield_strain, share, maximum)]
 
     @functools.cached_property

@@ -77,7 +77,7 @@ def newton_functions_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         """Memory of Newton's steps for each candidate (arrays of B), groups with work to do, and their fields.
 
         residual: also the right-hand side of a linear solve; changed: derivative of the goals along `direction`, less
-        that; rho: residual of the linear solve; parts: of sums; groups: how many; most: steps of a linear solve
+        that; rho: residual of the linear solve; parts: parts of sums; groups: how many; most: steps of a linear solve
         """
 
         tolerance: Doubles  # of the distance to the static state [spacing]; first entry
@@ -559,7 +559,7 @@ def newton_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
     def kernel_of(function: Any, *, outer: bool = False, sums: bool = True, largest: int = 0) -> Any:
         """The kernel that uses two sums over each group that runs (`largest`: the second is the largest), or else over
-        each lane's values; outer: of Newton's steps."""
+        each lane's values; outer: number of Newton's steps."""
 
         @kernel(name=function.__name__)
         def run(span: Span, newton: NewtonState):
@@ -797,9 +797,9 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         """One candidate's search for the beta of least error.
 
         target: the observed displacement; seen: (places,) 1 where it is; most: evaluations; limit: iterations of a
-        state; tolerance: of beta; spread, share: tolerance of the search's states, and of the last one;
-        relative: of their derivatives; found: beta, evaluations, whether the last step was below the tolerance, and the
-        start of the next launch: bounds of beta, beta and slope before, and whether it is done
+        state; tolerance: tolerance of beta; spread, share: tolerance of the search's states, and of the last one;
+        relative: tolerance of their derivatives; found: beta, evaluations, whether the last step was below the
+        tolerance, and the start of the next launch: bounds of beta, beta and slope before, and whether it is done
         turn: evaluations of a launch, after which the host can interrupt the search
         """
 

@@ -23,7 +23,7 @@ class Loaded:
 
     position: (B, K, d) [m]; strain: (B, C) |S - I|_2 of each cluster when the load came, before any flow
     flowed: (B,) whether any cluster flowed under this load; converged: (B,) position is static for its S^p, and with an
-    unlimited duration nothing flows any more; rounds: of flow and relaxation
+    unlimited duration nothing flows any more; rounds: rounds of flow and relaxation
     """
 
     position: FloatArray

@@ -65,8 +65,8 @@ class Tip:
         """Distance of its surface behind its foremost point, at places away from its axis (n, d - 1) [m]; inf beyond
         it.
 
-        spacing: of the particles at these places: a disc then includes those just outside its rim, so that the touched
-        area is about its own
+        spacing: spacing of the particles at these places: a disc then includes those just outside its rim, so that the
+        touched area is about its own
         """
         grace = 1.0 + 1e-6
         if self.shape == "flat":
@@ -117,7 +117,7 @@ class PokeSetup:
     """A body that is prepared for pokes.
 
     rest: (K, d); clusters; fixed: (n,) particles that do not move; open: (m,) particles that a tip can touch;
-    toward: (d,) unit vector along which a tip moves; spacing: of the particles
+    toward: (d,) unit vector along which a tip moves; spacing: spacing of the particles
     """
 
     rest: FloatArray
@@ -132,8 +132,8 @@ class PokeSetup:
 class Pressed:
     """A static state under a tip.
 
-    position: (K, d); touched: (m,) particles; depth: of the tip below where it first touches; reaction: net force along
-    the tip's direction, per unit of stiffness k [m]; converged: the state, and the sets of touching, sticking and
+    position: (K, d); touched: (m,) particles; depth: depth of the tip below where it first touches; reaction: net force
+    along the tip's direction, per unit of stiffness k [m]; converged: the state, and the sets of touching, sticking and
     slipping particles
     """
 

@@ -161,7 +161,7 @@ class Msm:
     rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
     particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
     "quadratic"; slipping: the held particles that are held along one axis alone, and that axis: static states of more
-    than one cluster find their lateral positions; precision: of the state; device: "cpu", "cuda:0"...
+    than one cluster find their lateral positions; precision: precision of the state; device: "cpu", "cuda:0"...
 
     One candidate is one beta, one theta and one set of held positions. Arguments with a leading axis of B are B
     candidates; others are shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost

@@ -12,8 +12,8 @@ from deformscope.arrays import BoolArray, FloatArray
 class StateSweep:
     """A lattice of particles in the plane, or one layer of one in space, seen from the side.
 
-    over: which parameter; value: (n,) of it; rest: (rows, columns, 2), position: (n, rows, columns, 2) [m]
-    held: (rows, columns) particles whose position is prescribed; measure: (n,) of the body, which `measured` names
+    over: which parameter; value: (n,) value of it; rest: (rows, columns, 2), position: (n, rows, columns, 2) [m]; held:
+    (rows, columns) particles whose position is prescribed; measure: (n,) measure of the body, which `measured` names
     """
 
     name: str

@@ -40,7 +40,7 @@ class PokeComparison:
 @dataclass(frozen=True, slots=True)
 class PooledPokes:
     """Errors of the model on several measured pokes. surface_error, force_error: root mean square, of the depth and of
-    the measured force; forces: pokes whose force was measured and predicted; held: of these, how many 90 % intervals
+    the measured force; forces: pokes whose force was measured and predicted; held: how many of these 90 % intervals
     hold it; width: median of the intervals' widths, of the predicted force; None without forces"""
 
     pokes: int

@@ -44,8 +44,8 @@ class ArmCompliance:
     """Compliance of the arm along the normal.
 
     compliance_m_per_n: tip behind where the arm says it is, for each newton; compliance_sd: its deviation [m/N];
-    position_sd_m: scatter of the arm's position about it [m]; dome: of the tip itself, its dent under a rigid block at
-    1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, but not subtracted from other dents
+    position_sd_m: scatter of the arm's position about it [m]; dome: dome of the tip itself, its dent under a rigid
+    block at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)]: reported, but not subtracted from other dents
     """
 
     compliance_m_per_n: float = 0.0
@@ -67,12 +67,12 @@ class ContactFit:
     deviation. The latter combines `own_log_sd`, the error of this touch alone, with errors that all touches of a
     session share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
     at_force_n: the set force, also if the approach ended before it: the law is extrapolated to it, so that all touches
-    compare; depth_m: of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which
-    grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and
+    compare; depth_m: depth of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach,
+    which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and
     log_stiffness; peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
     samples: that were fitted
-    peak_rate_n_per_s, peak_rate_interval_n_per_s: as of `peak_rate`
+    peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`
     """
 
     stiffness_n_per_mm: float
@@ -117,14 +117,14 @@ def fit_approach(
 ) -> ContactFit:
     """Fit the law to an approach, from before contact to the peak of the force; later samples are left out.
 
-    time_s: (n,) rising [s]; position_m: (n, 3) of the tip as the arm says [m]; force_n: (n, 3) on the tip [N], all in
-    one frame; normal: (3,) out of the surface; tip: its shape, which gives the prior mean of p
+    time_s: (n,) rising [s]; position_m: (n, 3) position of the tip as the arm says [m]; force_n: (n, 3) on the tip [N],
+    all in one frame; normal: (3,) out of the surface; tip: its shape, which gives the prior mean of p
     set_force_n: force at which the stiffness is taken. If the approach ended before, as by its depth, the fitted law is
     extrapolated to it, and is less certain there
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
-    exponent_sd: of the prior of p; least_share: of the set force, from which samples are fitted
-    gain_sd: of log stiffness, for the sake of the force sensor's gain
+    exponent_sd: deviation of the prior of p; least_share: share of the set force, from which samples are fitted
+    gain_sd: deviation of log stiffness, for the sake of the force sensor's gain
 
     The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +
     c F, least squares with a soft loss and a Gaussian prior on p.

@@ -82,7 +82,7 @@ class CreepFit:
 
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
     deviation of the log of the latter; the relaxed one is None with a reason
-    share: of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighted by its
+    share: share of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighted by its
     share, of the relaxation within the hold; with a reason both are lower bounds. If the relaxed state is unseen with
     a probability above `relaxation.OPEN`, their intervals are open above, and that of the relaxed stiffness begins at
     0. If several branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open
@@ -91,7 +91,7 @@ class CreepFit:
     short_record, no_plateau: probabilities of each
     force_kept: share of the force at the end of the approach that is left, held in place, for times within the hold
     loss: energy that the cycle lost over that of the approach; None if the retract was not recorded
-    held_s: how long the force was held; speed_m_s: of the approach in contact
+    held_s: how long the force was held; speed_m_s: speed of the approach in contact
     verdict: "slipping": the tip slid over the surface, and other values are doubtful; "plastic": a permanent dent;
     "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": none is SURE; why: in words
     viscous, plastic, slipping: probabilities of each, None if the touch does not determine it
@@ -179,7 +179,7 @@ def fit_creep(
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
-    radius_m: of a ball, whose dents are not small relative to it; None: the law is a power at all depths
+    radius_m: radius of a ball, whose dents are not small relative to it; None: the law is a power at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
     version: see `NEWEST_RELAXATION`
@@ -351,9 +351,9 @@ def cycle_loss(
 ) -> tuple[float | None, tuple[float, float] | None]:
     """Share of the energy of the way in and of the hold that the way out did not give back, and its 90 % interval.
 
-    z_m, force_n: (n,) of a whole touch along the normal, zero of the force taken off; held: samples until the way back;
-    clock_sd: deviation of the force's times against the place's, in samples.
-    None where the force did not come back to nothing. Energy stored in the arm is no work on the foam.
+    z_m, force_n: (n,) z and force of a whole touch along the normal, zero of the force taken off; held: samples until
+    the way back; clock_sd: deviation of the force's times against the place's, in samples. None where the force did not
+    come back to nothing. Energy stored in the arm is no work on the foam.
     """
     peak = float(force_n[:held].max())
     z_m = z_m - arm.compliance_m_per_n * force_n

@@ -24,8 +24,8 @@ PRIOR_SD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SurfaceLeft:
-    """A poke whose surface a model followed. middle: (2,) of the tip [m]; depth [m]; points: (n, 3) [m]; left: (n, 3)
-    seen less simulated displacement [m]"""
+    """A poke whose surface a model followed. middle: (2,) middle of the tip [m]; depth [m]; points: (n, 3) [m]; left:
+    (n, 3) seen less simulated displacement [m]"""
 
     middle: FloatArray
     tip: Tip

@@ -62,14 +62,14 @@ class FittedModel:
 
     body; rest: (n, 3) points of the surface, or (K, d) particles [m]; thickness: below a surface [m]
     shape, cell: lattice of the particles, if they have one; fixed: particles that do not move
-    toward: (d,) direction of a poke; spacing: of the lattice to which `stiffness` belongs [m]
-    tip: of the fit, and whether it slips law; places: (p, d) of the pokes whose force was measured; stiffness: (p,) k
-    there [N/m]
-    field_kind: kind of the surface between the pokes when the model was fitted
+    toward: (d,) direction of a poke; spacing: spacing of the lattice to which `stiffness` belongs [m]
+    tip: tip of the fit, and whether it slips law; places: (p, d) places of the pokes whose force was measured;
+    stiffness: (p,) k there [N/m]; field_kind: kind of the surface between the pokes when the model was fitted
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
-    fitted_depth: of the deepest poke that was fitted [m]; fitted_strain: the largest depth over tip width; nan: unknown
+    fitted_depth: fitted depth of the deepest poke that was fitted [m]; fitted_strain: the largest depth over tip width;
+    nan: unknown
     residual: the law's residual on the surface around the tip of every fitted poke
     provenance: where it comes from
     """
@@ -163,12 +163,12 @@ class MetStiffness:
 class Prediction:
     """Prediction of a poke.
 
-    rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,)
-    depth [m]; force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there
-    force_deviation: of the force's logarithm for the law's, the tip's and the depth's sake, the place left out
+    rest, position: (K, d) [m]; surface: (s,) indices of the particles that a tip could touch; touched: (m,) depth [m];
+    force [N] and its 90 % interval, None without a measured force; stiffness: k [N/m] there; force_deviation: deviation
+    of the force's logarithm for the law's, the tip's and the depth's sake, the place left out
     surface_error: how far particles of the surface near the tip may be off, root mean square [m]
     extrapolated: how the poke exceeds the fitted ones, as text
-    layers: the lattice, for a body of layers; converged; residual: of the model, for points around the tip
+    layers: the lattice, for a body of layers; converged; residual: residual of the model, for points around the tip
     """
 
     poke: Poke

@@ -51,15 +51,15 @@ def contrast_share(times: float) -> float:
 
 
 def inclusion_shift(share: FloatArray | float, footprint: FloatArray) -> FloatArray:
-    """(...,) addition to log stiffness at a set force; share: h; footprint: of the same shape"""
+    """(...,) addition to log stiffness at a set force; share: h; footprint: footprint of the same shape"""
     return np.asarray(-np.log1p(-np.minimum(CALIBRATED * share * footprint, MOST_SHARE)))
 
 
 def footprint(contact_m: float, radii_m: FloatArray, depths_m: FloatArray, aside_m: FloatArray) -> FloatArray:
     """(r, d, s) share of a dent due to the foam in the place of an inclusion, before any contrast.
 
-    contact_m: radius of the contact; radii_m: (r,) of inclusions; depths_m: (d,) from the surface to their uppermost
-    points;
+    contact_m: radius of the contact; radii_m: (r,) radii of inclusions; depths_m: (d,) from the surface to their
+    uppermost points;
     aside_m: (s,) from the touch to above their middles, all [m]
     """
     if not contact_m > 0.0:

@@ -26,8 +26,8 @@ it by less than twice as much. Stiffness differs by some 2 % there, the error of
 
 @dataclass(frozen=True, slots=True)
 class TableSeen:
-    """height_m: of the table in the surface frame, as the camera saw it; sd_m: how far its points lie apart, tilt and
-    unevenness included [m]"""
+    """height_m: height of the table in the surface frame, as the camera saw it; sd_m: how far its points lie apart,
+    tilt and unevenness included [m]"""
 
     height_m: float
     sd_m: float
@@ -35,7 +35,7 @@ class TableSeen:
 
 @dataclass(frozen=True, slots=True)
 class KnownLayer:
-    """thickness_m: of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
+    """thickness_m: thickness of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
     table_m: height of the table under the foam; uneven: whether the surface's shape is used
     """
 
@@ -77,7 +77,8 @@ def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: floa
 
 @dataclass(frozen=True, slots=True)
 class LayerModulus:
-    """pa: Young's modulus; interval_pa: of 90 %, due to the stiffness and the thickness, at a known Poisson's ratio"""
+    """pa: Young's modulus; interval_pa: 90 % interval, due to the stiffness and the thickness, at a known Poisson's
+    ratio"""
 
     pa: float
     interval_pa: tuple[float, float]

@@ -94,7 +94,7 @@ class FlatEdge:
     """The edge of a flat tip: outside it a surface falls as the root of the distance (Sneddon 1965), steeper than a
     lattice can.
 
-    middle, half: (2,) of its footprint [m]
+    middle, half: (2,) middle and half of its footprint [m]
     """
 
     middle: FloatArray

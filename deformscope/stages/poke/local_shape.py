@@ -47,8 +47,8 @@ MOST_SHIFT = 2.0
 class LocalShape:
     """A layer where it is touched.
 
-    thickness_m: of the foam under the place [m]; curvature_per_m: mean of the surface's two, above 0 on a crest
-    [1/m]; slope: of the surface [m/m]; edge_m: distance to the layer's edge [m];
+    thickness_m: thickness of the foam under the place [m]; curvature_per_m: mean of the surface's two, above 0 on a
+    crest [1/m]; slope: slope of the surface [m/m]; edge_m: distance to the layer's edge [m];
     thickness_sd_m: deviation of the thickness [m]
     """
 
@@ -80,7 +80,7 @@ def shape_shift(
 ) -> ShapeShift:
     """Addition of a level, wide layer of the reference thickness [m] to a touch's log stiffness at its force.
 
-    depth_m: of the dent at the force at which stiffness is taken [m]; radius_m: of the ball
+    depth_m: depth of the dent at the force at which stiffness is taken [m]; radius_m: radius of the ball
     """
     if not (depth_m > 0.0 and reference_m > 0.0 and radius_m > 0.0):
         raise InputError("depth, reference thickness and radius above 0 m", f"{depth_m}, {reference_m}, {radius_m}")

@@ -25,8 +25,9 @@ def quantile(
 ) -> FloatArray:
     """The value (...) that a `share` of a mixture lies below, by bisection.
 
-    mean, deviation: (c, ...) of the components; weight: (c,) or (c, ...), adding up to 1 over them; below: distribution
-    function of a component of mean 0 and deviation 1; farthest: deviations within which the quantile lies for certain
+    mean, deviation: (c, ...) mean and deviation of the components; weight: (c,) or (c, ...), adding up to 1 over them;
+    below: distribution function of a component of mean 0 and deviation 1; farthest: deviations within which the
+    quantile lies for certain
     """
     own = weight.reshape(*weight.shape, *(1,) * (mean.ndim - weight.ndim))
     low, high = (mean - farthest * deviation).min(axis=0), (mean + farthest * deviation).max(axis=0)

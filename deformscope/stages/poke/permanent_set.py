@@ -38,8 +38,8 @@ def kept_share(
     """(d,) share of the dent that stays, and its deviation, of laws that are drawn; None where the way back was not
     recorded.
 
-    time_s, force_n: (n,) of a whole touch; dent_m: (d, n), 0 before contact; held: samples until the way back
-    exponent: (d,); share, relaxation_s: (d, b) of the modulus that relaxes
+    time_s, force_n: (n,) times and force of a whole touch; dent_m: (d, n), 0 before contact; held: samples until the
+    way back; exponent: (d,); share, relaxation_s: (d, b) share and relaxation of the modulus that relaxes
     """
     peak = float(force_n[:held].max())
     lost = np.flatnonzero(force_n[held:] < LEAST_BACK * peak)

@@ -67,8 +67,8 @@ class SeenPoke:
     """One poke of a surface as it was measured.
 
     at: (3,) the middle of the touched points, at rest [m]; depth: mean displacement of the touched points, downwards
-    [m]
-    touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) of all points seen
+    [m]; touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) all points seen,
+    before and after
     noise: (n,) [m] or None; force: [N] or None
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and the misfit remains; None: every point alone
@@ -375,7 +375,7 @@ class ShapeFit:
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
     same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
-    reaction: (p,) of every poke, per unit of k [m]; residual: error around the tip of every poke
+    reaction: (p,) reaction of every poke, per unit of k [m]; residual: error around the tip of every poke
     """
 
     law: Law
@@ -394,9 +394,9 @@ class ShapeFit:
 
 @dataclass(frozen=True, slots=True)
 class PokesFit:
-    """Layers fitted to pokes. spacing: of the lattice [m]; tried: every cluster size, the best first; shaped: (q,) the
-    pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; beta_range: in which
-    beta was sought; theta_fitted: False = it was given; version: see `NEWEST`"""
+    """Layers fitted to pokes. spacing: spacing of the lattice [m]; tried: every cluster size, the best first; shaped:
+    (q,) the pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; beta_range: in
+    which beta was sought; theta_fitted: False = it was given; version: see `NEWEST`"""
 
     surface: MeasuredSurface
     pokes: tuple[SeenPoke, ...]
@@ -434,9 +434,9 @@ def fit_pokes(
 ) -> PokesFit:
     """Fit the layers below a surface to one or several pokes of it.
 
-    spacing: of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3 and 4
-    and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: fixed if given;
-    version: see `NEWEST`; progress: called with (what, done, all)
+    spacing: spacing of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3
+    and 4 and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: fixed if
+    given; version: see `NEWEST`; progress: called with (what, done, all)
     """
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing

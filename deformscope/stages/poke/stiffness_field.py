@@ -202,8 +202,8 @@ class StiffnessField:
     def _hypotheses(
         self, place: FloatArray, contact_m: float
     ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-        """Of every hypothesis at n places: mean (c, n) and variance (c, n) of log stiffness, variance (c, n) of a poke
-        about it, and probability (c,)."""
+        """For every hypothesis, at n places: mean (c, n) and variance (c, n) of log stiffness, variance (c, n) of a
+        poke about it, and probability (c,)."""
         at, posterior, free = self._scaled(place), self._posterior, sum(share for _, share in self._free)
         spread = float(np.ptp(np.log(self.stiffness)))
         hypotheses = posterior.hypotheses(MAPS)

@@ -3,7 +3,7 @@
 A map is made of curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a blob (disc,
 ellipse, rectangle), or a ring of those. A curve may also be a level set of a random field, smooth or of finer shapes.
 One curve, or two that bound the same material (two patches, a strip), make two regions. Two curves, the second within
-the first one's rest, make three: stripes, a T, a patch in a half, two patches. Of more regions each further curve
+the first one's rest, make three: stripes, a T, a patch in a half, two patches. With more regions, each further curve
 divides any of those before it: quadrants, too.
 
 Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
@@ -70,7 +70,8 @@ class Partitions:
 
     family: (n, c) `Family` of each curve, of which there are two, or one less than regions; latent: (n, c, LATENTS)
     standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region that each
-    curve divides: the area outside of it is the next region; family_shares: of curves in each family, before any touch
+    curve divides: the area outside of it is the next region; family_shares: family shares of curves in each family,
+    before any touch
     """
 
     regions: int
@@ -177,7 +178,7 @@ def draw(
     count: int,
     family_shares: tuple[float, ...] = FAMILY_SHARES,
 ) -> Partitions:
-    """`count` admissible maps from the prior. family_shares: of curves in each family"""
+    """`count` admissible maps from the prior. family_shares: family shares of curves in each family"""
     kept: Partitions | None = None
     while kept is None or len(kept) < count:
         wanted = count if kept is None else count - len(kept)

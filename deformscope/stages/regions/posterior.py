@@ -6,7 +6,7 @@ of touches the levels are integrated in closed form (a contact's stiffness is li
 values), and summed over the scatter. The maps are particles that every touch reweights and that move under the prior
 when few are left (iterated batch importance sampling, Chopin 2002). So their evidence follows as well: it chooses the
 number of regions. Four are followed once three are the most likely, five once four have some probability; until then
-they count as explaining the touches as well as the most that are followed. Of their regions, beyond three, those count
+they count as explaining the touches as well as the most that are followed. Beyond three, those of their regions count
 that touches
 met: a further one with hardly any effect would cost no evidence. A surface whose stiffness changes smoothly is the
 rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
@@ -38,7 +38,7 @@ SurfaceKind = Literal["uniform", "materials", "gradual"]
 MOST_REGIONS = 5
 """Largest distinguished number: it means this number or more."""
 MORE_SHARE = 0.5
-"""Share of as many maps as of these, where more are followed: it saves time."""
+"""Number of maps of four and more regions, as a share of the number of others: fewer maps save time."""
 MORE_FROM = 0.2
 """Probability of four from which five are followed."""
 MET = 0.5
@@ -76,12 +76,12 @@ class RegionPrior:
     """Assumptions of a map.
 
     one, two, three, four, five, gradual: prior probabilities; blur_m: standard deviation of a contact's Gaussian;
-    error: of a touch; mixed_share: touches near a boundary are off by up to this share of all contrast; level_sd: of
-    the regions' log stiffness about what they have in common, of which `common_sd` is the deviation about the touches'
-    mean: large, so that the places of touches do not inform it; least_contrast: between any two of them (0.13: 14 %; a
-    sphere's 0.13 is 20 % in modulus); rigid_sd: of touches that are lower bounds; forces_add: under a contact on two
-    regions, else their log stiffness has a mean; family_shares: of borders, in each family of curves
-    (`partitions.Family`)
+    error: error model of a touch; mixed_share: touches near a boundary are off by up to this share of all contrast;
+    level_sd: deviation of the regions' log stiffness about their common level; `common_sd`: deviation of that level
+    about the touches'; mean: large, so that the places of touches do not inform it; least_contrast: between any two of
+    them (0.13: 14 %; a sphere's 0.13 is 20 % in modulus); rigid_sd: deviation of touches that are lower bounds;
+    forces_add: under a contact on two regions, else their log stiffness has a mean; family_shares: family shares of
+    borders, in each family of curves (`partitions.Family`)
 
     blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border. With forces that add, 0.0075
     is within 3 % of the true stiffness if one side is 1.8 times the other, 6 % at 3.6 times, and within a factor of 1.5
@@ -131,11 +131,11 @@ class RegionMap:
     verdict: "gradual" where a smooth field explains the touches better than regions
     region_count: k, the most probable number of regions, 0 where the verdict is "gradual"
     at_least: there may be more regions than `region_count`, the largest number that is distinguished
-    probability: of each number of regions and "gradual"
+    probability: probability of each number of regions and "gradual"
     labels: 0 (softest) to k - 1; -1 everywhere without regions
     label_probability: that the verdict is right, the number of regions too, and so is the cell's label
-    level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) of 90 %; rigid: (k,) regions for which
-    the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
+    level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) 90 % interval; rigid: (k,) regions for
+    which the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
     field, field_sd: log stiffness at every cell, over all hypotheses
     scatter: log stiffness of touches within one material scatters by this, its root mean square over all that it may be
     wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
@@ -210,8 +210,8 @@ class Repeats:
     """What touches made so far foretell of touches at the same places, whatever the map.
 
     at_m: (p, 2) where each place was touched, itself where it was not; value: (p,) mean log stiffness that was measured
-    there; share: (p,) of a reading's deviation from what the map says that is expected again, 0 where it was not
-    touched; sd: (p,) of what is then left of it
+    there; share: (p,) share of a reading's deviation from what the map says that is expected again, 0 where it was not
+    touched; sd: (p,) standard deviation of what is then left of it
     """
 
     at_m: FloatArray
@@ -220,7 +220,7 @@ class Repeats:
     sd: FloatArray
 
     def take(self, index: IntArray) -> Repeats:
-        """Of the places at these indices."""
+        """The repeats at the places of these indices."""
         return Repeats(at_m=self.at_m[index], value=self.value[index], share=self.share[index], sd=self.sd[index])
 
     def expected(
@@ -236,7 +236,8 @@ class Repeats:
 @dataclass(frozen=True, slots=True)
 class RelatedTouches:
     """Touches at places `at_m` (p, 2), which share scatter with those made so far, at `readings`, by how near they are:
-    what a neighbour was off by is expected again, and a touch next to it says little more. own_sd: of a touch alone"""
+    what a neighbour was off by is expected again, and a touch next to it says little more. own_sd: deviation of a touch
+    alone"""
 
     at_m: FloatArray
     readings: _Readings
@@ -244,7 +245,7 @@ class RelatedTouches:
     own_sd: float
 
     def take(self, index: IntArray) -> RelatedTouches:
-        """Of the places at these indices."""
+        """The touches at the places of these indices."""
         return replace(self, at_m=self.at_m[index])
 
     def expected(
@@ -282,9 +283,9 @@ class RelatedTouches:
 
 @dataclass(frozen=True, slots=True)
 class _Readings:
-    """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,) of each alone, without the scatter; arm:
-    (t,) shift of each if the arm's compliance is off by a deviation; related: (t, t) correlation of their scatter;
-    spread: of all values."""
+    """xy_m: (t, 2); value: (t,) log stiffness over `centre`; variance: (t,) variance of each alone, without the
+    scatter; arm: (t,) shift of each if the arm's compliance is off by a deviation; related: (t, t) correlation of their
+    scatter; spread: spread of all values."""
 
     xy_m: FloatArray
     value: FloatArray
@@ -297,7 +298,8 @@ class _Readings:
 
 @dataclass(frozen=True, slots=True)
 class _Particles:
-    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) of all touches"""
+    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) log likelihood of all
+    touches"""
 
     maps: Partitions
     log_weight: FloatArray
@@ -309,7 +311,7 @@ class _Particles:
 class RegionPosterior:
     """The probability of every map after some touches; `with_touch` gives the next one. Same touches, same result.
 
-    particles: of 2, 3 and more regions; most_regions: largest number that is distinguished
+    particles: number of particles of 2, 3 and more regions; most_regions: largest number that is distinguished
     """
 
     grid: MapGrid
@@ -376,7 +378,7 @@ class RegionPosterior:
 
     @cached_property
     def _counted(self) -> tuple[_Particles, ...]:
-        """Of `particles`, the maps that count: of four and more those whose every region the touches met."""
+        """The maps of `particles` that count: with four regions and more, those whose every region was touched."""
         found = list(self.particles)
         for at, met in self._met:
             weight = np.where(met == found[at].maps.regions, np.exp(found[at].log_weight), 0.0)
@@ -428,7 +430,7 @@ class RegionPosterior:
     @property
     def _joint_logs(self) -> FloatArray:
         """Logarithm of prior probability times evidence of 1, 2 and more regions, as many as are followed or more, and
-        of a smooth field. Of maps of four and more those regions count that the touches met."""
+        of a smooth field. In maps of four regions and more, those that were touched count."""
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
@@ -665,7 +667,7 @@ class RegionPosterior:
 
     @cached_property
     def _smooth(self) -> tuple[SmoothField, ...]:
-        """Of each kernel and each scatter; their evidence has the scatter's prior in it."""
+        """Smooth fields of each kernel and each scatter; their evidence includes the scatter's prior."""
         middle = 0.5 * np.asarray(self.grid.size_m)
         kernels = [(slope, 0.0, 1.0) for slope in SLOPES_PER_M]
         kernels += [(0.0, sd, length) for sd in SMOOTH_SDS for length in SMOOTH_LENGTHS_M]
@@ -702,7 +704,7 @@ class SmoothKernel:
 
 
 class SmoothField:
-    """A Gaussian process through the touches, which scatter. log_evidence: of these, and `log_prior`"""
+    """A Gaussian process through the touches, which scatter. log_evidence: log evidence of these, and `log_prior`"""
 
     def __init__(self, readings: _Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
         self.kernel, self._readings, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
@@ -755,8 +757,8 @@ def _levels(
     scatter: FloatArray | float = 0.0,
     last_noise: float = 1.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Of maps with contact shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance (n,
-    k, k). scatter: (n,) of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
+    """For maps with contact shares (n, t, k): log likelihood (n,), levels (n, k) over the centre, their covariance (n,
+    k, k). scatter: (n,) scatter of touches, or of all maps; with one axis more, (s, n) or (s, 1), so have the results
 
     The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86), their errors
     correlated by scatter that neighbours share and by the arm. The remaining part of the prior, for levels that differ
@@ -853,7 +855,7 @@ def _solved(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean (..., c), covariance (..., c, c) and its log determinant (...,) of c levels.
 
-    products: lower triangle of their precision, row by row; prior_precision: (c, c) added to it; pull: (c) of them
+    products: lower triangle of their precision, row by row; prior_precision: (c, c) added to it; pull: (c) their pull
     """
     size = len(pull)
     lower: dict[tuple[int, int], FloatArray] = {}

@@ -2,11 +2,11 @@
 
     log k_i = level(place_i) + own_i + scatter_i + gain + arm * arm_i
 
-own: of each touch alone, its deviation known from its fit (`StiffnessSample.log_sd`); scatter: from place to place
-within one material, a part of which neighbours share, and from touch to touch. Its standard deviation is *unknown*: it
-has a prior and is estimated from the touches, so that few of them give heavy tails; gain and arm: the same in all
-touches of a session. A gain moves all levels alike and no contrast. An arm whose compliance differs from its
-calibration moves touches in proportion to their stiffness (`StiffnessSample.arm_sd`: the change for one standard
+own: error of each touch alone, its deviation known from its fit (`StiffnessSample.log_sd`); scatter: from place to
+place within one material, a part of which neighbours share, and from touch to touch. Its standard deviation is
+*unknown*: it has a prior and is estimated from the touches, so that few of them give heavy tails; gain and arm: the
+same in all touches of a session. A gain moves all levels alike and no contrast. An arm whose compliance differs from
+its calibration moves touches in proportion to their stiffness (`StiffnessSample.arm_sd`: the change for one standard
 deviation of the compliance).
 
 Not modelled, and why: the stated thickness does not enter apparent stiffness (the modulus alone); a camera's tilt of 2

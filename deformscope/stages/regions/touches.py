@@ -21,8 +21,8 @@ class StiffnessSample:
     log_sd: its standard deviation, of this touch's own errors; rigid: the dent was below the arm's resolution:
     `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of
     its calibration, which all touches of a session share
-    exponent, exponent_sd: of the law of force over depth, if it was free, and exponent_related: covariance of its error
-    and log_stiffness's; None if it was not
+    exponent, exponent_sd: exponent and deviation of the law of force over depth, if it was free, and exponent_related:
+    covariance of its error and log_stiffness's; None if it was not
     """
 
     xy_m: FloatArray

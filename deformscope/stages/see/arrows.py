@@ -24,8 +24,8 @@ ARROWS_ALONG = 32
 class Region:
     """A region of an image, reduced.
 
-    image: (h, w) or (h, w, 3); origin_px: (x, y) of its corner in the whole image [px]; scale: pixels of the whole
-    image to one of it, 1 or more
+    image: (h, w) or (h, w, 3); origin_px: (x, y) origin of its corner in the whole image [px]; scale: pixels of the
+    whole image to one of it, 1 or more
     """
 
     image: Image

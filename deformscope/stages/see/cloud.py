@@ -43,8 +43,8 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Perceived:
-    """The remaining points of a depth image. points_m: (n, 3); noise_m: (n,) deviation of each height [m]
-    label: (H, W) `PixelLabel` of each pixel; point: (m,) of each used pixel, row by row, the point it is a part of"""
+    """The remaining points of a depth image. points_m: (n, 3); noise_m: (n,) deviation of each height [m]; label: (H,
+    W) `PixelLabel` of each pixel; point: (m,) point of each used pixel, row by row, the point it is a part of"""
 
     points_m: FloatArray
     noise_m: FloatArray

@@ -96,8 +96,9 @@ class FlowStep:
 def flow_onward(before: Image, after: Image, method: FlowMethod = "dis", last: FlowStep | None = None) -> FlowStep:
     """Flow both ways in a sequence, in a seventh of the time if the motion continues.
 
-    last: of the step to `before`. Its flow is refined alone, without features and DIS. If the images then correlate
-    worse than in the last step by `FIT_DROP` anywhere, motion or light have changed: all is computed as for a pair.
+    last: last of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
+    correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed: all is computed as for a
+    pair.
     """
     a, b = _views(before, after, method)
     if last is not None and last.fits:
@@ -328,7 +329,7 @@ def _alike(a: FloatArray, b: FloatArray, inside: FloatArray) -> tuple[FloatArray
 def _smooth(u: FloatArray, weight: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The flow smoothed as widely as noise alone explains what a narrower smoothing would add (Wiener's rule).
 
-    u: (h, w, 2) on the half grid; weight: (h, w) certainty; variance: (h, w) of one coordinate [px^2]
+    u: (h, w, 2) on the half grid; weight: (h, w) certainty; variance: (h, w) variance of one coordinate [px^2]
     returns the smooth flow and the variance that is left, (h, w) [px^2]
     """
     sigmas = [sigma / 2 for sigma in SMOOTHING_PX]

@@ -60,7 +60,7 @@ class Rect:
 class ParticleGrid:
     """Particles at rest on a lattice that may have holes.
 
-    rest_px: (K, 2) positions (x, y) [px]; shape: (rows, cols) of the lattice
+    rest_px: (K, 2) positions (x, y) [px]; shape: (rows, cols) shape of the lattice
     cell: (K,) row * cols + col of each particle, rising; spacing_px: (2,) distance between neighbours (x, y) [px]
     """
 
@@ -127,7 +127,7 @@ def clean_mask(image: npt.NDArray[Any]) -> BoolArray:
 def outlined(mask: npt.NDArray[Any] | None, outline: Sequence[float], size: tuple[int, int]) -> npt.NDArray[Any]:
     """A mask that is black outside a polygon.
 
-    mask: (H, W[, 3]) of the thing alone, None = white; outline: x, y of each corner in turn [px]; size: H, W [px]
+    mask: (H, W[, 3]) mask of the thing alone, None = white; outline: x, y of each corner in turn [px]; size: H, W [px]
     """
     if mask is not None and mask.shape[:2] != size:
         raise InputError(f"a mask of the image's size {size}", f"{mask.shape[:2]} (rows, columns)")

@@ -34,8 +34,8 @@ class PixelLabel(IntEnum):
 class PixelMasks:
     """The labels of depth images as runs of equal ones, row by row, image after image.
 
-    camera, depth_ns (k,): the images, named as in `LookFrames`; shape: (rows, columns) of each
-    label, length: (r,) of each run; runs: (k,) how many each image has
+    camera, depth_ns (k,): the images, named as in `LookFrames`; shape: (rows, columns) shape of each
+    label, length: (r,) label and length of each run; runs: (k,) how many each image has
     """
 
     camera: str
@@ -57,7 +57,7 @@ class SeenPixels:
     """The labels of depth images, and where their points went.
 
     camera, depth_ns (k,): as in `PixelMasks`; label: (k, rows, columns) `PixelLabel`
-    point: (n,) of each used pixel in turn, which of the points it is a part of
+    point: (n,) point of each used pixel in turn, which of the points it is a part of
     """
 
     camera: str

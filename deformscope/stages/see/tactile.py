@@ -16,7 +16,7 @@ class TactileContact:
     """Summary of the pressures on each pad.
 
     center_m: (pads, 2) centre of pressure (x along the columns, y along the rows) from the outer corner of the pad's
-    first texel [m], NaN without contact; area_m2: (pads,) of the texels in contact [m^2]
+    first texel [m], NaN without contact; area_m2: (pads,) area of the texels in contact [m^2]
     force_n: (pads,) pressure integrated over the texels in contact, normal to the pad [N]; peak_pa: (pads,) [Pa]
     """
 
@@ -31,8 +31,8 @@ def tactile_contact(
 ) -> TactileContact:
     """Centre of pressure, contact area and force of every pad.
 
-    pressure_pa: one (rows, columns) array a pad [Pa]; texel_m: (width, height) of each pad's texels [m]
-    threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa] Raises InputError if pads and texel
+    pressure_pa: one (rows, columns) array a pad [Pa]; texel_m: (width, height) texel size of each pad's texels [m]
+    threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa]. Raises InputError if pads and texel
     sizes do not match, and for pressures that are not finite.
     """
     if len(pressure_pa) != len(texel_m):

@@ -48,7 +48,7 @@ class CharucoSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenBoard:
-    """number: (n,) of the corners that were seen; px: (n, 2) where"""
+    """number: (n,) number of the corners that were seen; px: (n, 2) where"""
 
     number: IntArray
     px: FloatArray
@@ -91,7 +91,8 @@ def find_board(image: ImageArray, board: CharucoSpec) -> SeenBoard | None:
 
 
 def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpec) -> LensEstimate:
-    """Focal lengths, principal point and distortion from views of the board. size_px: (width, height) of the images
+    """Focal lengths, principal point and distortion from views of the board. size_px: (width, height) size of the
+    images
 
     Raises InputError for too few views, or a board that was not tilted.
     """

@@ -39,7 +39,7 @@ class ForceMount:
 
     R_tip_force: (3, 3) orthogonal: forces in the sensor's axes to the tip's; a determinant of -1 = an axis mirrored
     turn_rad, turn_half_rad: its turn about the stick, and half its interval; push_sd_rad: deviation of a push
-    off_rad: (n,) of each push across the stick from what the others give
+    off_rad: (n,) angle of each push across the stick from what the others give
     """
 
     R_tip_force: FloatArray
@@ -104,7 +104,8 @@ def _turned(seen: FloatArray, aimed: FloatArray) -> tuple[float, FloatArray]:
 
 @dataclass(frozen=True, slots=True)
 class ForceGain:
-    """gain: a sensor's forces over true ones; sd, half: its deviation, and half its interval; off: (n,) of each load"""
+    """gain: a sensor's forces over true ones; sd, half: its deviation, and half its interval; off: (n,) offset of each
+    load"""
 
     gain: float
     sd: float

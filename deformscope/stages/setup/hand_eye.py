@@ -41,7 +41,7 @@ STEPS = 6
 @dataclass(frozen=True, slots=True, eq=False)
 class HandEye:
     """T_arm_camera: camera to base frame; T_ee_board: board to the arm's end
-    off: (n, 6) of each view, in the board's frame [m, rad]"""
+    off: (n, 6) offset of each view, in the board's frame [m, rad]"""
 
     T_arm_camera: TransformEstimate
     T_ee_board: TransformEstimate
@@ -187,7 +187,7 @@ def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraFromTouches:
-    """T_arm_camera: camera to base frame; off_m: (n,) of each place; sd_m: deviation of a place [m]"""
+    """T_arm_camera: camera to base frame; off_m: (n,) offset of each place; sd_m: deviation of a place [m]"""
 
     T_arm_camera: TransformEstimate
     off_m: FloatArray

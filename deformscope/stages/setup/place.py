@@ -33,7 +33,7 @@ class PlaceEstimate:
 
     T_arm_surface: surface frame to base frame; size_m, size_half_m: (2,) its sides and their half widths [m]
     low_m, high_m: (3,) box for the tip's centre around it, base frame [m]
-    touch_sd_m: deviation of a touched corner [m]; corner_off_m: (n,) of each from its corner of the rectangle
+    touch_sd_m: deviation of a touched corner [m]; corner_off_m: (n,) distance of each from its corner of the rectangle
     """
 
     T_arm_surface: TransformEstimate
@@ -58,7 +58,7 @@ def place(
 
     centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) which one, as in CORNERS
     up: (3,) roughly away from the surface, base frame: against the stick
-    tip_sd_m: deviation of the tip's position on the arm, which shifts all corners alike [m] Raises InputError for
+    tip_sd_m: deviation of the tip's position on the arm, which shifts all corners alike [m]. Raises InputError for
     corners that are no rectangle's, or in one line.
     """
     touched, which = np.asarray(centers_m, np.float64), np.asarray(corners, int)

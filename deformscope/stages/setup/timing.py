@@ -27,7 +27,7 @@ LEAST_PEAK = 6.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeOffset:
-    """offset_s: delay of y relative to x; low_s, high_s: its interval; share: of y's variance that x explains
+    """offset_s: delay of y relative to x; low_s, high_s: its interval; share: share of y's variance that x explains
     offsets_s, density: (n,) the posterior over the grid [1/s]"""
 
     offset_s: float

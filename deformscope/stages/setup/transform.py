@@ -59,7 +59,8 @@ class LeastSquares:
 class TransformEstimate:
     """A rigid transform.
 
-    T: (4, 4); covariance: (6, 6) of its deviation [m, rad]; dof: degrees of freedom of the covariance's scale
+    T: (4, 4); covariance: (6, 6) covariance of its deviation [m, rad]; dof: degrees of freedom of the covariance's
+    scale
     """
 
     T: FloatArray

@@ -29,7 +29,8 @@ def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
     middle, and per unit difference between below and above, as under a liquid's pressure. It is 0 at the edges and on
     other walls.
 
-    height_m: (H, W) of what each pixel sees, container frame. A wall of which not all is in the image is taken as rigid
+    height_m: (H, W) height of what each pixel sees, container frame. A wall of which not all is in the image is taken
+    as rigid
     """
     seen = np.isfinite(view.depth_m)
     inner = seen & ~_creases(view.outward, seen)

@@ -193,8 +193,8 @@ def fit_quadratic(points: FloatArray, target: IntArray, classes: int, *, shrink:
 
 def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float | None = None) -> Linear:
     """Linear discriminant analysis with a shrunk pooled covariance, all classes equally likely before; on the largest
-    `LINEAR_COMPONENTS`. share: of the unit matrix, default `linear_share`. points: (n, d) features; target: (n,) class
-    of each"""
+    `LINEAR_COMPONENTS`. share: share of the unit matrix, default `linear_share`. points: (n, d) features; target: (n,)
+    class of each"""
     points = points[:, :LINEAR_COMPONENTS]
     share = linear_share(points, target, classes) if share is None else share
     count, mean, about = _moments(points, target, classes)

@@ -20,7 +20,7 @@ FLAT = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) of those"""
+    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) mean and scale of those"""
 
     used: BoolArray
     mean: FloatArray

@@ -50,8 +50,9 @@ SURE = 0.9
 
 @dataclass(frozen=True, slots=True)
 class EvaluationOptions:
-    """splits: of the fast methods; costly_splits: of boosting and Gaussian process, 0 = none; curve_splits: of the
-    learning curve and the time steps, 0 = none; protocols: None = those that the table allows; level: of intervals;
+    """splits: splits of the fast methods; costly_splits: splits of boosting and Gaussian process, 0 = none;
+    curve_splits: splits of the learning curve and the time steps, 0 = none; protocols: None = those that the table
+    allows; level: level of intervals;
     transfer: (training, tested) patterns of kinds or groups; workers: threads; plain_qda: the thesis's too"""
 
     splits: int = 200
@@ -67,8 +68,9 @@ class EvaluationOptions:
 
 @dataclass(frozen=True, slots=True)
 class ModalityComparison:
-    """Two modalities, or ways to fuse them, on the same splits. difference: of the first less the second; p_value:
-    corrected for splits that share trials, and for the number of comparisons (Holm); by_class: (C,) of the recalls"""
+    """Two modalities, or ways to fuse them, on the same splits. difference: difference of the first less the second;
+    p_value: corrected for splits that share trials, and for the number of comparisons (Holm); by_class: (C,) recall of
+    each class"""
 
     first: Key = field(metadata=reported("first", None, words=lambda one: ", ".join(one.first)))
     second: Key = field(metadata=reported("second", None, words=lambda one: ", ".join(one.second)))
@@ -91,8 +93,9 @@ class CurvePoint:
 
 @dataclass(frozen=True, slots=True)
 class TimePoint:
-    """Results at a time of the squeeze. accuracy: of all trials; stopped: share of trials in which one class has
-    reached `SURE` by then; right: of these, the share in which that class is the true one (NaN = none stopped)"""
+    """Results at a time of the squeeze. accuracy: accuracy of all trials; stopped: share of trials in which one class
+    has reached `SURE` by then; right: share of the stopped trials in which that class is the true one (NaN = none
+    stopped)"""
 
     time_s: float = field(metadata=reported())
     accuracy: Estimated = field(metadata=reported(interval_key="interval"))

@@ -44,7 +44,7 @@ class SqueezeEvents:
     """First contact and steady state, on the host's clock [ns], each with the interval in which it was.
 
     first_ns: midway between the last frame without contact and the first with it, by any of the fingers
-    steady_ns: of the first reading of the closing axes' rest; 0 = it did not happen
+    steady_ns: time of the first reading of the closing axes' rest; 0 = it did not happen
     finger_ns: (fingers,) first contact of each, 0 = none
     first_interval_ns, steady_interval_ns: (low, high), two sample periods wide at least
     tactile_period_s, hand_period_s: median of the sample periods; onset_counts: the sums' threshold over the baseline
@@ -79,7 +79,7 @@ class OnsetDetector:
         return min((one for one in self.finger_ns if one), default=0)
 
     def feed(self, time_ns: int, sums: FloatArray) -> bool:
-        """Whether there is contact. sums: (fingers,) of a frame's texels [counts]; baseline frames come first"""
+        """Whether there is contact. sums: (fingers,) sums of a frame's texels [counts]; baseline frames come first"""
         before_ns, self._last_ns = self._last_ns, time_ns
         if len(self._air) < BASELINE_FRAMES:
             self._air.append(np.asarray(sums, np.float64))
@@ -139,7 +139,7 @@ def squeeze_events(
     """The events of a recorded squeeze.
 
     tactile_ns: (n,) times of frames from before the fingers closed; sums: (n, fingers) [counts]
-    hand_ns: (m,) times of readings; closing_deg: (m, axes) of the axes that close
+    hand_ns: (m,) times of readings; closing_deg: (m, axes) angles of the axes that close
     Raises InputError where there are too few frames for a baseline.
     """
     if len(tactile_ns) <= BASELINE_FRAMES or len(hand_ns) < 2:

@@ -59,7 +59,7 @@ def fit_pool(
 ) -> Pool:
     """The most probable weights and offsets for (M, n, C) logarithms of posteriors of points left out, (n,) classes.
 
-    centre: of the weights before any data; near: where the search begins, default there
+    centre: centre of the weights before any data; near: where the search begins, default there
     """
     modalities, count, classes = logs.shape
     shown = np.where(present[..., None], logs, 0.0)

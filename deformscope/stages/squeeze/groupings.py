@@ -27,7 +27,8 @@ class Grouping:
     """k-means in the components that hold 80 % of the variance, with as many clusters as classes.
 
     rand: (RUNS,) adjusted Rand index of each run; plane: (n, 2) trials on the two largest components; rows: (n,) which
-    trials; cluster: (n,) of the tightest run; centroid: (k, 2) of that run; explained: of the variance, by the two
+    trials; cluster: (n,) clusters of the tightest run; centroid: (k, 2) its centroids; explained: share of the variance
+    that the two components explain
     """
 
     rand: FloatArray

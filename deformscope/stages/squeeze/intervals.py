@@ -69,8 +69,8 @@ def over_splits(values: FloatArray, ratio: float, level: float, worth: float = n
 
 
 def share_of(values: FloatArray, worth: float, level: float) -> Estimated:
-    """The mean of shares (J,) over splits, as of an effective number of independent trials (`trials_worth`): both ends
-    of the interval rise with the number of right answers."""
+    """The mean of shares (J,) over splits, with the interval of an effective number of independent trials
+    (`trials_worth`): both ends of the interval rise with the number of right answers."""
     mean = float(np.mean(values[np.isfinite(values)])) if np.isfinite(values).any() else float("nan")
     return Estimated(mean, wilson(mean, worth, level))
 

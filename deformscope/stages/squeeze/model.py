@@ -20,7 +20,8 @@ from deformscope.stages.squeeze.table import LabelledTable, absent
 class ModalityModel:
     """One modality, from features to a calibrated posterior.
 
-    scaling: of its p columns, q of which are used; centre: (q,), directions: (q, d) of the components; expert: on these
+    scaling: scaling of its p columns, q of which are used; centre: (q,), directions: (q, d) of the components; expert:
+    on these
     """
 
     scaling: Scaling
@@ -42,9 +43,10 @@ class ModalityModel:
 class ContentModel:
     """Content of a container, from any of its modalities.
 
-    labels: C contents; modalities: by name; fusion: of these, in their order; steps: by modality one model for each
-    step of the squeeze, `step_s` apart; step_fusion: of these, in their order, for each step, () = they are not fused
-    settings: of the features, as whoever computed them wrote them down: a squeeze must have the same
+    labels: C contents; modalities: by name; fusion: model that fuses these, in their order; steps: by modality one
+    model for each step of the squeeze, `step_s` apart; step_fusion: model that fuses these, in their order, for each
+    step, () = they are not fused
+    settings: settings of the features, as whoever computed them wrote them down: a squeeze must have the same
     promised: accuracy with its interval, as evaluated; provenance: versions and source
     seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known
     """
@@ -94,8 +96,9 @@ class ContentModel:
         return np.exp(self._log_step(modality, step, features))
 
     def predict_at(self, since_s: float, features: Mapping[str, FloatArray]) -> tuple[tuple[str, ...], FloatArray]:
-        """(n, C) posterior this long after first contact of features then (n, p) by modality, and which of these it is
-        of: those that have steps, where their fusion was learned; else `tactile` alone. A row of NaN is missing."""
+        """(n, C) posterior this long after first contact from features (n, p) by modality, and the modalities that it
+        uses. They are those that have steps, where their fusion was learned; else `tactile` alone. A row of NaN is
+        missing."""
         step = round(since_s / self.step_s)
         known = tuple(name for name in self.steps if name in features)
         if len(known) < 2 or not self.step_fusion:

@@ -31,8 +31,8 @@ TIMES_S = (0.2, 0.5, 1.0)
 @dataclass(frozen=True, slots=True)
 class TimeCheck:
     """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
-    all that are fused; error_interval: of the calibration error, by bootstrap over trials; by_chance: the error that a
-    perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
+    all that are fused; error_interval: error interval of the calibration error, by bootstrap over trials; by_chance:
+    the error that a perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
     debiased: root mean square error over the bins, without chance's contribution to its square (Kumar, Liang and Ma
     2019); it is not below the mean error in the long run"""
 
@@ -47,11 +47,11 @@ class TimeCheck:
 
 @dataclass(frozen=True, slots=True)
 class ModelCheck:
-    """labels: the model's C contents; score: of all its modalities; alone: of each modality alone
+    """labels: the model's C contents; score: score of all its modalities; alone: score of each modality alone
 
     promised: accuracy with its interval that the model carries, None = none
     expected: interval of the accuracy of this number of independent trials, if the promise is right
-    inside: of the bins of the reliability diagram that have answers, how many are inside the band, and of how many
+    inside: how many bins of the reliability diagram are inside the band, and how many have answers
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
     times: during the squeeze and in the end, if table and model have steps
     trained: number of the trials that trained the model: these do not test it

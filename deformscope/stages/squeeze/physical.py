@@ -25,10 +25,11 @@ LEAST_INDENTATION_M = 2e-4
 class Physical:
     """The physical features of one squeeze, SI units.
 
-    values: (13,) in the order of `PHYSICAL`, NaN where it could not be measured. orientation: of the principal axis of
-    pressure, from the pad's columns towards its rows, in (-pi/2, pi/2]; elongation: 0 round to 1 a line
-    indentation: how far each finger went from first contact to steady state; onset_rate: mean slope of the force's
-    first half; stiffness: of one wall, with its 90 % interval; relaxation: share of the force lost after steady state
+    values: (13,) in the order of `PHYSICAL`, NaN where it could not be measured. orientation: orientation of the
+    principal axis of pressure, from the pad's columns towards its rows, in (-pi/2, pi/2]; elongation: 0 round to 1 a
+    line; indentation: how far each finger went from first contact to steady state; onset_rate: mean slope of the
+    force's first half; stiffness: stiffness of one wall, with its 90 % interval; relaxation: share of the force lost
+    after steady state
     """
 
     values: FloatArray
@@ -48,7 +49,8 @@ def physical_features(
 ) -> Physical:
     """The features of a squeeze from first contact to the end of its hold.
 
-    time_s: (n,) of the tactile frames; pressure_pa: for each of them one (rows, columns) array a finger in contact [Pa]
+    time_s: (n,) times of the tactile frames; pressure_pa: for each of them one (rows, columns) array a finger in
+    contact [Pa]
     texel_m: (width, height); indentation_m: (n,) way of each finger into the wall since first contact, their mean [m]
     threshold_pa: texels at or below are not in contact
     Raises InputError where there is no frame between the two events.

@@ -15,11 +15,11 @@ from deformscope.results.declared import derived, reported
 class ContainerFit:
     """An upright container as in a depth image, in the table's frame: z = 0 on the table, upwards.
 
-    shape; center_m: (3,) middle of its body [m]; yaw_rad: of its x axis, 0 for a cylinder
+    shape; center_m: (3,) middle of its body [m]; yaw_rad: yaw of its x axis, 0 for a cylinder
     size_m: (3,) along x, y, z; of a cylinder its diameter twice and its height [m]
-    lean_rad: (2,) of its axis towards x and y
+    lean_rad: (2,) lean of its axis towards x and y
     deviation_m: (3,) standard deviation of the middle along x and y and of the height [m]; yaw_sd_rad
-    rms_m: of the points of its sides; points: fitted
+    rms_m: root mean square of the points of its sides; points: fitted
     """
 
     shape: str = field(metadata=reported())
@@ -48,7 +48,8 @@ class ContainerShift:
     """A container compared with its earlier state. kind: stands, moved, toppled, gone (no upright one is found any
     more) or hidden (unknown); `reason` has the cause
 
-    moved_m: of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: of its axis
+    moved_m: motion of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: lean
+    of its axis
     """
 
     kind: str = field(metadata=reported())
@@ -78,9 +79,9 @@ class ContainerShift:
 class ContainerSighting:
     """The container in depth images that were taken together.
 
-    index: the newest image's place in its stream; images: of all of them; arm_ns, hand_ns: of the states by which the
-    robot was left out, on the devices' clock; when: before, asked (after a person was asked), placed, or after (the
-    squeeze)
+    index: the newest image's place in its stream; images: images of all of them; arm_ns, hand_ns: arm time and hand
+    time of the states by which the robot was left out, on the devices' clock; when: before, asked (after a person was
+    asked), placed, or after (the squeeze)
     near: it was sought close to where it was before, also where the robot hides a part of it
     fit: None where it was not found, and `refused` says why; change: against before
     edges_px: (n, 2, 2) ends of the found container's edges in the image
@@ -113,12 +114,12 @@ class ContainerSighting:
 class HandPlacement:
     """A grasp, and how the arm came to it.
 
-    by: the arm's model; seed: that grasps were drawn from, -1 = a person chose this one
-    along_m, tilt_deg, turn_deg: of the grasp (`robot.squeeze_plan.RandomGrasp`)
+    by: the arm's model; seed: that grasps were drawn from, -1 = a person chose this one; along_m, tilt_deg, turn_deg:
+    distance along the longest edge, tilt and turn of the grasp (`robot.squeeze_plan.RandomGrasp`)
     T_table_hand, T_hand_container: (4, 4) planned pose of the hand, and of the container in it [m]
     tried: (k, 3) along, tilt and turn of each grasp that was drawn; refused: (k,) why not, empty = this one
-    T_table_hands: (k, 4, 4) of the hand at each of them
-    path_m: (n, 3) of the middle between the pads as planned, table's frame
+    T_table_hands: (k, 4, 4) poses of the hand at each of them
+    path_m: (n, 3) planned path of the middle between the pads, table's frame
     reached: travel, approach, grasp or retreat: what the arm last came to
     """
 

@@ -183,7 +183,8 @@ def score_of(
 
 
 def reliability_of(sure: FloatArray, right: IntArray, repeats: float, level: float) -> Reliability:
-    """sure, right: (n,) of every answer; repeats: how often each trial was answered on average."""
+    """sure, right: (n,) probability of every answer, and whether it is right; repeats: how often each trial was
+    answered on average."""
     bins = np.minimum((sure * BINS).astype(int), BINS - 1)
     count = np.bincount(bins, minlength=BINS)
     many = np.maximum(count, 1)

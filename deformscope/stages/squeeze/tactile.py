@@ -33,8 +33,8 @@ def series_of(time_s: FloatArray, features: FloatArray, step_s: float = 0.1) -> 
     """The feature over a squeeze: (k,) times 0, 0.1, 0.2... [s] until the last frame, and (k, p) the newest features
     then.
 
-    time_s: (n,) of the frames since first contact, rising; features: (n, p) of each. Raises InputError without any
-    frame at or after first contact.
+    time_s: (n,) times of the frames since first contact, rising; features: (n, p) features of each. Raises InputError
+    without any frame at or after first contact.
     """
     if not len(time_s) or not time_s[-1] >= 0.0:
         raise InputError("tactile frames after first contact", "none")

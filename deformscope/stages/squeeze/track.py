@@ -53,8 +53,8 @@ THIN = (slice(None, None, 2), slice(None, None, 2))
 
 @dataclass(frozen=True, slots=True)
 class TrackOptions:
-    """reach_m: from how far the surface is drawn to the data [m]; steps: largest number
-    least_pixels: of the container seen; least_agreeing: least share of them within the noise for a good track
+    """reach_m: from how far the surface is drawn to the data [m]; steps: largest number; least_pixels: fewest pixels of
+    the container seen; least_agreeing: least share of them within the noise for a good track
     farthest_m, farthest_deg: from the rest pose; jump_m: from the start, rotation times the lever added
     """
 
@@ -73,8 +73,9 @@ class PoseEstimate:
 
     directions: (6, 6) a direction of motion each row, container frame: translation, then rotation times `lever_m`
     deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) which are known so
-    pixels: of the container seen and compared; agreeing: share of them within the noise; rms_m: of these
-    edge_points: of the outline seen; good: whether features may be taken from it; reason: why not, or empty
+    pixels: number of pixels of the container seen and compared; agreeing: share of them within the noise; rms_m: root
+    mean square of these; edge_points: number of points of the outline seen; good: whether features may be taken from
+    it; reason: why not, or empty
     """
 
     T_camera_container: FloatArray
@@ -106,8 +107,9 @@ class _Window:
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Linearised equations. jacobian: (n, 6) of a motion in the camera frame, rotation about the container's origin;
-    residual: (n,) [m]; deviation: (n,) [m]; share: independent of one another, of all; bulge: (n, k) of the walls'"""
+    """Linearised equations. jacobian: (n, 6) Jacobian of a motion in the camera frame, rotation about the container's
+    origin; residual: (n,) [m]; deviation: (n,) [m]; share: independent of one another, of all; bulge: (n, k) bulge of
+    the walls'"""
 
     jacobian: FloatArray
     residual: FloatArray
@@ -127,8 +129,8 @@ def track(
 ) -> PoseEstimate:
     """The container's pose in a depth image (H, W) [m]; pixels of 0 or NaN saw nothing.
 
-    start: (4, 4) T_camera_container to begin at, as of the frame before; rest: (4, 4) for directions that the data do
-    not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent
+    start: (4, 4) T_camera_container to begin at, such as that of the frame before; rest: (4, 4) for directions that the
+    data do not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent
     A bad track is a result (`good` False), never an exception. Raises InputError for shapes that do not fit.
     """
     options = options or TrackOptions()

@@ -46,7 +46,7 @@ class FingertipPressure:
     index: the frame's place in its stream; center_m: (2, 2) centre of pressure (x along the columns, y along the rows)
     from the outer corner of the array's first texel [m], NaN without contact; axis_rad: (2,) orientation of the
     pressure's principal axis, from the columns towards the rows; elongation: (2,) 0 round to 1 a line
-    force_n: (2,); area_m2: (2,) of the texels in contact
+    force_n: (2,); area_m2: (2,) area of the texels in contact
     """
 
     index: int
@@ -62,11 +62,11 @@ class TrackedContainer:
     """The rigid model's pose in a depth image. index: the image's place in its stream; T_camera_container: (4, 4)
 
     good, reason: whether features may be taken from it, and why not; observed: (6,) which directions of motion the
-    image observes; agreeing: share of the compared pixels within the noise
-    edges_px: (n, 2, 2) ends of the model's visible edges in the image; since_s: since the first contact [s], below 0 =
-    before it, NaN = it was not known then
-    directions: (6, 6) of `observed`, a direction each row, container frame: translation, then rotation times half the
-    container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the normal matrix
+    image observes; agreeing: share of the compared pixels within the noise; edges_px: (n, 2, 2) ends of the model's
+    visible edges in the image; since_s: since the first contact [s], below 0 = before it, NaN = it was not known then
+    directions: (6, 6) directions of `observed`, a direction each row, container frame: translation, then rotation times
+    half the container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the normal
+    matrix
     lag_s: age of the image at the time of the result [s], NaN = it was computed after the hand had opened, None = the
     same, in the median of several images; skipped: images before it that were left out to keep up
     """
@@ -156,9 +156,9 @@ class SqueezeFeatures:
 class ContentPosterior:
     """A model's posterior of the content.
 
-    since_s: since the first contact [s]; modality: its input; labels; probability: (k,) of each
+    since_s: since the first contact [s]; modality: its input; labels; probability: (k,) probability of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
-    vision_index: of the image whose change of depth it also is of, None = none
+    vision_index: vision index of the image whose change of depth it also is of, None = none
     """
 
     since_s: float

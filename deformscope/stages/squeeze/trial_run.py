@@ -181,7 +181,7 @@ def late_fusion(
 ) -> FloatArray:
     """(m, C) fused posteriors of the split's test side; weights are learned from training points left out.
 
-    fitted: of each modality its sides, its expert, and its posteriors on the test side
+    fitted: fitted of each modality its sides, its expert, and its posteriors on the test side
     """
     shape = len(fitted), len(split.train)
     inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)

@@ -31,8 +31,8 @@ need the weak direction."""
 class SpeedLimits(Protocol):
     """Speed limits of an arm's commands; its configuration has them.
 
-    linear_limit_m_s, angular_limit_rad_s: of the end effector; joint_limit_deg_s: of any joint, whose own limit holds
-    besides; command_deadline_s: default duration of a velocity
+    linear_limit_m_s, angular_limit_rad_s: linear limit and angular limit of the end effector; joint_limit_deg_s: joint
+    limit of any joint, whose own limit holds besides; command_deadline_s: default duration of a velocity
     """
 
     @property

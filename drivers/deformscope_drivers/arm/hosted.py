@@ -68,7 +68,7 @@ class HostedArm(Arm[ArmState]):
 
     @property
     def process_id(self) -> int | None:
-        """Of the process that hosts the driver; None where none runs."""
+        """Identifier of the process that hosts the driver; None where none runs."""
         return self._hosted.process_id
 
     def identity(self) -> Identity:

@@ -23,7 +23,7 @@ HEALTH_S = 0.5
 CALLS = frozenset({"stop", "halt", "acknowledge_stop", "home"})
 """Methods that may be called; velocities have a message of their own."""
 LONG = frozenset({"home"})
-"""Of these, what takes seconds."""
+"""Those of these calls that take seconds."""
 UNATTENDED_S = 1.0
 """During a long call its caller sends a message every 0.1 s (`arm.hosted.WAITING_S`); after this time without one there
 is no caller."""

@@ -35,7 +35,7 @@ class DepthCameraConfig:
     width, height [px], fps [Hz], unit_m (0.001 or 0.0001): None = the camera's own; of a recording they are checked
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
     mirror: pictures mirrored, as many cameras have them unless set otherwise
-    speed, loop: of a recording; speed 0 = as fast as its readers take it, and no reader loses any
+    speed, loop: speed and loop of a recording; speed 0 = as fast as its readers take it, and no reader loses any
     library: path or folder of libOpenNI2.so; empty = where the system has it
     silence_s: no picture for this long means a lost camera; stuck_after_s: the same picture for this long means a
     frozen one, None = it may (a recording always may)

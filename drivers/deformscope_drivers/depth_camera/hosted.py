@@ -64,12 +64,13 @@ class HostedCamera(Device[DepthImage]):
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """Of the depth pictures as the camera reports them, once it was opened; None where it reports none."""
+        """Intrinsics of the depth pictures as the camera reports them, once it was opened; None where it reports
+        none."""
         return self._intrinsics
 
     @property
     def process_id(self) -> int | None:
-        """Of the process that reads the camera; None where there is none."""
+        """Identifier of the process that reads the camera; None where there is none."""
         return self._hosted.process_id
 
     def identity(self) -> Identity:
@@ -84,7 +85,8 @@ class HostedCamera(Device[DepthImage]):
 
     @abstractmethod
     def _projection(self) -> Intrinsics | None:
-        """Of the depth pictures, from what the process reported at opening; None where it reports no lens."""
+        """Intrinsics of the depth pictures, from what the process reported at opening; None where it reports no
+        lens."""
 
     def _rate_hz(self) -> float | None:
         """Expected pictures per second [Hz], as `_expect` takes it: 0 = unknown, None = no pictures without request."""

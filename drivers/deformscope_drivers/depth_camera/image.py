@@ -41,7 +41,7 @@ class DepthImage:
     depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera measured nothing
     unit_m: 0.001 for millimetres
     color: (H', W', 3) RGB uint8 of the same moment (within half a period), None where there is none
-    intrinsics: of `depth`, from the camera (OpenNI2's: its field of view alone); None without them
+    intrinsics: intrinsics of `depth`, from the camera (OpenNI2's: its field of view alone); None without them
     """
 
     stamp: Stamp

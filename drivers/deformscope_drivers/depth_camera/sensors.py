@@ -17,8 +17,8 @@ JUMP = 0.04
 class TriangulatingSensor:
     """Depth z of disparity d = focal_px baseline_m / z [px].
 
-    focal_px: of the sensor itself; step_px: in which disparity comes; noise_px: deviation of disparity before that,
-    which neighbours share within noise_width pixels of the picture
+    focal_px: focal length of the sensor itself; step_px: in which disparity comes; noise_px: deviation of disparity
+    before that, which neighbours share within noise_width pixels of the picture
     bleeding: pixels of the picture next to an edge that take the depth of a neighbour at random; flying: they take one
     between the two; grazing_deg: surfaces seen flatter than that have none
     """

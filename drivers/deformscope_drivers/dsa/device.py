@@ -112,7 +112,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     @property
     def controller(self) -> messages.ControllerInfo:
-        """Serial number, firmware and state as of the last opening. Raises NotConnected before it."""
+        """Serial number, firmware and state at the last opening. Raises NotConnected before it."""
         return self._known(self._controller)
 
     @property

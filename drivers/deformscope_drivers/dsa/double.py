@@ -49,11 +49,12 @@ class _MatrixSettings:
 class DsaDouble:
     """`PtyWire(DsaDouble())`, or `MemoryTransport(DsaDouble(), clock)`.
 
-    software_version: decides which quirks it has (268 and 269: fewest); serial_number: of controller and sensor
+    software_version: decides which quirks it has (268 and 269: fewest); serial_number: serial number of controller and
+    sensor
     matrices: as it describes them (default: the SDH's six); scene: pressures on them [Pa] (default: `GraspScene`)
-    pa_per_count: of a texel at sensitivity 0.5; noise_counts: standard deviation, before the threshold
-    bytes_per_s: the line's, None = as over TCP; boot_s: from power-up to answers (`BOOT_S` for a real one's)
-    seed: of scene and noise; first_timestamp_ms: the clock at power-up
+    pa_per_count: pressure per count of a texel at sensitivity 0.5; noise_counts: standard deviation, before the
+    threshold; bytes_per_s: the line's, None = as over TCP; boot_s: from power-up to answers (`BOOT_S` for a real one's)
+    seed: seed of scene and noise; first_timestamp_ms: the clock at power-up
     """
 
     def __init__(

@@ -36,7 +36,8 @@ class TactileMeasurer:
     """For each link: `connect`, `describe` when the controller has reported its matrices, `begin_stream` whenever
     frames are requested.
 
-    clock_fit: the controller's clock against the host's; repeated: frames that were sent twice; restarts: of its clock
+    clock_fit: the controller's clock against the host's; repeated: frames that were sent twice; restarts: number of
+    restarts of its clock
     """
 
     def __init__(self) -> None:
@@ -52,7 +53,7 @@ class TactileMeasurer:
         return self._decoder
 
     def describe(self, shapes: Sequence[tuple[int, int]]) -> None:
-        """shapes: (rows, columns) of each matrix"""
+        """shapes: (rows, columns) shapes of each matrix"""
         self._shapes = list(shapes)
         self._decoder.cells = sum(rows * columns for rows, columns in shapes)
 

@@ -209,7 +209,7 @@ class QuerySensor:
 
 @dataclass(frozen=True, slots=True)
 class ConfigureAcquisition:
-    """Id 03. flags: of `Acquisition`; frame_rate_hz: 0 = one frame, more = stream as fast as it goes."""
+    """Id 03. flags: flags of `Acquisition`; frame_rate_hz: 0 = one frame, more = stream as fast as it goes."""
 
     flags: int
     frame_rate_hz: int = 0
@@ -224,7 +224,7 @@ class QueryMatrix:
 
 @dataclass(frozen=True, slots=True)
 class SetSensitivity:
-    """Id 0F. flags: of `Adjust`; sensitivity: 0 to 1."""
+    """Id 0F. flags: flags of `Adjust`; sensitivity: 0 to 1."""
 
     flags: int
     matrix: int
@@ -240,7 +240,7 @@ class QuerySensitivity:
 
 @dataclass(frozen=True, slots=True)
 class SetThreshold:
-    """Id 13. flags: of `Adjust`; threshold: 0 to 4095."""
+    """Id 13. flags: flags of `Adjust`; threshold: 0 to 4095."""
 
     flags: int
     matrix: int

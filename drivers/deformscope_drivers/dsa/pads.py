@@ -20,7 +20,7 @@ TexelValues = npt.NDArray[np.uint16] | npt.NDArray[np.float64]
 
 
 class Part(IntEnum):
-    """Of a finger. That part 0 is the proximal one follows Schunk's naming, and was not checked on a hand."""
+    """A part of a finger. That part 0 is the proximal one follows Schunk's naming, and was not checked on a hand."""
 
     PROXIMAL = 0
     DISTAL = 1
@@ -54,7 +54,7 @@ class Pad:
 def thesis_feature(pads: Sequence[TexelValues], fingers: tuple[int, int] = FEATURE_FINGERS) -> npt.NDArray[np.float64]:
     """(72,) the first 36 texels, row by row, of the distal pads of two fingers (thesis ch. 2).
 
-    pads: (rows, columns) of each matrix in the controller's order, in counts or Pa
+    pads: (rows, columns) layout of each matrix in the controller's order, in counts or Pa
     """
     return np.concatenate([_first_cells(pads, Pad(finger, Part.DISTAL)) for finger in fingers])
 

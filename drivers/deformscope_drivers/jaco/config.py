@@ -36,7 +36,8 @@ class EthernetAddresses:
 class Workspace:
     """A box in the base frame that the end effector must not leave by a command.
 
-    low_m, high_m: (x, y, z) of its corners [m]; base frame: z up from the table, origin at the middle of the base
+    low_m, high_m: (x, y, z) lower end and upper end of its corners [m]; base frame: z up from the table, origin at the
+    middle of the base
     """
 
     low_m: tuple[float, float, float]
@@ -63,7 +64,7 @@ class JacoConfig:
 
     library: the vendor's library, or its folder; None = the system's loader finds it
     connection: "usb" or "ethernet", the latter with `ethernet` addresses
-    serial: of the arm that is meant; None = the only one there is
+    serial: serial of the arm that is meant; None = the only one there is
     model: "j2n6s300", "j2s6s300" or "j2s7s300"; None = the model that the arm reports
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
     joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides

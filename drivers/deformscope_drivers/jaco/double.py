@@ -67,8 +67,8 @@ class JacoDouble:
     ) -> None:
         """clock: [ns], never going back; start_deg: (n,) first joint angles (default: home)
 
-        serials: of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on: it
-        ignores the first StartControlAPI, and was not homed
+        serials: serials of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on:
+        it ignores the first StartControlAPI, and was not homed
         """
         self.chain = CHAINS[model]
         self.where = f"simulated {model}"
@@ -195,7 +195,7 @@ class JacoDouble:
 
     def blur_torques(self, noise_nm: float, gravity_left: float) -> None:
         """Add noise of this standard deviation [Nm] to the joints' torques without gravity, and this share of
-        gravity's, as of a tool that is missing in the arm's settings."""
+        gravity's, as with a tool that is missing in the arm's settings."""
         with self._lock:
             self._live()
             self._arm.torque_noise_nm, self._arm.gravity_left = noise_nm, gravity_left

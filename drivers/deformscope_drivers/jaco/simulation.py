@@ -36,7 +36,7 @@ class SimulatedArm:
     sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
     grip: (3,) position of each finger on its object; cycles: that have passed. All may be set between cycles.
     lag: rates that it will turn at, one a cycle: it follows its commands so late
-    acceleration_deg_s2: of each joint at most, as it sets out and as it stops
+    acceleration_deg_s2: acceleration of each joint at most, as it sets out and as it stops
     link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
     closed: boxes (3,), (3,) in the base frame [m] that no Cartesian motion brings the hand into; those by joints do
     gravity_left, torque_noise_nm: share of gravity's torques that its model leaves in those without gravity; deviation

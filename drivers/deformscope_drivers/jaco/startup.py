@@ -49,7 +49,7 @@ _MODELS = {
 class JacoIdentity:
     """Which arm was opened, through what.
 
-    library_version: of the vendor's library; firmware: as in the device list; chain: its kinematics
+    library_version: library version of the vendor's library; firmware: as in the device list; chain: its kinematics
     """
 
     serial: str

@@ -15,8 +15,8 @@ class JacoState(ArmState):
     so that some newtons are shown where nothing touches; its direction was never verified on an arm
     fingers: (3,) from 0 open to 6800 closed
     sweep_s: how much older wrench, torques, currents and fifo_count may be than the angles; currents_a: (n,)
-    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) of the joints; homed: whether it was at home since it
-    was switched on; these are read once a second
+    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) temperatures of the joints; homed: whether it was at
+    home since it was switched on; these are read once a second
     """
 
     sweep_s: float

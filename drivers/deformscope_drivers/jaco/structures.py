@@ -18,7 +18,8 @@ FINGER_COUNT = 3
 FINGER_CLOSED = 6800.0
 ZONES_MAX, ZONE_POINTS = 10, 8
 ACTUATOR_ADDRESSES = (16, 17, 18, 19, 20, 21, 25)
-"""Of the joints on the arm's own bus; 22 to 24 are the fingers (kinova-ros `kinova_comm.cpp`, setZeroTorque)."""
+"""Addresses of the joints on the arm's own bus; 22 to 24 are the fingers (kinova-ros `kinova_comm.cpp`,
+setZeroTorque)."""
 
 
 class PositionType(IntEnum):
@@ -38,7 +39,7 @@ class PositionType(IntEnum):
 
 
 class ShapeType(IntEnum):
-    """Of a protection zone; the header states that all others are not used."""
+    """Shape of a protection zone; the header states that all others are not used."""
 
     PRISM_SQUARE_BASE_Z = 2
 

@@ -22,7 +22,7 @@ def kuka_chain(
     speeds_deg_s: tuple[float, ...],
 ) -> Chain:
     """lengths_m: height of the second axis, its distance from the first, upper arm, offset and length of the forearm,
-    flange from the wrist [m]; ranges_deg, speeds_deg_s: of each axis
+    flange from the wrist [m]; ranges_deg, speeds_deg_s: ranges and speeds of each axis
 
     The description's axes are -z, y, y, -x, y, -x of frames that are parallel at angle 0; here each is its frame's z.
     """

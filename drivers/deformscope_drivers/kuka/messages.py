@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from deformscope_drivers.errors import ProtocolViolation
 
 MOST_BYTES = 4096
-"""Of a datagram: real ones have some 600."""
+"""Largest size of a datagram: real ones have some 600 bytes."""
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 POSE = ("X", "Y", "Z", "A", "B", "C")
 
@@ -25,8 +25,8 @@ POSE = ("X", "Y", "Z", "A", "B", "C")
 class RobMessage:
     """joints_deg: (6,) where the axes are (AIPos); pose: (6,) X, Y, Z [mm] and A, B, C [deg] of the tool in the
     controller's present base (RIst), None if it is not sent; setpoint_deg: (6,) ASPos; late: answers that came too late
-    since the last one in time (Delay); ipoc: of this cycle [ms]; currents: (6,) of the motors (MACur), in the
-    controller's own units, empty where they are not sent"""
+    since the last one in time (Delay); ipoc: counter of this cycle [ms]; currents: (6,) currents of the motors (MACur),
+    in the controller's own units, empty where they are not sent"""
 
     joints_deg: tuple[float, ...]
     ipoc: int
@@ -38,8 +38,8 @@ class RobMessage:
 
 @dataclass(frozen=True, slots=True)
 class SenMessage:
-    """corrections_deg: (6,) of the axes [deg]; ipoc: of the cycle that is answered; kind: as configured in the
-    controller"""
+    """corrections_deg: (6,) corrections of the axes [deg]; ipoc: counter of the cycle that is answered; kind: as
+    configured in the controller"""
 
     corrections_deg: tuple[float, ...]
     ipoc: int

@@ -24,8 +24,8 @@ WAITING = 4
 
 @dataclass(frozen=True, slots=True)
 class OpenniSettings:
-    """Settings for opening a camera; None = unchanged. uri: OpenNI2's; speed: of a recording, 0 = as fast as it is
-    read"""
+    """Settings for opening a camera; None = unchanged. uri: OpenNI2's; speed: speed of a recording, 0 = as fast as it
+    is read"""
 
     uri: str = ""
     width: int | None = None

@@ -26,7 +26,7 @@ class ForceMeasurement:
     """Loads on all channels at one moment, in each sensor's own frame. Positive Fz is compression, as far as is known.
 
     stamp: arrival, with the DAQ's counter (u16, wraps) as ticks
-    status: of DAQ and sensors; counts: (channels, axes) as sent
+    status: status of DAQ and sensors; counts: (channels, axes) as sent
     per_count: (channels, axes) what a count is worth [N], [N m]; None = no sensitivity report was given
     offset_counts: (channels, axes) subtracted here, because the DAQ has lost the zero point that it was given
     lost_before: readings missing right before this one; negative where that many, counted as missing before, were not
@@ -86,7 +86,7 @@ class ForceMeasurer:
     kind: what hangs on the DAQ, by the first reading; None before it
     offset: (channels, axes) counts to subtract where the DAQ does not do so itself; None = none
     track: the counter of the readings; doubted, unusable, overloaded: how many readings were
-    name: of the device, for messages
+    name: name of the device, for messages
     """
 
     def __init__(self, sensitivities: Sequence[Sensitivity], name: str) -> None:
@@ -111,7 +111,7 @@ class ForceMeasurer:
     def measure(
         self, reading: Reading, host_ns: int, gap: Gap, *, zeroed: bool = False, zero_in_doubt: bool = False
     ) -> ForceMeasurement:
-        """The loads of a reading. gap: of `follow`; zeroed: the DAQ subtracts the zero point itself; zero_in_doubt:
+        """The loads of a reading. gap: gap of `follow`; zeroed: the DAQ subtracts the zero point itself; zero_in_doubt:
         whether it does is not known"""
         known = reading.kind is self.kind
         found = doubts(reading, self._nominal_counts if known else None)

@@ -174,7 +174,7 @@ class Reading:
     """Readings of all channels at one moment, in the DAQ's units.
 
     counter: 0 to 65535, wraps; whether it counts readings or the DAQ's own samples is not documented
-    status: of the DAQ and its sensors
+    status: status of the DAQ and its sensors
     counts: (channels, axes), Fx Fy Fz (Tx Ty Tz) in counts; what a count is worth is in a sensor's sensitivity report
     """
 

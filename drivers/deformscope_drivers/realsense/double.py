@@ -26,7 +26,7 @@ from typing import Any
 
 CAMERAS_FILE = "DEFORMSCOPE_REALSENSE_DOUBLE"
 MODES = {"3.2": ((1280, 720, 30), (848, 480, 90), (640, 480, 30), (64, 48, 200)), "2.1": ((480, 270, 15), (64, 48, 6))}
-"""Width, height and highest rate, by USB; as of a D435, and a small one that tests read quickly."""
+"""Width, height and highest rate, by USB; those of a D435, and a small one that tests read quickly."""
 CLOCK_ROUND_US = 2**32
 WALL_M, NOISE_M = 0.6, 0.0008
 """Its scene: a wall, and the error of each pixel [m]."""
@@ -435,7 +435,7 @@ class Streaming:
         self._lines: dict[float, bytes] = {}
 
     def next(self, until_s: float, capacity: int) -> frameset | None:
-        """The next frames, None when none are due in time. capacity: of the queue in which they wait"""
+        """The next frames, None when none are due in time. capacity: capacity of the queue in which they wait"""
         fps = self._depth.fps()
         camera = _world.camera(self._device.serial)
         due = max(self._number + 1, int((time.monotonic() - self._start_s) * fps) - capacity + 1)

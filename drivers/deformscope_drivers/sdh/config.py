@@ -22,7 +22,7 @@ class SdhConfig:
 
     send_id, receive_id: CAN identifiers of the host and of the hand
     protocol: `auto` uses binary if firmware (0.0.2.15) and command support it, else ASCII
-    checksum: of binary messages; None = on serial ports, not on CAN and `socket://`
+    checksum: checksum of binary messages; None = on serial ports, not on CAN and `socket://`
     rate_hz: rate of requests for positions, velocities and states (RS-232 has room for about 90 Hz)
     temperature_period_s: period of requests for temperatures
     reply_timeout_s: for one try of a command; there are three

@@ -52,7 +52,7 @@ class Toward(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class _Started:
-    """A motion in progress. targets_deg: of each moving axis, None if the hand alone has them"""
+    """A motion in progress. targets_deg: targets of each moving axis, None if the hand alone has them"""
 
     sent_ns: int
     duration_s: float | None

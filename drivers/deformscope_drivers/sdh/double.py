@@ -62,7 +62,7 @@ class SdhDouble:
 
     @property
     def motion(self) -> Motion:
-        """The axes, as of the last moment that the double was taken to."""
+        """The axes at the last moment to which the double was advanced."""
         return self._firmware.motion
 
     def power_up(self, now_ns: int) -> None:

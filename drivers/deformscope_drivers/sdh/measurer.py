@@ -17,7 +17,7 @@ from deformscope_drivers.sdh.results import FloatArray, HandReading
 class HandMeasurer:
     """A reading is made of answers about states, velocities and, last, angles; temperatures come more rarely.
 
-    name: of the device, for messages
+    name: name of the device, for messages
     """
 
     def __init__(self, name: str) -> None:

@@ -57,12 +57,12 @@ def grasp_angles_deg(grasp: codes.Grasp, close: float) -> tuple[float, ...]:
 
 
 def sin_square_duration_s(distance_deg: float, velocity_deg_s: float) -> float:
-    """Of a move whose speed is velocity * sin²(pi t / T)."""
+    """Duration of a move whose speed is velocity * sin²(pi t / T)."""
     return 2 * abs(distance_deg) / velocity_deg_s
 
 
 def ramp_duration_s(distance_deg: float, velocity_deg_s: float, acceleration_deg_s2: float) -> float:
-    """Of a move that speeds up, continues at the velocity if it reaches it, and slows down."""
+    """Duration of a move that speeds up, continues at the velocity if it reaches it, and slows down."""
     distance = abs(distance_deg)
     if distance <= velocity_deg_s**2 / acceleration_deg_s2:
         return 2 * math.sqrt(distance / acceleration_deg_s2)

@@ -20,7 +20,7 @@ class HandReading:
     """Pose of the hand. The protocol has motor current limits and no measured currents, so there are none here.
 
     stamp: when the angles arrived; states and velocities were requested right before them (3.4 ms each on RS-232)
-    position_deg, velocity_deg_s: (7,) by axis; state: of each axis
+    position_deg, velocity_deg_s: (7,) by axis; state: state of each axis
     temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before
     """
 
