@@ -17,11 +17,11 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class PeerFailed(Exception):
-    """The engine's process failed. The message is the last line that it said."""
+    """The engine's process failed. The message is the last line that it printed."""
 
 
 def require_peers() -> None:
-    """Raises InputError where the engine that all comparisons are made with is not installed."""
+    """Raises InputError if the engine for all comparisons is not installed."""
     if find_spec("pypbd") is None:
         raise InputError(
             "the package pypbd, which --peers compares with", "none here", "pip install 'deformscope[peers]'"

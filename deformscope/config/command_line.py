@@ -1,4 +1,4 @@
-"""A command as it is typed, from its options."""
+"""The text of a command, from its options."""
 
 from __future__ import annotations
 

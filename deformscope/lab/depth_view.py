@@ -34,7 +34,7 @@ from deformscope.lab.scenes import Scene
 from deformscope.solid import PosedSolid
 
 SPACING_M = 0.003
-"""Between the vertices of the foam's surface."""
+"""Distance between the vertices of the foam's surface."""
 
 STILL_M = 1e-5
 """Least motion for which rays are cast again."""
@@ -70,7 +70,7 @@ class DepthView(RayCamera):
 
     @property
     def surface_from_camera(self) -> FloatArray:
-        """(4, 4) its pose: x right, y down, z along the view."""
+        """(4, 4) pose of the camera: x right, y down, z along the view."""
         return self.T_world_camera
 
     def render(
@@ -81,7 +81,7 @@ class DepthView(RayCamera):
     ) -> Rendered:
         """The exact picture.
 
-        displaced_m: (n, 3) how the surface has moved at `places_m` [m], None at rest
+        displaced_m: (n, 3) displacement of the surface at `places_m` [m], None at rest
         capsules, solids: the robot, surface frame
         """
         if displaced_m is not None and np.shape(displaced_m) != self._rest.shape:

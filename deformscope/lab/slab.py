@@ -58,7 +58,7 @@ class RigidTip:
 @dataclass(frozen=True, slots=True)
 class Dent:
     """A slab under a tip. displaced: (n, 3) displacements of the requested points (n, 3) [m]; depth: depth of the tip
-    [m]; force: on it [N]; touched: (n,) points under the tip"""
+    [m]; force: force on the tip [N]; touched: (n,) points under the tip"""
 
     displaced: FloatArray
     depth: float

@@ -49,7 +49,7 @@ class CloseUp:
 
 
 def close_up(comparison: Comparison) -> CloseUp:
-    """All of a volume; of a surface, the surroundings of the moved part, with magnified heights."""
+    """The whole of a volume; for a surface, the surroundings of the moved part, with magnified heights."""
     rest = comparison.rest
     every = np.concatenate([rest, comparison.observed[comparison.seen], comparison.simulated])
     every = every[np.isfinite(every).all(axis=1)]

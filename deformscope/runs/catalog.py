@@ -211,9 +211,9 @@ def _draw(of: tuple[str, str]) -> None:
 class ComparedRecordings(LibraryResult):
     """How the second differs from the first.
 
-    settings: those that differ, by name; results: (name, first, second, difference) as JSON has values with intervals
-    series: series of the devices' measurements since the first contact; unaligned: why there are none, empty = there
-    are
+    settings: settings that differ, by name; results: (name, first, second, difference) as in JSON, values with
+    intervals; series: series of the devices' measurements since the first contact; unaligned: why there are no series,
+    empty = there are
     """
 
     first: Path
@@ -246,7 +246,7 @@ class ComparedRecordings(LibraryResult):
 
 
 def compare_recordings(first: Path, second: Path) -> ComparedRecordings:
-    """Raises InputError where one is no recording of ours, or damaged."""
+    """Raises InputError if a file is damaged, or no recording of deformscope."""
     from deformscope.recording.reader import Replay
     from deformscope.recording.summary import SETTINGS, summarise
 

@@ -13,9 +13,9 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 
 @dataclass(frozen=True, slots=True)
 class RigStep:
-    """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
-    words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0 =
-    depends on its findings
+    """what: the step in a word; state: `by hand` = the value is there without a date, `optional` = not needed to
+    explore; words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with
+    doubles; 0 = depends on its findings
     """
 
     what: str
@@ -26,7 +26,7 @@ class RigStep:
 
 
 def begin(name: str) -> RigStep:
-    """The first step of all, for a file without devices. name: name of the rig file"""
+    """The first step, for a file without devices. name: name of the rig file"""
     return RigStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
 
 

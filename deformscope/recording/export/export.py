@@ -44,7 +44,7 @@ class ExportedFile:
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written. images: by kind, where the export is of images"""
+    """What was written. images: number of images by kind, in an export of images"""
 
     folder: Path
     files: list[ExportedFile]
@@ -65,8 +65,8 @@ class Credits:
 class ExportRequest:
     """What of a recording goes where.
 
-    only: entities, what is below them, or devices; () = all; camera: images of this device alone
-    anonymous: without what may name a person, a machine or a path; overwrite: replace an earlier export
+    only: entities, with those below them, or devices; () = all; camera: images of this device alone
+    anonymous: leave out whatever may name a person, a machine or a path; overwrite: replace an earlier export
     manifest: `export.json` in the folder is not hidden
     """
 
@@ -163,7 +163,7 @@ def _write_tables(
 
 
 def file_name(entity: str, used: Collection[str] = ()) -> str:
-    """An entity as a path of its own, below folders: devices may have any name. used: paths that others have"""
+    """The path of an entity's file below folders: devices may have any name. used: paths that others have"""
     first, _, rest = entity.partition("/")
     parts = [first, *([rest] if first in OF_DEVICES.values() else rest.split("/") if rest else ())]
     return _unused(parts, used)
