@@ -498,10 +498,8 @@ def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> 
 
 
 def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
-    """Make a whole recording of one that was cut short; `found["recovered"]` is its path.
-
-    out: a new file, default NAME.recovered.rrd next to it. Raises InputError where nothing can be read.
-    """
+    """Make a whole recording of one that was cut short; `found["recovered"]` is its path. out: a new file, default
+    NAME.recovered.rrd next to it. Raises InputError where nothing can be read."""
     from deformscope.runs.recovery import recover_recording
 
     return recover_recording(Path(path), None if out is None else Path(out))

@@ -215,10 +215,8 @@ def from_components(
 
 
 def differing(before: object, now: object, leave_out: Collection[str] = ()) -> str | None:
-    """The first component in which two objects of a class differ, to the last bit; None if they are equal.
-
-    leave_out: fields, or components of them, that may differ
-    """
+    """The first component in which two objects of a class differ, to the last bit; None if they are equal. leave_out:
+    fields, or components of them, that may differ"""
     first, second = to_components(before, leave_out), to_components(now, leave_out)
     for name in sorted((first.keys() | second.keys()) - set(leave_out)):
         one, other = first.get(name), second.get(name)

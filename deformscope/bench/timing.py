@@ -135,10 +135,8 @@ def clock(work: Callable[[], object]) -> Timing:
 
 
 def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
-    """Every contestant once per round, in turn (A B C A B C...): disturbances of the machine affect all alike.
-
-    rounds: how many, given the seconds of the first; that one only warms up, unless there is no other.
-    """
+    """Every contestant once per round, in turn (A B C A B C...): disturbances of the machine affect all alike. rounds:
+    how many, given the seconds of the first; that one only warms up, unless there is no other."""
     began_s = time.perf_counter()
     taken = [[contestant.run()] for contestant in contestants]
     count = rounds(time.perf_counter() - began_s)

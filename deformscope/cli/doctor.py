@@ -156,10 +156,8 @@ def _sections(rig: Rig) -> list[Finding]:
 
 
 def _exploring(rig: Rig, measured: bool) -> list[Finding]:
-    """Whether `explore` would begin with this file, if it seems to be meant for it; nothing is opened.
-
-    measured: no step is left before it, or there is no list of steps: missing keys are named here
-    """
+    """Whether `explore` would begin with this file, if it seems to be meant for it; nothing is opened. measured: no
+    step is left before it, or there is no list of steps: missing keys are named here"""
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []

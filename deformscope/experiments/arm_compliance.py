@@ -61,10 +61,8 @@ def touch_rigid(
     touches: int,
     found_one: Callable[[ComplianceTouch], None],
 ) -> RigExperiment[None]:
-    """The experiment that touches a place (2,) [m] of something rigid several times, after a look at it.
-
-    found_one: called with each touch. Raises ExplorationStopped, and InputError if the camera sees no surface.
-    """
+    """The experiment that touches a place (2,) [m] of something rigid several times, after a look at it. found_one:
+    called with each touch. Raises ExplorationStopped, and InputError if the camera sees no surface."""
     seen = geometry.look((yield from ask(Look())))
     world = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), geometry.size_m), outlier_sd=5.0)
     height_m = float(world.at(xy_m[None]).mean[0])

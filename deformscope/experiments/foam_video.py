@@ -51,10 +51,8 @@ class ParticleOptions(ParticleFlags):
 def foam_video(
     particles: ParticleOptions, fit: FitOptions, mask: BoolArray | None = None, progress: Progress | None = None
 ) -> Experiment[Calibration]:
-    """Follow particles through the frames, then fit the last pose and simulate every frame.
-
-    mask: (H, W) True where the thing is in the first frame
-    """
+    """Follow particles through the frames, then fit the last pose and simulate every frame. mask: (H, W) True where the
+    thing is in the first frame"""
     grid, history = yield from track(particles, mask)
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
@@ -90,11 +88,8 @@ def last_pose(
 def track(
     particles: ParticleOptions, mask: BoolArray | None = None, times: list[float] | None = None
 ) -> Experiment[tuple[ParticleGrid, list[Tracked]]]:
-    """Follow particles through the frames: their positions at rest, and at every frame.
-
-    mask: (H, W) True where the thing is in the first frame; times: where it is given, each frame's time after the first
-    is added to it [s]
-    """
+    """Follow particles through the frames: their positions at rest, and at every frame. mask: (H, W) True where the
+    thing is in the first frame; times: where it is given, each frame's time after the first is added to it [s]"""
     frame = yield Step()
     if frame is None:
         raise InputError("at least two frames", "none")

@@ -68,10 +68,8 @@ class MaterialFit:
 def material_video(
     particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFit], mask: BoolArray | None = None
 ) -> Experiment[MaterialFit]:
-    """Track particles through the frames, fit, and show every frame with the fit.
-
-    mask: (H, W) True where the thing is in the first frame
-    """
+    """Track particles through the frames, fit, and show every frame with the fit. mask: (H, W) True where the thing is
+    in the first frame"""
     return (yield from _shown(find((yield from tracked_motion(particles, mask)))))
 
 

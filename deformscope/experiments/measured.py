@@ -70,9 +70,7 @@ may be higher than that, all is as at a careful pace. Chosen."""
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameData:
     """The contents of frames by their times on the host's clock [ns]; a reading of force by time and device's ticks.
-
-    depth_m: (H, W); arm: states; wrench_n: (3,) force before any tare, in the tip's frame
-    """
+    depth_m: (H, W); arm: states; wrench_n: (3,) force before any tare, in the tip's frame"""
 
     depth_m: Mapping[int, npt.NDArray[np.floating]]
     arm: Mapping[int, ArmSample]
@@ -135,11 +133,8 @@ def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupGeometry:
-    """Poses of surface, arm and camera relative to each other, and their consequences; pure.
-
-    compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]; described: shape of
-    the robot
-    """
+    """Poses of surface, arm and camera relative to each other, and their consequences; pure. compliance_m_per_n,
+    compliance_sd: the arm's compliance under a push and its deviation [m/N]; described: shape of the robot"""
 
     size_m: tuple[float, float]
     placement: Placement

@@ -264,11 +264,8 @@ def sight(
     before: ContainerFit | None = None,
     near: bool = False,
 ) -> ContainerSighting:
-    """The container in images of a robot at rest; the robot's points are left out.
-
-    before: the container's earlier pose; near: search only close to it, also where the hand hides a part of the
-    container
-    """
+    """The container in images of a robot at rest; the robot's points are left out. before: the container's earlier
+    pose; near: search only close to it, also where the hand hides a part of the container"""
     camera = geometry.camera
     if camera.focal_px is None or camera.center_px is None or geometry.T_arm_camera is None:
         raise InputError("[camera] focal_px, center_px and T_arm_camera", "none")

@@ -35,10 +35,8 @@ class ReplayedStages:
 
 
 def replay_stages(path: Path, *, trust: bool = False) -> ReplayedStages:
-    """Compute every recorded result again from the frames that it names, read from the recording, and compare.
-
-    trust: skip the comparison with the ledger. Raises InputError if frames are missing.
-    """
+    """Compute every recorded result again from the frames that it names, read from the recording, and compare. trust:
+    skip the comparison with the ledger. Raises InputError if frames are missing."""
     replay = Replay(path, trust=trust)
     options = msgspec.convert(replay.settings["stages"], LiveOptions)
     stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(options, read_streams(path, trust=True))}

@@ -31,10 +31,8 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 
 
 def make_table(rows: Iterable[Mapping[str, Any]], types: Mapping[str, pa.DataType] | None = None) -> pa.Table:
-    """A table with the columns of all rows; a column whose values have several types becomes text.
-
-    types: types of columns that always exist
-    """
+    """A table with the columns of all rows; a column whose values have several types becomes text. types: types of
+    columns that always exist"""
     batches, held = [pa.table({name: pa.array([], kind) for name, kind in (types or {}).items()})], list[Any]()
     for row in rows:
         held.append(row)

@@ -48,10 +48,8 @@ class BallPress:
 def press_ball(
     law: OgdenFoam, radius_m: float, thickness_m: float, depths_m: Sequence[float], fine: float = FINE
 ) -> BallPress:
-    """Press the ball to each of the rising depths of its lowest point below the rest surface.
-
-    fine: size of the elements below it, as a share of its radius. Raises InputError if no equilibrium is found.
-    """
+    """Press the ball to each of the rising depths of its lowest point below the rest surface. fine: size of the
+    elements below it, as a share of its radius. Raises InputError if no equilibrium is found."""
     if not (radius_m > 0.0 and len(depths_m) and min(np.diff([0.0, *depths_m])) > 0.0 and depths_m[-1] < thickness_m):
         raise InputError(
             "depths that rise from 0 and end above the table", f"{list(depths_m)}, {thickness_m:g} m thick"

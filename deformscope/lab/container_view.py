@@ -48,10 +48,7 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 
 
 class ContainerView(RayCamera):
-    """A camera in front of a container in the hand.
-
-    shape: shape of the container
-    """
+    """A camera in front of a container in the hand. shape: shape of the container"""
 
     def __init__(
         self,
@@ -103,11 +100,8 @@ class ContainerView(RayCamera):
         position_deg: npt.NDArray[np.float64],
         robot: Sequence[Capsule] | None = None,
     ) -> Rendered:
-        """The exact picture.
-
-        inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) position of the hand
-        robot: visible parts of the robot, None = the fingers of a hand, in the hand's frame
-        """
+        """The exact picture. inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) position
+        of the hand; robot: visible parts of the robot, None = the fingers of a hand, in the hand's frame"""
         still = self._still
         depth, seen, facing = still.depth_m.copy(), still.seen.copy(), still.facing.copy()
         vertex, triangle = self.mesh(inward_m)

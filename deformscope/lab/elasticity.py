@@ -109,10 +109,8 @@ class ElasticBox:
         return HeldBox(self, held)
 
     def sample(self, displacement: FloatArray, points: FloatArray) -> FloatArray:
-        """Displacement of material points inside, by the elements' shape functions.
-
-        displacement: (N, 3) or (B, N, 3) [m]; points: (n, 3) at rest [m]; gives (n, 3) or (B, n, 3)
-        """
+        """Displacement of material points inside, by the elements' shape functions. displacement: (N, 3) or (B, N, 3)
+        [m]; points: (n, 3) at rest [m]; gives (n, 3) or (B, n, 3)"""
         points = np.asarray(points, dtype=np.float64)
         cell = self._cell[self._cell_index(points)]
         zero = np.zeros((3, 1))
@@ -168,10 +166,8 @@ class HeldBox:
             self._factors = splu(self._own.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options=options)
 
     def solve(self, displacement: FloatArray, load: FloatArray | None = None) -> Solved:
-        """The static state.
-
-        displacement: (N, 3) or (B, N, 3) [m], read where `held`; load: (N, 3) forces on the nodes that are free [N]
-        """
+        """The static state. displacement: (N, 3) or (B, N, 3) [m], read where `held`; load: (N, 3) forces on the nodes
+        that are free [N]"""
         displacement = np.asarray(displacement, dtype=np.float64)
         single = displacement.ndim == 2
         every = displacement.reshape(-1, self.held.size)
@@ -207,11 +203,8 @@ class HeldBox:
 
 
 def stiffness_of(basis: Basis, young: FloatArray, poisson: FloatArray) -> csr_array:
-    """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'.
-
-    basis: scalar elements with N nodes; young, poisson: (E,) Young's modulus and Poisson's ratio of each element, [Pa]
-    and a ratio
-    """
+    """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'. basis: scalar elements with N
+    nodes; young, poisson: (E,) Young's modulus and Poisson's ratio of each element, [Pa] and a ratio"""
     lame = (young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)))[:, None, None, None, None]
     shear = (0.5 * young / (1.0 + poisson))[:, None, None, None, None]
     weight = basis.dx

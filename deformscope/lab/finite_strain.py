@@ -69,10 +69,8 @@ def press(
     depths_m: Sequence[float],
     element_m: float = 0.005,
 ) -> list[PressedBlock]:
-    """Press the block to each of the rising depths of a clamp that is `clamp_m` wide and on its middle.
-
-    element_m: size of the elements below the clamp; far from it they are twice as large
-    """
+    """Press the block to each of the rising depths of a clamp that is `clamp_m` wide and on its middle. element_m: size
+    of the elements below the clamp; far from it they are twice as large"""
     if not (0.0 < clamp_m <= block.width_m and len(depths_m) and min(np.diff([0.0, *depths_m])) > 0.0):
         raise InputError("a clamp no wider than the block, and depths that rise from 0", f"{clamp_m:g} m, {depths_m}")
     half = _Half(law, block, clamp_m, element_m)
@@ -86,10 +84,8 @@ def press(
 
 
 class LargeStrain(ABC):
-    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method.
-
-    prescribed, free: (n,) degrees of freedom that are held, and all others
-    """
+    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method. prescribed, free:
+    (n,) degrees of freedom that are held, and all others"""
 
     prescribed: IntArray
     free: IntArray

@@ -53,9 +53,7 @@ def force_share(
     plateau_exponent: int, poisson: float, radius_m: float, thickness_m: float, depth_m: FloatArray
 ) -> FloatArray:
     """(n,) force of foam that yields over that of linear foam of the same modulus, at depths (n,) [m] of a ball.
-
-    plateau_exponent: Ogden's exponent: the plateau is near the modulus over this
-    """
+    plateau_exponent: Ogden's exponent: the plateau is near the modulus over this"""
     linear = SlabWorld(Scene("level", 0, (Piece("", MODULUS_PA),), {}, thickness_m=thickness_m, poisson=poisson))
     middle, tip = 0.5 * np.asarray(linear.scene.size_m), RigidTip(radius=radius_m)
     stays_n = [

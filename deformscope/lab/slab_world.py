@@ -193,11 +193,8 @@ class SlabWorld:
         return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """The force on a tip at a place, at rest.
-
-        center_m: (3,) the middle of a ball, or of a flat tip's face, in the surface frame [m]. A flat tip lies
-        along the rest surface below it.
-        """
+        """The force on a tip at a place, at rest. center_m: (3,) the middle of a ball, or of a flat tip's face, in the
+        surface frame [m]. A flat tip lies along the rest surface below it."""
         center = np.asarray(center_m, dtype=np.float64)
         if center.shape != (3,) or not np.isfinite(center).all():
             raise InputError("a place of three finite numbers", str(center_m))

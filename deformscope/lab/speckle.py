@@ -107,11 +107,8 @@ class SpeckleMotion:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A push as a camera takes it.
-
-    mask: (H, W) True where the foam is in the first image; motions: the true one at each image
-    images: makes each (H, W) uint8 image on demand
-    """
+    """A push as a camera takes it. mask: (H, W) True where the foam is in the first image; motions: the true one at
+    each image; images: makes each (H, W) uint8 image on demand"""
 
     mask: BoolArray
     motions: tuple[SpeckleMotion, ...]

@@ -116,10 +116,8 @@ class ContainerCase:
 
 
 class SqueezedContainer:
-    """A container between the fingers of a simulated hand, in a camera's view: the world of the doubles.
-
-    hand, pads: the doubles; shape, world, view: the container's form, the pressed body, the camera
-    """
+    """A container between the fingers of a simulated hand, in a camera's view: the world of the doubles. hand, pads:
+    the doubles; shape, world, view: the container's form, the pressed body, the camera"""
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
         """clock: that the hand's double runs on; port: the hand's port"""
@@ -202,10 +200,8 @@ class SqueezedContainer:
 
 
 class SqueezeLab:
-    """The laboratory with one container in it, closed.
-
-    hand, pads, camera: the real drivers' devices, to be opened by `open`; simulated: the world behind them
-    """
+    """The laboratory with one container in it, closed. hand, pads, camera: the real drivers' devices, to be opened by
+    `open`; simulated: the world behind them"""
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)

@@ -54,10 +54,8 @@ class _FileTake:
     def write(
         self, items: object, source: RigSource | None, streams: tuple[Stream, ...], lossless: Sequence[str]
     ) -> None:
-        """Record the device items of this source; a file that begins meanwhile begins with the first of them.
-
-        streams: streams of the devices as they were opened; one that reconnects may have no kind
-        """
+        """Record the device items of this source; a file that begins meanwhile begins with the first of them. streams:
+        streams of the devices as they were opened; one that reconnects may have no kind"""
         if isinstance(items, Sequence):
             if not self.begun and items:
                 assert source is not None

@@ -13,10 +13,7 @@ from deformscope.page.server.page_session import PageSession
 
 
 class RobotPage(ABC):
-    """`PageRun` of a robot's page.
-
-    robot: the moving part, as text; button: a page's button for a motion
-    """
+    """`PageRun` of a robot's page. robot: the moving part, as text; button: a page's button for a motion"""
 
     robot = button = ""
 

@@ -47,11 +47,8 @@ CURVE_POINTS = 60
 
 
 class PageSteering(RobotPage):
-    """`Steering` of an exploration, and `PageRun` of its page.
-
-    arm: its name; set_force_n: set force of a touch; budget: touches at most where it explores
-    paused: begin so, and touch only where the page says
-    """
+    """`Steering` of an exploration, and `PageRun` of its page. arm: its name; set_force_n: set force of a touch;
+    budget: touches at most where it explores; paused: begin so, and touch only where the page says"""
 
     robot, button = "arm", "Explore"
 

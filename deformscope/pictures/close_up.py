@@ -26,10 +26,8 @@ THIN = 0.3
 
 @dataclass(frozen=True, slots=True)
 class CloseUp:
-    """The part of a body that is worth showing.
-
-    low, high: (3,) its corners [unit]; heights: how many times z is drawn out; surface: a layer seen from above
-    """
+    """The part of a body that is worth showing. low, high: (3,) its corners [unit]; heights: how many times z is drawn
+    out; surface: a layer seen from above"""
 
     low: FloatArray
     high: FloatArray

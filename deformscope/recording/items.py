@@ -92,10 +92,8 @@ KINDS: tuple[type, ...] = (
 
 
 def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
-    """The results in the order of the frames that they belong to, equal to the recorded ones.
-
-    trust: skip the comparison with the ledger
-    """
+    """The results in the order of the frames that they belong to, equal to the recorded ones. trust: skip the
+    comparison with the ledger"""
     found: list[StageResult] = []
     for chunk in Replay(path, trust=trust).chunks("/stage/**"):
         if chunk.is_static:

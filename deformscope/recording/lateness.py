@@ -83,10 +83,8 @@ def _waits(task: Path) -> bool:
 
 
 class Lateness:
-    """Looked at with every job that is handed over, while more than `late_bytes` wait.
-
-    thread_id: the system's, of the thread that encodes
-    """
+    """Looked at with every job that is handed over, while more than `late_bytes` wait. thread_id: the system's, of the
+    thread that encodes"""
 
     def __init__(self, late_bytes: int, thread_id: int | None) -> None:
         self._late_bytes, self._task = late_bytes, TASKS / str(thread_id)

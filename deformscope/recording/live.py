@@ -56,10 +56,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A window that was started.
-
-    pid: its process; messages: descriptor of a file with its standard error
-    """
+    """A window that was started. pid: its process; messages: descriptor of a file with its standard error"""
 
     pid: int
     messages: int
@@ -248,10 +245,8 @@ class LiveFeed(Generic[StreamT]):
         self._thread.start()
 
     def put(self, job: Callable[[StreamT], None], size: int, *, lasting: bool = False) -> None:
-        """Hand a job over; returns at once.
-
-        size: bytes that it keeps alive; lasting: later jobs depend on this job, so that it is dropped last
-        """
+        """Hand a job over; returns at once. size: bytes that it keeps alive; lasting: later jobs depend on this job, so
+        that it is dropped last"""
         with self._ready:
             self._given += 1
             if self._left.is_set() or self._closing.is_set():

@@ -86,10 +86,8 @@ class RecentItems:
 
 
 class WatchedRecorder:
-    """A session's recorder whose view continues where its file cannot; the file's error is raised in the end.
-
-    watch: shows it; kept: records
-    """
+    """A session's recorder whose view continues where its file cannot; the file's error is raised in the end. watch:
+    shows it; kept: records"""
 
     def __init__(self, watch: Recorder, kept: Recorder) -> None:
         self._watch, self._kept = watch, kept
@@ -141,10 +139,8 @@ class WatchedRecorder:
 
 
 class LastRecorder(WatchedRecorder):
-    """A session's recorder that shows the whole session and records its last seconds.
-
-    kept: may wait: all of it comes at once
-    """
+    """A session's recorder that shows the whole session and records its last seconds. kept: may wait: all of it comes
+    at once"""
 
     def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
         super().__init__(watch, kept)

@@ -159,11 +159,8 @@ class Recorder:
     # What is handed over ---------------------------------------------------------------------------------------------
 
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
-        """From now on devices, and results computed from them, are recorded.
-
-        layout: how, from the experiment; start_ns: the host's clock at session time 0
-        lossless: devices whose colour images are stored without loss
-        """
+        """From now on devices, and results computed from them, are recorded. layout: how, from the experiment;
+        start_ns: the host's clock at session time 0; lossless: devices whose colour images are stored without loss"""
         if not self.active:
             return
         from deformscope.log.rig import log_streams

@@ -308,11 +308,8 @@ def standard_error(values: Iterable[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """theta over cubes of one Poisson's ratio.
-
-    of: other properties that they share, "" without any; count: number of cubes; sem: standard error of the mean;
-    equal_share_sem: that of `Found.equal_share_theta`
-    """
+    """theta over cubes of one Poisson's ratio. of: other properties that they share, "" without any; count: number of
+    cubes; sem: standard error of the mean; equal_share_sem: that of `Found.equal_share_theta`"""
 
     poisson: float
     of: str
@@ -341,10 +338,8 @@ def spreads(found: Sequence[CubeResult], of: Callable[[Cube], str] = lambda _: "
 
 
 def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
-    """Whether theta rises strictly with Poisson's ratio at every resolution and depth.
-
-    to_bound: theta need not rise any further at the end of its range
-    """
+    """Whether theta rises strictly with Poisson's ratio at every resolution and depth. to_bound: theta need not rise
+    any further at the end of its range"""
     depths = depths_of([one.cube for one in found])
     series: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for one in found:

@@ -195,10 +195,8 @@ class LabRobot:
 def explore_at_once(
     robot: LabRobot, stages: ExplorationStages, recorder: SessionRecorder, found: Exploration | None = None
 ) -> None:
-    """Explore with a robot that gives measurements at once. Raises ExplorationStopped.
-
-    recorder: is given every stage's results; found: receives the touches
-    """
+    """Explore with a robot that gives measurements at once. Raises ExplorationStopped. recorder: is given every stage's
+    results; found: receives the touches"""
     found = Exploration() if found is None else found
     run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))
     if found.stop is not None:

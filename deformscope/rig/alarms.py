@@ -102,10 +102,8 @@ class _Watched:
 
 
 class SensorAlarms:
-    """`look` at all that devices give, in its order; the alarms that begin and end come back as notes.
-
-    stuck_after_s: times by device, as in the rig; None = its readings may stay the same for ever
-    """
+    """`look` at all that devices give, in its order; the alarms that begin and end come back as notes. stuck_after_s:
+    times by device, as in the rig; None = its readings may stay the same for ever"""
 
     def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:
         self._streams = {stream.device: stream for stream in streams}

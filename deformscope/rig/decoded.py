@@ -32,11 +32,8 @@ from deformscope_drivers.transport import CAN_FRAME_BYTES
 
 @dataclass(frozen=True, slots=True)
 class DeviceComparison:
-    """How a device's recorded frames compare with its bytes.
-
-    frames: recorded; compared: how many frames were decoded again; left_out: parts without a comparison, and why
-    difference: the first one, in words; empty = none
-    """
+    """How a device's recorded frames compare with its bytes. frames: recorded; compared: how many frames were decoded
+    again; left_out: parts without a comparison, and why; difference: the first one, in words; empty = none"""
 
     device: str
     driver: str

@@ -269,11 +269,8 @@ SECTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A rig as its file says it.
-
-    name: name of the file, for titles; text: the file, for recordings; folder: folder of the file, to which its paths
-    are relative
-    """
+    """A rig as its file says it. name: name of the file, for titles; text: the file, for recordings; folder: folder of
+    the file, to which its paths are relative"""
 
     name: str
     text: str
@@ -293,10 +290,8 @@ class Rig:
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
-    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place.
-
-    trusted: vendors' libraries that it names may be loaded from anywhere
-    """
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place. trusted:
+    vendors' libraries that it names may be loaded from anywhere"""
     text = str(where)
     if text.startswith(LAB_SCHEME):
         return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)

@@ -106,11 +106,8 @@ class CurrentWatch:
         self._beyond = 0
 
     def look(self, currents: tuple[float, ...], joints_deg: tuple[float, ...], tip_n: float, now_ns: int) -> str:
-        """Why this is a collision, with which joint; empty where it is none.
-
-        currents: (n,) currents of the motors, any unit; joints_deg: (n,); tip_n: as in `CollisionWatch.look` [N];
-        now_ns: when
-        """
+        """Why this is a collision, with which joint; empty where it is none. currents: (n,) currents of the motors, any
+        unit; joints_deg: (n,); tip_n: as in `CollisionWatch.look` [N]; now_ns: when"""
         if not all(map(math.isfinite, currents)):
             return "a motor's current is no number"
         if tip_n > PRESSED_N:

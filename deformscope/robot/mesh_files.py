@@ -39,9 +39,7 @@ there, and not the machine's memory or a person's patience."""
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
     """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. Raises InputError, which names it.
-
-    coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file
-    """
+    coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file"""
     for path in paths:
         _check(path)
     if not paths:

@@ -78,11 +78,8 @@ class CameraSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
-    """Items since the last control period, oldest first.
-
-    refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening
-    lost_links: names of devices whose link is down, and why
-    """
+    """Items since the last control period, oldest first. refused: frames of the force sensor's wire that failed their
+    checksum or made no sense, since opening; lost_links: names of devices whose link is down, and why"""
 
     now_ns: int
     forces: tuple[ForceSample, ...] = ()

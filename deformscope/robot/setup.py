@@ -154,10 +154,7 @@ def seen(robot: Robot) -> Robot:
 
 
 class SimulatedDevices(Protocol):
-    """The scenes of a rig's doubles.
-
-    opener: as for `RigSource`; other attributes as in `Setup`
-    """
+    """The scenes of a rig's doubles. opener: as for `RigSource`; other attributes as in `Setup`"""
 
     @property
     def runs_itself(self) -> bool: ...
@@ -202,11 +199,8 @@ def open_rig(
     simulated: SimulatedDevices | None,
     around: Sequence[RigDevice],
 ) -> Iterator[RigSource]:
-    """All devices of a rig file, open.
-
-    double: makes a device of the rig that nothing is simulated around, or its double
-    simulated: the world `around` the doubles, None = none
-    """
+    """All devices of a rig file, open. double: makes a device of the rig that nothing is simulated around, or its
+    double; simulated: the world `around` the doubles, None = none"""
     with ExitStack() as stack:
         made = {} if simulated is None else stack.enter_context(simulated.devices(around))
         members = [

@@ -19,10 +19,8 @@ itself. With a smaller one, parts of a thicker arm count as surface and may coll
 
 
 def link_capsules(T_base_links: FloatArray, T: FloatArray) -> list[Capsule]:
-    """The links alone, from the arm's foot on, in another frame.
-
-    T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end; T: (4, 4) base to that frame [m]
-    """
+    """The links alone, from the arm's foot on, in another frame. T_base_links: (k, 4, 4) poses of the arm's joints and,
+    last, of its end; T: (4, 4) base to that frame [m]"""
     joints_m = [T[:3, 3], *(T @ T_base_links)[:, :3, 3]]
     return [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
 

@@ -48,10 +48,8 @@ class TrueMoments(Protocol):
 
 
 class SimulatedContainer(SimulatedDevices, Protocol):
-    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
-
-    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: intrinsics and frame rate of that camera
-    """
+    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`). T_hand_camera: (4, 4) camera to hand [m];
+    intrinsics, camera_hz: intrinsics and frame rate of that camera"""
 
     @property
     def intrinsics(self) -> Intrinsics: ...
@@ -69,10 +67,7 @@ class SimulatedContainer(SimulatedDevices, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeParts:
-    """Devices of a rig file by their parts; camera, arm: None without one.
-
-    grasp: drawn from the seed
-    """
+    """Devices of a rig file by their parts; camera, arm: None without one. grasp: drawn from the seed"""
 
     rig: Rig
     hand: RigDevice

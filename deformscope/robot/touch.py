@@ -263,11 +263,8 @@ class TouchStateMachine:
             self._enter(Phase.BACK_OFF, time_s)
 
     def step(self, time_s: float, center_m: FloatArray, force_n: FloatArray, still_seen: bool = True) -> FloatArray:
-        """The tip's velocity (3,) [m/s] for the next period.
-
-        center_m: (3,) the tip's centre; force_n: (3,) force on the tip; still_seen: the observer of the dent sees no
-        change
-        """
+        """The tip's velocity (3,) [m/s] for the next period. center_m: (3,) the tip's centre; force_n: (3,) force on
+        the tip; still_seen: the observer of the dent sees no change"""
         plan = self.plan
         along_n = float(force_n @ plan.normal)
         match self.phase:

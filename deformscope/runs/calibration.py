@@ -370,10 +370,8 @@ def calibrate_pair_bytes(
     note: Note = log_note,
     progress: Progress | None = None,
 ) -> list[CalibrationResult]:
-    """Fit pairs given by name and content: the same for files and recordings.
-
-    layers: all pairs are pokes of one surface, fitted together with the material below it
-    """
+    """Fit pairs given by name and content: the same for files and recordings. layers: all pairs are pokes of one
+    surface, fitted together with the material below it"""
     seen = parse_files(parse_pair, raws, noise_m, note)
     if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
         note(FLAT_SURFACE)

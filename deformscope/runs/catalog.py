@@ -152,10 +152,8 @@ def _summarised(of: tuple[str, str]) -> dict[str, Any]:
 def catalog_page(
     found: CatalogResult, *, served: bool = False, workers: int | None = None, progress: Progress | None = None
 ) -> str:
-    """A page with a picture of each recording, which opens it; pictures are made once.
-
-    served: its links are the places of recordings on a page that is served, not files
-    """
+    """A page with a picture of each recording, which opens it; pictures are made once. served: its links are the places
+    of recordings on a page that is served, not files"""
     rows = found.table.slice(0, PAGE_ROWS).to_pylist()
     pictures = {row["path"]: found.folder / PICTURES / f"{row['sha256']}.png" for row in rows if row["sha256"]}
     left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]

@@ -78,11 +78,8 @@ def classification_page(
     settings: Mapping[str, object],
     *besides: Section,
 ) -> str:
-    """All results as one HTML page.
-
-    model: model trained on all trials; drawn: result of `classification_pictures`; settings: the command's settings
-    besides: sections that come after the first
-    """
+    """All results as one HTML page. model: model trained on all trials; drawn: result of `classification_pictures`;
+    settings: the command's settings; besides: sections that come after the first"""
     title = f"Contents of containers: {result.name}" if result.name else "Contents of containers"
     first, *others = _sections(result, model, drawn, settings)
     return html_report(title, [first, *besides, *others])

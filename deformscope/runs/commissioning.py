@@ -32,9 +32,7 @@ def begin(name: str) -> RigStep:
 
 def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:
     """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera.
-
-    name: name of its file, for the commands
-    """
+    name: name of its file, for the commands"""
     kinds = {entry.driver.kind for entry in rig.devices}
     if not {"arm", "wrench", "depth"} <= kinds:
         return ()

@@ -180,10 +180,8 @@ def _run(
     recorded: RecordedTouches | None,
     planner: TouchPlanner | None,
 ) -> None:
-    """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises.
-
-    recorded: touches that were made before: nothing moves
-    """
+    """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises. recorded:
+    touches that were made before: nothing moves"""
     from deformscope.experiments.explore import AT_END, PlannedBy, explore
     from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import TouchingRobot, touching_robot

@@ -204,10 +204,8 @@ class SqueezeOpening:
 def squeeze_setup_of(
     name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str = "person"
 ) -> SqueezeOpening:
-    """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container.
-
-    content, container: empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka
-    """
+    """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container. content, container:
+    empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka"""
     if name == CONTAINERS:
         from deformscope.lab.container_setup import container_lab
 

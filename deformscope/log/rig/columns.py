@@ -62,10 +62,8 @@ class Place:
 
 
 class Batch:
-    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
-
-    place: place of an exploration: where rows are on its timelines
-    """
+    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams. place: place of an
+    exploration: where rows are on its timelines"""
 
     def __init__(self, place: Place | None = None) -> None:
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []

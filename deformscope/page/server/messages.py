@@ -326,11 +326,8 @@ class Chapter(msgspec.Struct, frozen=True):
 
 
 class Playback(msgspec.Struct, frozen=True):
-    """A recording that a page plays.
-
-    timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step time of a single step
-    layer: a file of the page that is to be shown over it, empty = none
-    """
+    """A recording that a page plays. timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step
+    time of a single step; layer: a file of the page that is to be shown over it, empty = none"""
 
     timeline: str
     until_ns: int

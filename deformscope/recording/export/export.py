@@ -213,10 +213,8 @@ def _described(stream: RecordedStream, files: Sequence[ExportedFile]) -> dict[st
 
 @contextmanager
 def _draft(folder: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A folder that takes the place of FOLDER when all is written, and is gone on an error.
-
-    overwrite: what an earlier export wrote there is replaced; other files there stay
-    """
+    """A folder that takes the place of FOLDER when all is written, and is gone on an error. overwrite: what an earlier
+    export wrote there is replaced; other files there stay"""
     folder = Path(os.path.realpath(folder.expanduser()))
     is_there = folder.is_dir()  # the draft is then in it: it may be another disk
     draft = (folder if is_there else folder.parent) / f".{folder.name}.{os.getpid()}-{next(_drafts)}.part"
