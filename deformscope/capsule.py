@@ -1,4 +1,5 @@
-"""The shape that stands for a link of the arm or a stick: what a camera sees of the robot, and what is not surface."""
+"""The shape that represents a link of the arm or a stick, to find which points of a camera show the robot and not the
+surface."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ def outside_m(points_m: FloatArray, half_m: FloatArray, *, round: bool = False) 
 
 
 def moved(capsules: Iterable[Capsule], T: FloatArray) -> list[Capsule]:
-    """The same in another frame. T: (4, 4) from theirs to it"""
+    """The capsule in another frame. T: (4, 4) from the capsules' frame to the new one"""
     found = []
     for one in capsules:
         start_m, end_m = np.stack([one.start_m, one.end_m]) @ T[:3, :3].T + T[:3, 3]

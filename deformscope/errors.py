@@ -1,4 +1,4 @@
-"""The one error that reaches a user."""
+"""The error whose message a user reads."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-
 
 
 def printable(text: str) -> str:
-    """Text of files, devices and paths for a terminal or a page. Characters that control one, reverse its direction, or
-    are not UTF-8 become escapes, as in Python's `repr`; line breaks and tabs stay."""
+    """Text of files, devices and paths for a terminal or a page. Control characters, those that reverse the direction
+    of text, and bytes that are not UTF-8 become escapes, as in Python's `repr`; line breaks and tabs stay."""
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 class InputError(Exception):
-    """Something a user gave cannot be used.
+    """Input of a user that cannot be used.
 
     The message has, in one line, the expectation, the actual value, and what to try; a path comes last.
     """
@@ -29,7 +29,7 @@ class InputError(Exception):
 
     @classmethod
     def about(cls, error: Exception, where: object) -> InputError:
-        """The same error, with the file that it is about."""
+        """The error with the file concerned."""
         made = cls.__new__(cls)
         Exception.__init__(made, printable(f"{error} | {where}" if str(where) else str(error)))
         return made

@@ -1,4 +1,4 @@
-"""Files that a user named: read whole, and replaced only by what is complete."""
+"""Files that a user named: they are read whole, and replaced only by complete files."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def nearest_sample(path: str | Path) -> str:
 
 
 def read_file(path: str | Path, what: str, hint: str = "") -> bytes:
-    """The bytes of a file that a user named. what: it should be; hint: where it comes from. Raises InputError where it
-    cannot be read."""
+    """The bytes of a file that a user named. what: what it should be; hint: where it comes from. Raises InputError if
+    it cannot be read."""
     try:
         return resolve(path).read_bytes()
     except OSError as error:
@@ -92,7 +92,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder after --out where it is not there, and find out before the work whether it can be written to."""
+    """Make the folder of --out if it does not exist, and check before the work that it can be written to."""
     probe = path / f".{os.getpid()}.part"
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -107,8 +107,8 @@ _named: set[Path] = set()
 
 
 def new_recording(folder: Path, name: str, suffix: str = ".rrd") -> Path:
-    """An unused path in the folder, which is made if missing: not of an earlier run, nor of another present one, nor of
-    this one a moment ago. NAME-<stamp>.rrd"""
+    """An unused path in the folder, which is made if missing: no earlier, simultaneous or immediately preceding
+    recording has it. NAME-<stamp>.rrd"""
     make_folder(folder)
     first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}{suffix}"
     for number in range(1, 100):

@@ -1,4 +1,4 @@
-"""Items from devices, files and recordings to experiments and into recordings: stamped and frozen.
+"""Items that devices, files and recordings give to experiments and recordings: stamped and immutable.
 
 Every frame has its time (`stamp`), its device (`device`, its name in the rig) and its index in that device's stream
 (`index`, from 0; a missing index was lost).
@@ -23,10 +23,7 @@ Kind = Literal["color", "depth", "tactile", "wrench", "arm", "hand"]
 
 @dataclass(frozen=True, slots=True)
 class ColorFrame:
-    """One camera image.
-
-    image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16
-    """
+    """One camera image. image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16"""
 
     stamp: Stamp
     index: int
@@ -36,10 +33,8 @@ class ColorFrame:
 
 @dataclass(frozen=True, slots=True)
 class DepthFrame:
-    """One image of distances along the camera's axis.
-
-    depth: (H, W) uint16 in units of unit_m [m], 0 = nothing seen; color: (H, W, 3) RGB uint8 on its pixels, or None
-    """
+    """One image of distances along the camera's axis. depth: (H, W) uint16 in units of unit_m [m], 0 = nothing seen;
+    color: (H, W, 3) RGB uint8 at the depth's pixels, or None"""
 
     stamp: Stamp
     index: int
@@ -51,11 +46,8 @@ class DepthFrame:
 
 @dataclass(frozen=True, slots=True)
 class TactileFrame:
-    """The pressures on a hand's pads at one moment.
-
-    counts: (texels,) uint16, as the device gave them, all pads one after the other, row by row
-    pressure_pa: one (rows, columns) array a pad [Pa]
-    """
+    """The pressures on a hand's pads at one moment. counts: (texels,) uint16, as the device gave them, all pads one
+    after the other, row by row; pressure_pa: one (rows, columns) array for each pad [Pa]"""
 
     stamp: Stamp
     index: int
@@ -90,7 +82,7 @@ class ArmFrame:
     joint_deg, joint_velocity_deg_s, joint_torque_nm: (joints,) [deg], [deg/s], [N m]
     position_m: (3,) end effector [m]; rotation_rad: (3,) its Euler angles as the arm reports them [rad]
     force_n, torque_nm: (3,) at the end effector as the arm estimates them [N], [N m]
-    finger: (fingers,) 0 open to 1 closed; queued: points that the arm has still to run
+    finger: (fingers,) 0 open to 1 closed; queued: points that the arm has not executed yet
     """
 
     stamp: Stamp
@@ -109,11 +101,8 @@ class ArmFrame:
 
 @dataclass(frozen=True, slots=True)
 class HandFrame:
-    """The joints of a hand.
-
-    position_deg, velocity_deg_s: (7,) [deg], [deg/s]; temperature_c: (9,) [deg C], NaN before the first look
-    state: one word an axis (idle, positioning, blocked...)
-    """
+    """The joints of a hand. position_deg, velocity_deg_s: (7,) [deg], [deg/s]; temperature_c: (9,) [deg C], NaN before
+    the first reading; state: one word for each axis (idle, positioning, blocked...)"""
 
     stamp: Stamp
     index: int
@@ -130,7 +119,7 @@ Frame = ColorFrame | DepthFrame | TactileFrame | WrenchFrame | ArmFrame | HandFr
 
 @dataclass(frozen=True, slots=True)
 class RawBytes:
-    """Bytes as they went over a device's wire. host_ns: when [ns]; sent: from the host to the device"""
+    """Bytes as they went over a device's wire. host_ns: when [ns]; sent: the host sent them to the device"""
 
     host_ns: int
     data: bytes
@@ -140,7 +129,7 @@ class RawBytes:
 
 @dataclass(frozen=True, slots=True)
 class LinkChange:
-    """A device's link was made, lost, made again or given up."""
+    """Change of a device's link: it was made, lost, made again or given up."""
 
     event: LinkEvent
     device: str
@@ -148,7 +137,7 @@ class LinkChange:
 
 @dataclass(frozen=True, slots=True)
 class HealthReport:
-    """The health of all devices at one time. host_ns: when [ns]; devices: by name"""
+    """The health of all devices at one time. host_ns: when [ns]; devices: health of each device, by name"""
 
     host_ns: int
     devices: tuple[tuple[str, Health], ...]
@@ -180,7 +169,7 @@ def host_ns(item: Item) -> int:
 
 @dataclass(frozen=True, slots=True)
 class UsedFrames:
-    """Frames of a device that something was computed from: places in its stream, from the first to the last of them"""
+    """Frames of a device from which a result was computed: places in its stream, from the first to the last of them"""
 
     device: str
     first: int
@@ -193,8 +182,8 @@ class StageResult:
 
     stage: its name; used: its input frames, the frame that it belongs to last
     host_ns: when that frame was taken, on the host's clock [ns]
-    skipped: frames of that frame's device since the result before that nothing was computed from: newer ones came
-    late_s: from when the frame was taken until the result was there [s]
+    skipped: frames of that device since the previous result that were not used, as newer ones came
+    late_s: time from taking the frame until the result was there [s]
     result: result of a kind that `deformscope.rows` can record
     """
 
@@ -210,8 +199,8 @@ class StageResult:
 class StageCost:
     """Cost of a computation, without separately measured stages within it.
 
-    stage: its name; wall_ms: on a clock; cpu_ms: CPU time of the thread that computed
-    behind_ms: delay of its result behind the newest frame, None if frames wait for it
+    stage: its name; wall_ms: duration by the clock; cpu_ms: CPU time of the thread that computed
+    behind_ms: delay of its result relative to the newest frame, None if frames wait for it
     """
 
     stage: str
@@ -222,7 +211,7 @@ class StageCost:
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """An input that is no frame. content: the bytes of a file; of a mask, its PNG"""
+    """An input that is no frame: a file or a mask. content: the bytes of a file; of a mask, its PNG"""
 
     name: str
     content: bytes
@@ -230,7 +219,7 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Pad:
-    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) texel size of one [m]; index:
+    """One pad of a tactile sensor. rows, columns: its texels; texel_m: (width, height) size of a texel [m]; index:
     its place among the device's pads; finger: 0 to 2; part: 0 proximal, 1 distal"""
 
     name: str
@@ -246,9 +235,9 @@ class Pad:
 class Stream:
     """Description of a device before its first frame.
 
-    simulated: it is a double, no device; pads: layout of a tactile sensor; urdf: URDF of an arm; serial: as the device
-    reports it
-    channels: channels of a force sensor; torques: whether it measures them; fastest_hz: the rate that it was set to
+    simulated: it is a double, not a real device; pads: layout of a tactile sensor; urdf: URDF of an arm; serial: as the
+    device reports it
+    channels: channels of a force sensor; torques: whether it measures them; fastest_hz: the rate to which it was set
     full_scale_pa: pressure of a tactile sensor's largest count [Pa], 0 where that is not known
     """
 

@@ -51,10 +51,8 @@ def decode_image(encoded: bytes, where: object) -> ImageArray:
 
 
 def encode_png(image: ImageArray, *, noisy: bool = False) -> bytes:
-    """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small.
-
-    noisy: from a sensor, hence without repetitions for the compressor: half the time and no more bytes
-    """
+    """(H, W) grey or (H, W, 3) RGB, uint8 or uint16, as PNG without loss; fast rather than small. noisy: the image is
+    from a sensor, so that searching for repetitions would only take twice the time"""
     swapped = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1, *(NOISY if noisy else ())]
     done, encoded = cv2.imencode(".png", np.ascontiguousarray(swapped), options)
@@ -70,7 +68,7 @@ def encode_jpeg(image: ImageArray) -> bytes:
 
 
 def encode_color(image: ImageArray, *, lossless: bool) -> bytes:
-    """An image (H, W[, 3]) as JPEG; as PNG where none may be lost, or where it has 16 bits, which JPEG has not."""
+    """An image (H, W[, 3]) as JPEG; as PNG if it must be lossless, or has 16 bits, which JPEG does not support."""
     return encode_png(image, noisy=True) if lossless or image.dtype != np.uint8 else encode_jpeg(image)
 
 

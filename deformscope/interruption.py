@@ -12,8 +12,8 @@ from deformscope.terminal import say
 
 
 class Interruption(threading.Event):
-    """Set once a person has requested the end. signal_number: with what; 0 before, and where it was otherwise: by, in
-    words"""
+    """An event that is set when a person has requested the end. signal_number: with what; 0 before, and where it was
+    otherwise: by, in words"""
 
     signal_number = 0
     by = ""

@@ -61,7 +61,7 @@ def calibrate_beta(
 
     source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
     cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
-    bounds: between which beta is searched; thickness_m: thickness of the material below a surface that was poked,
+    bounds: range in which beta is searched; thickness_m: thickness of the material below a surface that was poked,
     spacing_m: spacing of its lattice; whole_motion: fit all frames
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
@@ -89,8 +89,8 @@ def calibrate_theta(
     """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
 
     source: see `CalibrationSource`; several pairs are fitted to one value
-    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: between which theta is searched
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.ThetaConfig`
+    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: range in which theta is searched
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.ThetaConfig`.
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ThetaConfig
@@ -128,8 +128,8 @@ def calibrate_both(
 ) -> JointResult | list[JointResult]:
     """Find beta and theta of pairs together, with their joint posterior: one result, or of several pairs one each.
 
-    sources: pair files, `sample:pair`; joint: one beta and one theta of all pairs
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.BothConfig`
+    sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
+    progress, options: as in `calibrate_beta`, out of `deformscope.config.BothConfig`.
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import BothConfig
@@ -270,12 +270,12 @@ def explore(
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
     rig: a rig file (.toml), a simulated scene (`lab:NAME`), or a scene of one's own; planner: planner of a name, or of
-    one's own, which makes all touches; touches: at most, default 8, or 30 for inclusions
+    one's own, which makes all touches; touches: most touches, default 8, or 30 for inclusions
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
-    that are sought, default 0.06, for inclusions 0.02; set_force_n: at most 5 N
-    pace: quick = low and fast over what is known of the surface; hold_s: duration of each touch's hold, which shows how
-    the foam creeps; feel: what is mapped: stiffness at once, stiffness when all has relaxed, or the share of its energy
-    that a touch loses
+    that are sought, default 0.06, for inclusions 0.02; set_force_n: force of a touch, at most 5 N
+    pace: quick = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows
+    how the foam creeps; feel: what is mapped: immediate stiffness, relaxed stiffness, or the share of its energy that a
+    touch loses
     record: a recording to make (.rrd); detail: lean = without what lies between frames and estimates
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
@@ -321,7 +321,7 @@ def squeeze(
 ) -> SqueezeResult:
     """Squeeze a container once, and take its features; with `model`, name its content.
 
-    rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed, in the laboratory drawn where
+    rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed; the laboratory draws them if
     they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
     model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
     place: who brings the hand to the container; grasp: where an arm is to [mm, deg, deg], None = drawn from the seed
@@ -356,7 +356,7 @@ def record(
     """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
 
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
-    progress: called with each line about devices, links and rates; default: as in `explore`
+    progress: called with each line about devices, links and rates; default: as in `explore`.
     Raises InputError for what cannot be used.
     """
     given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
@@ -379,9 +379,9 @@ def replay(
 ) -> ReplayResult:
     """Compute a recording again from its inputs, and compare with the numbers that it holds.
 
-    settings: other ones than recorded, of an exploration, by name, or as KEY=VALUE; their results are not compared to
-    the bit
-    progress: as in `calibrate_beta`
+    settings: settings of an exploration that replace the recorded ones, by name, or as KEY=VALUE; their results are not
+    compared to the bit
+    progress: as in `calibrate_beta`.
     Raises InputError where the numbers differ, or for what cannot be used.
     """
     from deformscope.config import ReplayConfig
@@ -415,10 +415,10 @@ def sweep(
     the same call again continues an interrupted one.
 
     function: function of this library, or of another module; sources: files, or a folder with recordings, pair files
-    and videos
-    out: a folder for tasks.jsonl, results.parquet and index.html; vary: values of options, every combination of them
-    executor, address: `ray` at a cluster's address; workers: at most; send: the file instead of its path
-    limit_s: a task that takes longer is given up; progress: as in `calibrate_beta`; options: options of the function
+    and videos; out: a folder for tasks.jsonl, results.parquet and index.html; vary: values of options, of which every
+    combination is computed
+    executor, address: `ray` at a cluster's address; workers: most workers; send: the file instead of its path
+    limit_s: a task that takes longer is given up; progress: as in `calibrate_beta`; options: options of the function.
     Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
     """
     from deformscope.config.executor import ExecutorOptions
@@ -450,7 +450,7 @@ def classify(
 ) -> ClassificationResult:
     """Evaluate how well the content is classified from each modality, and from all of them fused.
 
-    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: these alone
+    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: use only these
     merge: classes that become one, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
     containers, or as TRAINED:TESTED
     splits: 70/30, random, stratified and by group; costly_splits: splits of boosting and the Gaussian process, 0 =
@@ -487,10 +487,10 @@ def load_classifier(path: Path | str) -> ContentModel:
 
 
 def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> VerifyResult:
-    """Whether a recording is whole: `ok`, and `error` with the reason where it is not.
+    """Check whether a recording is whole: `ok`, and `error` with the reason if it is not.
 
-    stages: list its stages of computation; privacy: list information on people and machines
-    Raises InputError for what is no recording, or one that a run is writing.
+    stages: list its stages of computation; privacy: list information on people and machines. Raises InputError for a
+    file that is no recording, or one that a run is writing.
     """
     from deformscope.runs.verification import verify_recording
 
@@ -498,10 +498,8 @@ def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> 
 
 
 def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
-    """Make a whole recording of one that was cut short; `found["recovered"]` is its path.
-
-    out: a new file, default NAME.recovered.rrd next to it. Raises InputError where nothing can be read.
-    """
+    """Make a whole recording of one that was cut short; `found["recovered"]` is its path. out: a new file, default
+    NAME.recovered.rrd next to it. Raises InputError where nothing can be read."""
     from deformscope.runs.recovery import recover_recording
 
     return recover_recording(Path(path), None if out is None else Path(out))
@@ -510,11 +508,11 @@ def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
 def export(
     path: Path | str, out: Path | str, *, to: ExportFormat, progress: Progress | bool | None = None, **options: object
 ) -> ExportResult:
-    """Write a recording in a format of others; `found["files"]` lists what was written.
+    """Write a recording in another format; `found["files"]` lists what was written.
 
     out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as in `calibrate_beta`
     options: the other fields of `deformscope.config.ExportConfig`: only, camera, anonymous, license, overwrite...
-    Raises InputError for what cannot be read or written; then the folder is unchanged.
+    Raises InputError if something cannot be read or written; then the folder is unchanged.
     """
     from deformscope.config import ExportConfig
     from deformscope.runs.exporting import export_recording
@@ -527,11 +525,11 @@ def export(
 def import_recording(
     source: Path | str, *, map: Path | str, record: Path | str, overwrite: bool = False, **options: object
 ) -> RecordResult:
-    """Make a recording of a bag, a table, or a folder of them.
+    """Make a recording from a bag, a table, or a folder of them.
 
-    map: a TOML file that says what becomes of what, as `deformscope import --inspect` proposes one; record: a new .rrd
-    options: the other fields of `deformscope.config.ImportConfig`, such as those of stages
-    Raises InputError for what the map must say and for what is wrong; then nothing is left.
+    map: a TOML file that assigns topics and columns to devices; `deformscope import --inspect` proposes one; record: a
+    new .rrd; options: the other fields of `deformscope.config.ImportConfig`, such as those of stages. Raises InputError
+    for missing entries of the map and for wrong data; then no file is left.
     """
     from deformscope.config import ImportConfig
     from deformscope.runs.importing import import_source
@@ -542,7 +540,7 @@ def import_recording(
 
 
 def report(path: Path | str) -> RecordingReport:
-    """The figures of a recording, from what it holds alone: `figures()`, `lacks`, and `page()` as HTML.
+    """The figures of a recording, from its content alone: `figures()`, `lacks`, and `page()` as HTML.
     Raises InputError where it is none."""
     from deformscope.runs.recording_report import report_recording
 
@@ -560,7 +558,7 @@ def catalog(
     """The recordings of a folder, as `table` (Arrow): settings, results with intervals, losses.
 
     where: a condition, such as 'beta < 0.5 and verdict == "identified"'; sort: a column, -column for descending
-    columns: to show; progress: as in `calibrate_beta`. Raises InputError for what cannot be used.
+    columns: columns to show; progress: as in `calibrate_beta`. Raises InputError for what cannot be used.
     """
     from deformscope.runs.catalog import catalogue
 
@@ -571,7 +569,7 @@ def catalog(
 
 def compare_recordings(first: Path | str, second: Path | str) -> ComparedRecordings:
     """How two recordings differ: settings, results, and readings of devices aligned by contact.
-    Raises InputError where one is none."""
+    Raises InputError if a file is no recording."""
     from deformscope.runs import catalog as catalogs
 
     return catalogs.compare_recordings(Path(first), Path(second))
@@ -579,14 +577,15 @@ def compare_recordings(first: Path | str, second: Path | str) -> ComparedRecordi
 
 def discard(path: Path | str, reason: str, *, episode: int = 0) -> None:
     """Mark a recording, or one of its episodes (from 1), as not to be used, in its ledger. Nothing is deleted.
-    Raises InputError where it is none, or has no such episode."""
+    Raises InputError if it is no recording, or has no such episode."""
     from deformscope.runs.recordings import OpenRecording
 
     OpenRecording(Path(path)).discard(reason, episode)
 
 
 def open_recording(path: Path | str) -> OpenRecording:
-    """Open a recording of ours. Raises InputError where it is none, or no longer what was recorded."""
+    """Open a recording of deformscope. Raises InputError if it is no recording, or was changed after it was
+    recorded."""
     from deformscope.runs.recordings import OpenRecording
 
     return OpenRecording(Path(path))

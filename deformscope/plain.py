@@ -1,4 +1,4 @@
-"""Values made of what JSON has, for results that are written and for results that are recorded."""
+"""Values of JSON's types, for results that are written and for results that are recorded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Json: TypeAlias = dict[str, object]
 
 
 def plain(value: object) -> object:
-    """`value` made of what JSON has: dict, list, str, int, float, bool and None."""
+    """`value` converted to JSON's types: dict, list, str, int, float, bool and None."""
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, float):

@@ -30,7 +30,7 @@ BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 def release_memory() -> None:
     """Give the system back what the process has freed. glibc keeps it, and grows without end where large arrays come
-    and go between small ones that stay. Nothing happens with another C library."""
+    and go between small ones that stay. It does nothing with another C library."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -59,8 +59,8 @@ def starting() -> Iterator[None]:
 
 @contextlib.contextmanager
 def computing(begin: Callable[..., object], *given: Any, nice: int = NICE) -> Iterator[ProcessPoolExecutor]:
-    """One such process of low priority, which calls `begin(*given)` first; at the end of the context it is ended, with
-    its present computation."""
+    """A process of low priority that calls `begin(*given)` first; at the end of the context it is ended, even during a
+    computation."""
     with starting():
         executor = ProcessPoolExecutor(1, SPAWN, _follow_low, (nice, begin, *given))
         process_id = executor.submit(os.getpid)
@@ -86,7 +86,7 @@ def child_process(
 ) -> Iterator[Connection]:
     """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
 
-    makes_others: it may have processes of its own; nice: its priority, where this process's is no lower; 0 = as here
+    makes_others: it may start processes; nice: its priority, unless this process's is lower; 0 = that of this process
     """
     ours, theirs = SPAWN.Pipe()
     given = (nice, target, theirs, *arguments)

@@ -1,9 +1,11 @@
-"""The one codec between frozen dataclasses and the columns of a recording: what is read is equal to what was written.
+"""The only codec between frozen dataclasses and the columns of a recording: values that are read equal those that were
+written.
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
 `CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat. An
-array's shape is `FIELD_shape` unless it is (n,). None is left out; a dataclass that may be None has at least one value.
-Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its place.
+array's shape is `FIELD_shape` unless it is (n,). None is not written; a dataclass that may be None has at least one
+value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its
+place.
 """
 
 from __future__ import annotations
@@ -68,8 +70,8 @@ from deformscope.stages.squeeze.trial import (
 )
 
 FORMAT = 2
-"""Format of a recording, in its properties: which entities and components it has. Any change that a reader of the old
-format would misread makes the next number."""
+"""Format of a recording, in its properties: which entities and components it has. Version of the format: a change that
+a reader of the old format would misread increases it."""
 READABLE = (1, FORMAT)
 """Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
 
@@ -139,7 +141,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One component of some rows. values: values of all rows; lengths: (rows,) how many belong to each"""
+    """One component of some rows. values: values of all rows; lengths: (rows,) number of values in each row"""
 
     values: pa.Array
     lengths: IntArray
@@ -175,7 +177,7 @@ def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict
 
 
 def to_components(item: object, leave_out: Collection[str] = ()) -> dict[str, npt.NDArray[Any]]:
-    """One object's components by field: (n,) values each, flat."""
+    """An object's components by field: (n,) values each, flat."""
     columns = to_columns([item], leave_out)
     return {name: column.values.to_numpy(zero_copy_only=False) for name, column in columns.items()}
 
@@ -213,10 +215,8 @@ def from_components(
 
 
 def differing(before: object, now: object, leave_out: Collection[str] = ()) -> str | None:
-    """The first component in which two objects of a class differ, to the last bit; None where there is none.
-
-    leave_out: fields, or components of them, that may differ
-    """
+    """The first component in which two objects of a class differ, to the last bit; None if they are equal. leave_out:
+    fields, or components of them, that may differ"""
     first, second = to_components(before, leave_out), to_components(now, leave_out)
     for name in sorted((first.keys() | second.keys()) - set(leave_out)):
         one, other = first.get(name), second.get(name)
@@ -226,7 +226,7 @@ def differing(before: object, now: object, leave_out: Collection[str] = ()) -> s
 
 
 def field_of(kind: type, component: str) -> CodecField | None:
-    """The field that a component `FIELD` or `FIELD.INNER` holds; None for a shape, and what is no field."""
+    """The field that a component `FIELD` or `FIELD.INNER` holds; None for a shape, and for other components."""
     name, _, inner = component.partition(".")
     found = next((field for field in _fields(cast("Any", kind)) if field.name == name), None)
     return field_of(found.kind, inner) if found is not None and found.form == "nested" else found

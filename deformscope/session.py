@@ -31,8 +31,8 @@ BATCH_S = 0.1
 class Moment:
     """Time of results in a session with a robot.
 
-    now_ns: on the robot's clock; touch: 0 before the first, then the number of the one they belong to, from 1; seen_ns:
-    when the dent was last seen that they are of, None where they are of none; cell_m: cell size of a plan's maps [m]
+    now_ns: time on the robot's clock; touch: number of the touch to which they belong, from 1; 0 before the first;
+    seen_ns: when their dent was last seen, None without a dent; cell_m: cell size of a plan's maps [m]
     """
 
     now_ns: int
@@ -45,7 +45,7 @@ class Moment:
 class Compute:
     """A command: call a function outside the loop (for devices on their own clock); its value is the answer.
 
-    stage: as its cost is named
+    stage: name under which its cost is recorded
     """
 
     call: Callable[..., object]
@@ -69,7 +69,7 @@ class Step:
     moment: their time instead, in a session with a robot
     command: a `Compute`, a future that another party will fill, such as a person's answer, or a command that the robot
     carries out; an experiment gives one at a time
-    batch_s: how long what devices give is then gathered, without a robot
+    batch_s: time over which device items are then gathered, without a robot
     costs: costs of the computations behind the results; the loop adds them
     notes: what was noticed
     """
@@ -119,7 +119,7 @@ class SessionRobot(Protocol):
     stopped: Future[None]
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Begin with a command. keep: to be called now and then by a robot that is done before it returns"""
+        """Begin with a command. keep: called from time to time by a robot that has to wait before it returns"""
 
     def reports(self) -> list[Step]:
         """New actions since the last call."""
@@ -129,7 +129,7 @@ class Inline(Executor):
     """Computes immediately, while simulated time is stopped."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """As an `Executor`; an interruption is raised here."""
+        """Compute immediately, as an `Executor`; an interruption is raised here."""
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -143,7 +143,7 @@ _measured: ContextVar[list[StageCost] | None] = ContextVar("measured", default=N
 
 @contextmanager
 def measuring(stage: str) -> Iterator[None]:
-    """Measure what is computed within as the cost of this stage, less what is measured within that."""
+    """Measure the computation in the context as the cost of this stage, without the costs measured inside it."""
     outer, inner = _measured.get(), list[StageCost]()
     kept = _measured.set(inner)
     wall_ns, cpu_ns = time.perf_counter_ns(), time.thread_time_ns()

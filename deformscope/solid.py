@@ -1,4 +1,5 @@
-"""The shape of a link, a gripper or a mount as triangles: what a camera sees of the robot, and what is not surface."""
+"""The shape of a link, a gripper or a mount as triangles, to find which points of a camera show the robot and not the
+surface."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from deformscope.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A surface of triangles, closed where something is to lie inside of it.
+    """A surface of triangles; it must be closed to determine which points are inside.
 
     vertices_m: (n, 3) [m], rounded to float32, as they are recorded; triangles: (m, 3) uint32
     """
@@ -59,7 +60,7 @@ class Solid:
         return foot, normal
 
     def near(self, points_m: FloatArray, within_m: float) -> BoolArray:
-        """(n,) points (n, 3) inside of it, or no farther from it than this [m]."""
+        """(n,) whether points (n, 3) are inside of it, or no farther from it than this [m]."""
         import open3d as o3d
 
         queries = o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, np.float32))
@@ -86,7 +87,7 @@ class PosedSolid:
 
 
 def merged(solids: Sequence[PosedSolid]) -> Solid:
-    """One surface of all of them at their poses; it does not determine which points lie inside of several."""
+    """One surface of all solids at their poses; it does not determine which points are inside of several."""
     first = np.cumsum([0, *(len(one.solid.vertices_m) for one in solids)])
     triangles = [one.solid.triangles + np.uint32(number) for one, number in zip(solids, first, strict=False)]
     return Solid(np.concatenate([one.vertices_m for one in solids]), np.concatenate(triangles))

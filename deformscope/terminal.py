@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]
 Progress = Callable[[str, int, int], None]
-"""Called with what is done, how much of it, and of how much (0 = not known)."""
+"""A function that is called with what is being done, how much is done, and of how much (0 = unknown)."""
 
 SAY_EVERY_S = 20.0
 """Seconds between lines about long work where no bar can be shown."""
@@ -27,7 +27,7 @@ own."""
 
 
 def say(remark: str) -> None:
-    """One line of progress or a remark; never folded."""
+    """Print one line of progress or a remark, without wrapping."""
     if (listener := _listener.get()) is not None:
         listener(remark)
     else:
@@ -41,8 +41,8 @@ def is_watched() -> bool:
 
 @contextmanager
 def messages_to(progress: Say | bool | None) -> Iterator[None]:
-    """Messages within a call of the library: to this function; True: to stderr; None: there where it is watched;
-    False: no output."""
+    """Messages within a call of the library: to this function; True: messages go to stderr; None: to stderr if that is
+    a terminal or a notebook; False: no output."""
     shown = is_watched() if progress is None else progress
     token = _listener.set(shown if callable(shown) else None if shown else lambda remark: None)
     try:

@@ -1,4 +1,4 @@
-"""The version of this package, alone: what recordings and results name needs nothing else of it."""
+"""The version of this package, in a module without imports: recordings and results name it."""
 
 from __future__ import annotations
 

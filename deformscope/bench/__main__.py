@@ -1,4 +1,4 @@
-"""`python -m deformscope.bench`: the rows as JSON, where numpy, scipy and warp are all there is.
+"""`python -m deformscope.bench`: the rows as JSON, on a machine with only numpy, scipy and warp.
 
 python -m deformscope.bench --device cuda --json -
 python -m deformscope.bench --quick --only step,relax --json bench.json

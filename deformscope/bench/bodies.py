@@ -19,10 +19,8 @@ PUSH = 1.5
 
 @dataclass(frozen=True, slots=True)
 class BenchBody:
-    """A full lattice with some particles held. Lengths are in units of its spacing.
-
-    named: in the table; shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)
-    """
+    """A full lattice with some particles held. Lengths are in units of its spacing. named: its name in the table;
+    shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)"""
 
     named: str
     shape: tuple[int, ...]
@@ -56,10 +54,11 @@ def cube(side: int) -> BenchBody:
 
 
 def poked(side: int) -> BenchBody:
-    """The same cube with the middle ninth of its top held and pressed as far.
+    """A cube of which the middle ninth of the top is held and pressed by the same share.
 
-    Between plates that hold it all over, a cube without volume conservation is pressed alike in every column. Conjugate
-    gradients solve it in about as many iterations as there are layers: such static states are too easy.
+    The plates hold the whole of both faces, so that every column of a cube without volume conservation is pressed
+    equally. Conjugate gradients solve it in about as many iterations as there are layers: such static states are too
+    easy.
     """
     body = cube(side)
     tool = slice(side // 3, max(side - side // 3, side // 3 + 1))

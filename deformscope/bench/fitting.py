@@ -20,7 +20,7 @@ from deformscope.stages.msm.solver import Msm
 TRUE_BETA, NOISE = 0.637, 0.02
 """True beta and noise of the fitted sheet; noise in spacings."""
 SETTLED = 1e-6
-"""The thesis's time stepping has arrived: rms of goal - position, as a share of the extent."""
+"""The thesis's time stepping ends below this: rms of goal - position, as a share of the extent."""
 STEPS_MOST = 1_000_000
 TIGHT = 1e-11
 """Tolerance of the static states that the answers are judged by."""
@@ -29,7 +29,7 @@ Error = Callable[[FloatArray, FloatArray], float]
 
 
 def fit(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """The same beta found by two methods, and how far each is from the error's minimum."""
+    """Fit beta by two methods, and compare each result with the error's minimum."""
     body = sheet()
     for size in SHEET_CLUSTERS[1:2] if plan.quick else SHEET_CLUSTERS:
         what = f"beta of the {body.named}, clusters of {size}^2"

@@ -11,7 +11,8 @@ from deformscope.processes import release_memory
 
 
 class Meter:
-    """Bytes above where it was last set to zero. `peak` is the most since then; None where the system does not say."""
+    """Counter of bytes in use since it was last set to zero. `peak` is the largest number since then; None if the
+    system does not report it."""
 
     def __init__(self, device: str) -> None:
         self._device = device
@@ -20,7 +21,7 @@ class Meter:
         self.zero()
 
     def zero(self) -> None:
-        """Count from here. On Linux the kernel forgets the process's highest mark."""
+        """Set the counter to zero. On Linux the kernel forgets the process's highest mark."""
         gc.collect()
         if self._gpu:
             if not wp.is_mempool_supported(self._device):
@@ -38,7 +39,8 @@ class Meter:
         self._base = _status("VmRSS")
 
     def peak(self) -> int | None:
-        """The most bytes at once since zero; on a GPU None where an earlier body took more: all the pool has."""
+        """The most bytes in use since zero; on a GPU None if an earlier body used more, as the memory pool does not
+        shrink."""
         if self._base is None:
             return None
         if self._gpu:

@@ -18,8 +18,8 @@ from deformscope.arrays import BoolArray, FloatArray
 class NumpyLattice:
     """A full lattice in clusters of all its windows, ready to be stepped. Lengths are in units of the spacing.
 
-    rest: (d, *shape); size: particles a side of a cluster; held: (*shape,) particles whose position is prescribed;
-    count: (*shape,) clusters that each particle belongs to
+    rest: (d, *shape); size: particles along a cluster's side; held: (*shape,) particles whose position is prescribed;
+    count: (*shape,) number of clusters to which each particle belongs
     """
 
     rest: FloatArray

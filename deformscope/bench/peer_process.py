@@ -23,17 +23,18 @@ from deformscope.arrays import FloatArray
 from deformscope.bench.bodies import cube
 
 Start = Callable[[], None]
-"""Brings the body to where a run starts: off the clock."""
+"""A function that brings the body to the start of a run; its time is not measured."""
 Step = Callable[[int], None]
 Built = tuple[dict[str, object], Start, Step, Callable[[], FloatArray]]
-"""Facts, start, steps, and where the particles are (K, 3) [spacings]."""
+"""Facts, the function for the start, that for steps, and that for the particles' positions (K, 3) [spacings]."""
 
 CELL_M = 1.0
 """pypbd has absolute epsilons that drop constraints of small bodies: a metre between particles is its best case."""
 
 
 def pypbd(side: int) -> Built:
-    """Shape matching constraints on the same clusters, one iteration a step, both plates held as ours are."""
+    """Shape matching constraints on the same clusters, one iteration a step, with both plates held as in
+    deformscope."""
     import pypbd as pbd
 
     body = cube(side)
@@ -116,7 +117,8 @@ def mujoco(side: int) -> Built:
 
 
 def newton(side: int) -> Built:
-    """A soft grid of tetrahedra under XPBD, one iteration a step, captured as ours is; its top starts pressed."""
+    """A soft grid of tetrahedra under XPBD, one iteration a step, captured as a graph, as in deformscope; its top
+    starts pressed."""
     import newton as nt
     import warp as wp
 

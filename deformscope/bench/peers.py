@@ -17,11 +17,11 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 class PeerFailed(Exception):
-    """The engine's process failed. The message is the last line that it said."""
+    """The engine's process failed. The message is the last line that it printed."""
 
 
 def require_peers() -> None:
-    """Raises InputError where the engine that all comparisons are made with is not installed."""
+    """Raises InputError if the engine for all comparisons is not installed."""
     if find_spec("pypbd") is None:
         raise InputError(
             "the package pypbd, which --peers compares with", "none here", "pip install 'deformscope[peers]'"
@@ -35,9 +35,7 @@ def search_path() -> str:
 
 class Peer:
     """One engine with a cube of side^3 particles, on one thread. `with Peer("pypbd", 11) as peer: peer.steps(100)`.
-
-    facts: its description of the body that it built
-    """
+    facts: its description of the body that it built"""
 
     def __init__(self, engine: str, side: int) -> None:
         self.engine, self.side = engine, side

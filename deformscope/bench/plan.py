@@ -13,7 +13,7 @@ from deformscope.stages.msm.solver import Msm, Precision
 SIZES = (216, 512, 1331, 50_653, 195_112, 1_000_000)
 QUICK_SIZES = (216, 1331)
 CUDA_SIZE = 9_938_375
-"""215^3: only a GPU takes it on by default."""
+"""A cube of 215^3 particles: by default only a GPU simulates it."""
 
 CLUSTER = 3
 """Default particles per side of a cluster."""
@@ -29,9 +29,9 @@ Note = Callable[[str], None]
 class BenchPlan:
     """The cases to measure.
 
-    device: warp's name; sizes: particles of the cubes, each n^3; repeats: rounds of every comparison, None = as many as
-    fit
-    quick: short rounds and less of everything; peers: other engines too; only: which cases
+    device: warp's name of the device; sizes: particles of the cubes, each n^3; repeats: number of rounds of every
+    comparison, None = as many as fit
+    quick: short rounds and less of everything; peers: measure other engines too; only: the cases to measure
     """
 
     device: str
@@ -52,7 +52,7 @@ class BenchPlan:
 
     @property
     def longest_s(self) -> float:
-        """Cases of one row that are expected to take longer are left out."""
+        """Longest expected time of a row; slower cases are left out."""
         return 3.0 if self.quick else 20.0
 
     def rounds(self, seconds: float, least: int = 1) -> int:
@@ -63,7 +63,7 @@ class BenchPlan:
         return max(least, min(most, int(budget_s / max(seconds, 1e-9))))
 
     def rounds_of_steps(self, seconds: float) -> int:
-        """The same where a round is made short, so that there are always some."""
+        """Number of rounds in a case whose rounds are short, so that there are always several."""
         return self.rounds(seconds, 3)
 
     def engine(self, body: BenchBody, size: int = CLUSTER, precision: Precision = "float64") -> Msm:
@@ -71,7 +71,7 @@ class BenchPlan:
         return Msm(body.rest, body.clusters(size), body.held, precision=precision, device=self.device)
 
     def turn(self, work: Callable[[], object]) -> Callable[[], Timing]:
-        """A contestant's turn of something short: it runs as often as fits, and the time of one is reported."""
+        """A contestant's turn of a short case: it runs as often as fits, and the time of one run is reported."""
         work()
         count = max(1, min(10_000, int(self.turn_s / clock(work).wall_s)))
 
@@ -90,6 +90,6 @@ def default_sizes(device: str, quick: bool) -> tuple[int, ...]:
 
 
 def side_of(particles: int) -> int:
-    """The n of n^3; 0 where it is no cube."""
+    """The n of a number n^3; 0 for other numbers."""
     side = round(particles ** (1 / 3))
     return side if side**3 == particles else 0

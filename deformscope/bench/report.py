@@ -1,4 +1,4 @@
-"""One run of the bench: its rows as they come, and all of it as JSON."""
+"""One run of the bench: its rows as they are measured, and the whole run as JSON."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Report:
 
 
 def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlier: Earlier | None = None) -> Report:
-    """The report of a run. The machine's load is that of the end. earlier: rows of another run, which these are
+    """The report of a run. The machine's load is measured at the end. earlier: rows of another run, which these are
     compared with."""
     then = {} if earlier is None else earlier
     plain = tuple(row.plain(then.get((row.case, row.what, row.who, row.unit))) for row in rows)
@@ -76,7 +76,7 @@ def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlie
 
 
 def read_earlier(path: Path | None) -> Earlier | None:
-    """The rows of a run's JSON by case, what, who and unit. Raises InputError for a file that holds none."""
+    """The rows of a run's JSON by case, what, who and unit. Raises InputError for a file without such rows."""
     if path is None:
         return None
     try:
@@ -90,7 +90,7 @@ def read_earlier(path: Path | None) -> Earlier | None:
 
 
 def require_positive(rows: Sequence[TimingRow]) -> None:
-    """Raises InputError where a sample is one that no clock can give."""
+    """Raises InputError if a sample is 0 or less, which no clock can give."""
     failed = [row for row in rows if not row.positive]
     if failed:
         got = "; ".join(f"{row.what} by {row.who}: {min(row.samples):.3g} {row.unit}" for row in failed)

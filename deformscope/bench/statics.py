@@ -1,4 +1,4 @@
-"""Static states: one, a sweep of a hundred, a single cluster's, and their gradient."""
+"""Cases of static states: one state, a sweep of a hundred, that of a single cluster, and gradients."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ SWEPT = np.arange(100) * 0.01
 THETA_BETA, THETA = 0.99, 0.9
 ONE_CLUSTER_SIDES = (6, 11, 32, 64)
 ALL_PARTICLES_MOST = 1331
-"""Particles up to which the single cluster is also relaxed by `Msm`, which says where every particle is."""
+"""Number of particles up to which the single cluster is also relaxed by `Msm`, which computes the position of every
+particle."""
 
 
 def relax(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:

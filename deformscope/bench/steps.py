@@ -22,7 +22,7 @@ from deformscope.stages.msm.solver import Msm
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
 PEER_MOST = 200_000
-"""Particles up to which pypbd's body is built in seconds and a few GB."""
+"""Number of particles up to which pypbd's body is built in seconds and a few GB."""
 CONTEXT_AT = 1331
 SETUP_MOST_S = 40.0
 COPIED_BYTES, COPIES = 1 << 28, 8
@@ -31,7 +31,8 @@ CACHES_BYTES = 1 << 27
 READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "maps_slow", "maps_middle")
 """Fields of a lattice's passes: of particles, and intermediate results between passes."""
 MEMORY_LEAST = 10_000
-"""Particles below which the process's own memory, which comes in pages and pools, shows nothing."""
+"""Number of particles below which a body's memory cannot be seen in that of the process, which grows in pages and
+pools."""
 
 NUMPY = "NumPy, batched SVD"
 PHYSICS = {
@@ -73,7 +74,7 @@ class Stepping:
         return Timing(wp.get_event_elapsed_time(began, ended) / 1e3, cpu_s)
 
     def waited(self, steps: int) -> None:
-        """The same as its caller sees it: until the device is done."""
+        """The case until the device is done, as its caller waits for it."""
         self._engine.advance(self.state, self._body.held_position, self._beta, steps=steps)
         wp.synchronize_device(self._engine.device)
 
@@ -100,7 +101,7 @@ def steps(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
 
 
 def bandwidth_bytes_s(device: str) -> float:
-    """Bytes that the device's memory reads and writes in a second, by the best of some large copies."""
+    """Bytes that the device's memory reads and writes in a second, measured by the fastest of some large copies."""
     source, target = (wp.zeros(COPIED_BYTES // 4, dtype=wp.float32, device=device) for _ in range(2))
 
     def copied() -> None:
@@ -180,7 +181,7 @@ def _peers(plan: BenchPlan, body: BenchBody) -> list[str]:
 
 
 def numpy_contestant(plan: BenchPlan, body: BenchBody, size: int, ours: Contestant) -> Contestant:
-    """The same step by NumPy."""
+    """The step by NumPy."""
     held = np.zeros(body.shape, dtype=bool)
     held.reshape(-1)[body.held] = True
     lattice, held_position = NumpyLattice.build(size, held), body.held_position.T
@@ -198,7 +199,7 @@ def numpy_contestant(plan: BenchPlan, body: BenchBody, size: int, ours: Contesta
 
 
 def peer_contestant(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "ms/step") -> Contestant:
-    """A step of another engine in its own process, on one thread."""
+    """A step of another engine in a separate process, on one thread."""
     count = 2 * max(1, int(plan.turn_s / 2 / peer.steps(4).wall_s))
     note = PHYSICS.get(peer.engine, "rigid clusters, Gauss-Seidel, 1 iteration")
     kept, wanted = peer.facts.get("constraints_kept"), peer.facts.get("clusters")

@@ -28,7 +28,8 @@ BYTES = 8
 
 
 def surface(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """Fit and map of one cloud; the exact process at places 2 cm apart, with the same hyper-parameters given to it."""
+    """Fit and map of one cloud; for comparison the exact process at places 2 cm apart, with the same
+    hyper-parameters."""
     try:
         from deformscope.stages.map.surface import fit_surface
         from deformscope.stages.regions.touches import MapGrid

@@ -33,9 +33,9 @@ class Timing:
 class TimingRow:
     """One line of the table.
 
-    case: which part of the bench; what: the case; who: did it; unit: unit of the samples; samples: one a round
-    costs: median over rounds of its cost over that of the row it is compared with, None where there is none
-    beside: its reference row; same: False where it solves another problem (context, no comparison of like with like)
+    case: which part of the bench; what: the case that is measured; who: who ran it; unit: unit of the samples; samples:
+    one sample for each round; costs: median over rounds of its cost, divided by the cost of the row that it is compared
+    with, None without such a row; beside: its reference row; same: False if it solves another problem, for context
     facts: other values, by name with their unit; note: a remark for readers
     """
 
@@ -69,7 +69,7 @@ class TimingRow:
 
     @property
     def doubt(self) -> str:
-        """Reason against the row's figure; empty without one."""
+        """Reason to doubt the row's figure; empty without one."""
         if not self.positive:
             return f"FAILED: a sample of {min(self.samples):.3g} {self.unit} is not positive"
         if self.median and self.spread is not None and self.spread > SPREAD * self.median:
@@ -77,7 +77,7 @@ class TimingRow:
         return ""
 
     def plain(self, against: Mapping[str, Any] | None = None) -> dict[str, object]:
-        """As in the JSON. against: the row of an earlier run that did the same, as in its JSON."""
+        """The row as in the JSON. against: the row of an earlier run that did the same, as in its JSON."""
         then = None if against is None else against["median"]
         return {
             "case": self.case,
@@ -102,8 +102,8 @@ class TimingRow:
 class Contestant:
     """Something that can be run once, on the clock.
 
-    run: once, and the time of it; amount: how many of the unit's things that was (steps, candidates)
-    beside: its reference; facts: values before it runs; found: values after its run
+    run: runs it once, and returns the time; amount: number of units in one run (steps, candidates)
+    beside: its reference; facts: values known before the run; found: values known after the run
     """
 
     what: str
@@ -125,7 +125,7 @@ class Contestant:
 
 
 def clock(work: Callable[[], object]) -> Timing:
-    """Run it once. Its return value is discarded after the clock has stopped."""
+    """Run once, and return the time. Its return value is discarded after the clock has stopped."""
     gc.collect()
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     kept = work()
@@ -135,10 +135,8 @@ def clock(work: Callable[[], object]) -> Timing:
 
 
 def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
-    """Every contestant once per round, in turn (A B C A B C...): disturbances of the machine affect all alike.
-
-    rounds: how many, given the seconds of the first; that one only warms up, unless there is no other.
-    """
+    """Every contestant once per round, in turn (A B C A B C...): disturbances of the machine affect all alike. rounds:
+    how many, given the seconds of the first; that one only warms up, unless there is no other."""
     began_s = time.perf_counter()
     taken = [[contestant.run()] for contestant in contestants]
     count = rounds(time.perf_counter() - began_s)

@@ -36,11 +36,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command.
-
-    summary: its line in `deformscope --help`; config: its class in `deformscope.config`;
-    module: where it lives; function: runs it, called with the config
-    """
+    """One command. summary: its line in `deformscope --help`; config: its class in `deformscope.config`; module: where
+    it lives; function: runs it, called with the config"""
 
     summary: str
     config: str
@@ -126,7 +123,7 @@ COMMANDS: dict[str, Command] = {
     "bench": _command("cost of MSM on this machine", "BenchConfig", "bench"),
     "completion": _command("words that a shell completes with the tabulator key", "CompletionConfig", "completion"),
 }
-"""By name; a name of two words (`calibrate beta`) makes a group."""
+"""The commands by name; a name of two words (`calibrate beta`) makes a group."""
 
 HEADINGS = {
     "demo": "Measure",
@@ -146,7 +143,7 @@ BEGIN = (
 TRACEBACK = "DEFORMSCOPE_TRACEBACK"
 EXIT_INPUT, EXIT_UNEXPECTED, EXIT_INTERRUPTED, EXIT_PIPE = 2, 1, 130, 141
 EXIT_SIGNALLED = 128
-"""From here on a signal ended the command: by its number more."""
+"""Exit status of a command that a signal ended: this plus the signal's number."""
 
 PACKAGES = {
     "libusb-1.0": "libusb-1.0-0",
@@ -214,7 +211,7 @@ def _ended_by_signals() -> Iterator[list[int]]:
 
 
 def quiet_libraries() -> None:
-    """Silence libraries that complain on stderr on their own, and would hide the error's one line."""
+    """Silence libraries whose messages on stderr would hide the one line of an error."""
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     os.environ.setdefault("RUST_LOG", "off")  # rerun reads it as it is imported; recorder and viewer report for it
@@ -267,7 +264,7 @@ def _dispatch(args: list[str]) -> int:
 
 
 def with_flags(kind: type, run: Callable[[Any], object], args: Sequence[str], prog: str) -> int:
-    """Read a command's flags into its options, check its files, and run it. prog: the command as it is typed"""
+    """Read a command's flags into its options, check its files, and run it. prog: the command as typed"""
     options: CommandOptions = parse(kind, args, prog)
     return run_options(options, run)
 

@@ -23,7 +23,7 @@ from deformscope.config import BenchConfig
 from deformscope.stages.msm.solver import pick_device
 
 WIDTH = 200
-"""Columns of the table where there is no terminal to fit it to."""
+"""Columns of the table without a terminal."""
 
 FACTS: dict[str, Callable[[Any], str]] = {
     "hold_ms": lambda value: f"holding {value:.2g} ms more",
@@ -73,7 +73,7 @@ def run(config: BenchConfig) -> None:
 
 
 def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
-    """One line a row, in sections by case; on stderr where `--json -` has taken stdout."""
+    """Print one line for each row, in sections by case; on stderr if `--json -` uses stdout."""
     machine, against = found.machine, [row["against"] for row in found.rows]
     out = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else WIDTH)
     cores = f"{machine['cores']} cores, vectors of {machine['vector_bits']} bits, load {machine['load']:.1f}"
@@ -108,7 +108,7 @@ def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
 
 
 def number(value: float | None) -> str:
-    """Three digits that count, thousands apart."""
+    """A number with three significant digits, and its thousands separated."""
     if value is None:
         return ""
     if abs(value) >= 1000:

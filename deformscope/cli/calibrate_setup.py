@@ -1,5 +1,5 @@
-"""`deformscope calibrate tip|place|camera|force|time|arm`: where things are on a rig and how its arm yields, written
-into its file with intervals.
+"""`deformscope calibrate tip|place|camera|force|time|arm`: measure the geometry of a rig and the compliance of its arm,
+and write them into its file with intervals.
 
 deformscope calibrate tip rig.toml
 deformscope calibrate place rig.toml --touches 3

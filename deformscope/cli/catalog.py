@@ -12,7 +12,7 @@ from deformscope.config import CatalogConfig, CompareConfig
 
 
 def run(config: CatalogConfig) -> None:
-    """List them; the index is made or brought up to date."""
+    """List the recordings, after the index is made or updated."""
     from deformscope.runs.catalog import PAGE, catalog_page, catalogue, serve_page
 
     names = [name.strip() for name in config.columns.split(",") if name.strip()]
@@ -30,7 +30,7 @@ def run(config: CatalogConfig) -> None:
 
 
 def compare(config: CompareConfig) -> None:
-    """Say how two recordings differ."""
+    """Print the differences of two recordings."""
     from deformscope.runs.catalog import compare_recordings
 
     found = compare_recordings(config.first, config.second)

@@ -46,21 +46,21 @@ _json_stream: ContextVar[TextIO | None] = ContextVar("json_stream", default=None
 _written: ContextVar[list[tuple[str, Path]] | None] = ContextVar("written", default=None)
 
 CALLED = {"--record": "recording", "--save": "model", "--json": "JSON", "--out": "written"}
-"""What the file of a flag is called, where that is not the flag's name."""
+"""Name in messages of a flag's file, if that is not the flag's name."""
 
 
 # Words and tables ----------------------------------------------------------------------------------------------------
 
 
 def console() -> Console:
-    """Where progress and remarks go: stderr."""
+    """The console for progress and remarks: stderr."""
     from rich.console import Console
 
     return Console(stderr=True, highlight=False)
 
 
 def quiet_warp() -> None:
-    """Start warp without its greeting; where none of its kernels was ever compiled, say why the first start is slow."""
+    """Start warp without its greeting; before the first compilation of kernels, print why this start is slow."""
     import warp as wp
 
     quiet.quiet_warp()
@@ -78,7 +78,7 @@ def begin_worker() -> None:
 
 
 def show(*found: object) -> None:
-    """Print results as their tables, on stdout; on stderr where `--json -` has taken stdout."""
+    """Print results as their tables, on stdout; on stderr if `--json -` uses stdout."""
     for one in found:
         print(printable(str(one)), flush=True)
 
@@ -94,7 +94,8 @@ def recorder_of(
 ) -> Iterator[Recorder]:
     """The recorder and the view of a command, by its flags; remarks on the recording's place.
 
-    The flags are the recording's settings. application: None = that of findings, with views of its own for each command
+    The flags are the recording's settings. application: None = the application for findings, with separate views for
+    each command
     """
     from deformscope.log.application import FINDINGS
 
@@ -134,8 +135,8 @@ def keep_page() -> None:
 
 @contextmanager
 def list_written(options: Flags) -> Iterator[None]:
-    """A command that ends without an error lists its files and folders last, with the commands that open them: those
-    of its flags, and those that it reports by `wrote`."""
+    """At the end of a command without an error, list the files and folders of its flags, and those reported by `wrote`,
+    with the commands that open them."""
     token = _written.set([])
     try:
         yield
@@ -149,14 +150,14 @@ def list_written(options: Flags) -> Iterator[None]:
 
 
 def wrote(what: str, path: Path | str) -> None:
-    """A file or folder whose name is not that of a flag, for the end of the command."""
+    """Report a file or folder that no flag names, for the list at the end of the command."""
     if (own := _written.get()) is not None:
         own.append((what, Path(path)))
 
 
 def open_command(path: Path) -> str:
-    """This user's command that shows a file or folder, empty where there is none. Rerun's viewer is named by its path
-    in this Python's folder, unless its name is on the PATH."""
+    """The command that shows a file or folder on this user's desktop, empty if there is none. Rerun's viewer is named
+    by its path in this Python's folder, unless its name is on the PATH."""
     if path.is_dir():
         path /= "index.html"
     beside = Path(sys.executable).with_name("rerun")

@@ -47,7 +47,7 @@ def run(options: CompletionConfig) -> None:
 
 
 def next_words(line: str) -> list[str]:
-    """The words that may follow in the place of a line's last word, which may be empty."""
+    """The words that may replace a line's last word, which may be empty."""
     before, _, begun = line.rpartition(" ")
     try:
         typed = shlex.split(before)[1:]

@@ -33,13 +33,13 @@ def relabel(config: RelabelConfig) -> None:
 
 
 def discard(config: DiscardConfig) -> None:
-    """Leave trials out, or take them back."""
+    """Discard trials, or restore them."""
     _dataset(config.folder).change(config.trial, discarded=None if config.restore else config.reason)
     _show(config.folder, config.json)
 
 
 def merge(config: MergeConfig) -> None:
-    """Take over the trials of other data sets."""
+    """Copy the trials of other data sets."""
     target = _dataset(config.folder)
     for source in config.sources:
         say(f"{target.merge(_dataset(source))} trials from {source}")
@@ -47,7 +47,7 @@ def merge(config: MergeConfig) -> None:
 
 
 def repair(config: RepairConfig) -> None:
-    """Take in recordings that the index lacks."""
+    """Add recordings that the index lacks."""
     from deformscope.files.squeeze_dataset import TRIALS
 
     dataset = _dataset(config.folder)

@@ -1,4 +1,5 @@
-"""`deformscope discard`: a recording, or an episode of it, is not to be used, and why. Nothing is deleted.
+"""`deformscope discard`: marks a recording, or one of its episodes, as not to be used, with the reason. Nothing is
+deleted.
 
 deformscope discard r.rrd --reason "the stick slipped"
 deformscope discard r.rrd --episode 2 --reason "touched the table"
@@ -12,7 +13,7 @@ from deformscope.runs.recordings import OpenRecording
 
 
 def run(config: DiscardRecordingConfig) -> None:
-    """Mark it in its ledger."""
+    """Write the mark into the recording's ledger."""
     recording = OpenRecording(config.recording)
     recording.discard(config.reason, config.episode)
     show_table(str(config.recording), [("discarded", str(one)) for one in recording.discarded()])

@@ -1,4 +1,4 @@
-"""`deformscope doctor`: whether a rig would work, and the remedies if not.
+"""`deformscope doctor`: checks whether a rig would work, and names remedies.
 
 deformscope doctor rig.toml
 deformscope doctor --example > rig.toml
@@ -31,7 +31,7 @@ from deformscope_drivers.priority import SENDING, may_be_prompt
 
 FREE_BYTES_WANTED = 5 << 30
 FIRST_READING_S = 10.0
-"""A camera, or a double on a busy machine, may take seconds to begin."""
+"""Longest time until a first reading: a camera, or a double on a busy machine, may take seconds to begin."""
 TRY = "deformscope devices lists connected devices; double = true runs a simulated one instead"
 NOT_HOMED = "not homed since power-on, so it refuses to move | try: deformscope arm home RIG"
 CheckStatus = Literal["ok", "look", "FAIL"]
@@ -39,7 +39,8 @@ CheckStatus = Literal["ok", "look", "FAIL"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was checked. what: its name; verdict: `look` = works, but read it; told: the finding as text"""
+    """One thing that was checked. what: its name; verdict: `look` = works, but read the remark; told: the finding as
+    text"""
 
     what: str
     verdict: CheckStatus
@@ -155,10 +156,8 @@ def _sections(rig: Rig) -> list[Finding]:
 
 
 def _exploring(rig: Rig, measured: bool) -> list[Finding]:
-    """Whether `explore` would begin with this file, if it seems to be meant for it; nothing is opened.
-
-    measured: no step is left before it, or there is no list of steps: missing keys are named here
-    """
+    """Whether `explore` would begin with this file, if it seems to be meant for it; nothing is opened. measured: no
+    step is left before it, or there is no list of steps: missing keys are named here"""
     kinds = {entry.driver.kind for entry in rig.devices}
     if "[surface]" not in rig.text or not {"arm", "wrench", "depth"} <= kinds:
         return []

@@ -1,4 +1,4 @@
-"""`deformscope flow`: dense optical flow of two images, and how far to trust it.
+"""`deformscope flow`: dense optical flow of two images, and its error.
 
 deformscope flow before.png after.png --out flow.npz
 deformscope flow before.png after.png --out flow.npz --method farneback --picture flow.png

@@ -1,4 +1,4 @@
-"""`deformscope import`: bags and tables of others, as a recording.
+"""`deformscope import`: makes a recording from bags and tables that other programs wrote.
 
 deformscope import --inspect bag.mcap > map.toml
 deformscope import bag.mcap --map map.toml --record run.rrd
@@ -13,7 +13,7 @@ from deformscope.runs.importing import import_source, import_take, inspect_sourc
 
 
 def run(config: ImportConfig) -> int:
-    """Import it, or describe its content. Returns the command's exit status."""
+    """Import the source, or describe its content. Returns the command's exit status."""
     if config.inspect:
         found = inspect_source(config)
         if config.output.json != "-":

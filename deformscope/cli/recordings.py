@@ -1,5 +1,5 @@
-"""`deformscope verify`, `recover` and `export`: whether a recording is whole, what can be read of one that is not, and
-formats of others.
+"""`deformscope verify`, `recover` and `export`: check a recording, rescue a damaged one, and convert it to other
+formats.
 
 deformscope verify run.rrd
 deformscope verify run.rrd --stages
@@ -17,7 +17,7 @@ from deformscope.config import ExportConfig, RecoverConfig, VerifyConfig
 
 
 def verify(config: VerifyConfig) -> int:
-    """Check bytes, structure and completeness. Returns the exit status; raises Damaged where something is wrong."""
+    """Check bytes, structure and completeness. Returns the exit status; raises Damaged if the recording is damaged."""
     from deformscope.runs.verification import verify_recording
 
     found = verify_recording(config.recording, stages=config.stages, privacy=config.privacy)
@@ -33,7 +33,7 @@ def verify(config: VerifyConfig) -> int:
 
 
 def recover(config: RecoverConfig) -> None:
-    """Write what can be read of a recording as a new one."""
+    """Write the readable part of a recording as a new one."""
     from deformscope.runs.recovery import recover_recording
 
     found = recover_recording(config.recording, config.out)
@@ -43,7 +43,7 @@ def recover(config: RecoverConfig) -> None:
 
 
 def export(config: ExportConfig) -> int:
-    """Write it, and list what was written. Returns the command's exit status."""
+    """Write the export, and list the written files. Returns the command's exit status."""
     from deformscope.runs.exporting import export_recording
 
     with fit_progress() as progress:

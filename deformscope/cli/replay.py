@@ -1,5 +1,5 @@
-"""`deformscope replay`: the same stages on the recorded inputs, compared with the recorded numbers; of a rig, its bytes
-decoded again and compared with its frames.
+"""`deformscope replay`: runs the same stages on the recorded inputs, and compares results with the recorded ones. For a
+rig, bytes are decoded again and compared with the frames.
 
 deformscope replay out.rrd
 deformscope replay out.rrd --viewer native --pace real
@@ -17,7 +17,7 @@ from deformscope.runs.replay import replay_on
 
 
 def run(config: ReplayConfig) -> int:
-    """Recompute a recording from its inputs; raises `Different` where the numbers do not come out as recorded. Returns
+    """Recompute a recording from its inputs; raises `Different` if the numbers differ from the recorded ones. Returns
     the command's exit status."""
     with fit_progress() as progress:
         found = replay_on(config, progress)

@@ -12,7 +12,7 @@ from deformscope.runs.recording_report import report_recording
 
 
 def run(config: ReportConfig) -> None:
-    """Draw them, and list missing stages."""
+    """Draw the figures, and list missing stages."""
     out = config.recording.with_suffix(".html") if config.out is None else config.out
     check_writable(out, "--out")
     found = report_recording(config.recording)

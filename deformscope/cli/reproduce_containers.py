@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from deformscope.stages.squeeze.table import LabelledTable
 
 KEPT_TOGETHER = 40
-"""Trials that are written together: each writing takes seconds."""
+"""Number of trials that are written together: each writing takes seconds."""
 THREE = {"liquid": ("water", "yogurt"), "granular": ("flour", "rice")}
 """The thesis's three classes; `empty` is separate."""
 COMPARISON_TEXT = (

@@ -46,7 +46,7 @@ from deformscope.session import Step
 
 
 def run(config: CubesConfig) -> None:
-    """Make or read the cubes, fit each in some process, then draw, write and print."""
+    """Make or read the cubes, fit each in one of several processes, then draw, write and print."""
     make_folder(config.out)
     quiet_warp()
     with recorder_of(config) as recorder:

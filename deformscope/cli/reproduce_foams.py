@@ -69,7 +69,7 @@ def trials(config: FoamsConfig) -> list[Trials[Any, Any]]:
 def report(
     config: FoamsConfig, seconds: float, results: Sequence[FoamResult], changed: Sequence[Control]
 ) -> StudyReport:
-    """Figures and tables, which are in the folder by then."""
+    """Figures and tables, from files that are already in the folder."""
     setup = setup_of(config)
     trends = [trend(results, source, held, size) for held in HELD for source in SOURCES for size in setup.cluster_sizes]
     drawn = _draw(config.out, results, trends, changed, min(setup.cluster_sizes))
@@ -182,7 +182,7 @@ def fit_json(fit: FoamFit) -> dict[str, Any]:
 
 
 def csv_rows(results: Sequence[FoamResult]) -> list[dict[str, object]]:
-    """One row a fit."""
+    """One row for each fit."""
     rows = []
     for result, fit in ((one, fit) for one in results for fit in one.fits):
         foam, one = result.foam, fit.calibration.estimate

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deformscope.reproduce.squeeze_truth import Numbers
 
 KEPT_TOGETHER = 20
-"""Trials that are written together."""
+"""Number of trials that are written together."""
 
 
 def run(config: SqueezesConfig) -> None:

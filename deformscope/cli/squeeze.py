@@ -14,7 +14,7 @@ from deformscope.runs.squeeze_run import leave, squeeze_on
 
 
 def run(config: SqueezeConfig) -> int:
-    """Squeeze, keep, report. Returns the command's exit status."""
+    """Squeeze, store the trial, and report. Returns the command's exit status."""
 
     def report(result: SqueezeResult) -> None:
         write_json(result.as_json(), config.output.json)

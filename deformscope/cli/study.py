@@ -47,7 +47,8 @@ OutcomeT = TypeVar("OutcomeT")
 
 @dataclass(frozen=True, slots=True)
 class Trials(Generic[CaseT, OutcomeT]):
-    """Cases that are tried alike. of: the plural of a case's name; try_one: a function of a module"""
+    """Cases that are all tried by the same function. of: the plural of a case's name; try_one: a function of a
+    module"""
 
     of: str
     try_one: Callable[[CaseT], OutcomeT]
@@ -56,8 +57,8 @@ class Trials(Generic[CaseT, OutcomeT]):
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
-    """Statistics of all outcomes. tables, figures: as they are shown and recorded; files: content by path, None is not
-    written"""
+    """Statistics of all outcomes. tables, figures: shown and recorded; files: content by path; a file whose
+    content is None is not written"""
 
     tables: Sequence[Table]
     json: object
@@ -68,7 +69,7 @@ class StudyReport:
 @dataclass(frozen=True, slots=True)
 class Study:
     """options: the class of its flags, a `StudyOptions`; trials: its cases
-    report: called with the options, the seconds that it took, and the outcomes of each of the trials"""
+    report: called with the options, the duration [s], and the outcomes of each of the trials"""
 
     options: type[Any]
     trials: Callable[[Any], Sequence[Trials[Any, Any]]]
@@ -102,8 +103,8 @@ def tried(
     """The outcome of each case in their order, from a number of workers of the executor, each on one core, with a
     progress bar. A case that fails does not end the others: its error is raised once they are done.
 
-    known: outcomes that are there already, by the index of their case
-    keep: called with a number of new ones at a time, also with the remaining ones after an interruption
+    known: outcomes that exist already, by the index of their case
+    keep: called with a number of new outcomes at a time, and with the remaining ones also after an interruption
     """
     from threadpoolctl import threadpool_limits
 

@@ -45,10 +45,10 @@ KEY = "{key}"
 
 @dataclass(frozen=True, slots=True)
 class SweptCommand:
-    """A command as a worker runs it. options: its flags, read once; None if they contain {key}
+    """A command that a worker runs. options: its flags, read once; None if they contain {key}
 
-    name: name of the command; words: its flags, as they are typed; source: the field that takes the file
-    folder: that other files are named from
+    name: name of the command; words: its flags as typed; source: the field of the file
+    folder: folder to which relative paths refer
     """
 
     name: str
@@ -137,7 +137,7 @@ def _with(options: Any, name: str, source: str) -> Any:
 
 
 def run_swept(task: SweepTask) -> Any:
-    """Run the command on its file, in a worker; its JSON."""
+    """Run the command on its file, in a worker; returns its JSON."""
     swept: SweptCommand = task.argument
     command = cli.COMMANDS[swept.name]
     out, folder = io.StringIO(), swept.folder if Path(swept.folder).is_dir() else "."

@@ -87,7 +87,7 @@ class ClassifyConfig(RecordedOptions):
 
 
 def parse_merges(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """New class -> classes that become it."""
+    """Maps each new class to the classes that are merged into it."""
     found: dict[str, tuple[str, ...]] = {}
     for text in texts:
         name, equals, members = text.partition("=")
@@ -101,7 +101,7 @@ def parse_merges(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
 
 
 def parse_transfers(texts: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
-    """Pairs of patterns."""
+    """Pairs of patterns: kinds that train, and kinds that are tested."""
     found = []
     for text in texts:
         train, colon, test = text.partition(":")

@@ -1,4 +1,4 @@
-"""A command as it is typed, from its options."""
+"""The text of a command, from its options."""
 
 from __future__ import annotations
 
@@ -15,10 +15,8 @@ LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
 
 
 def command_line(name: str, options: Flags) -> list[str]:
-    """The words of a command that computes the same result to the last bit, without output files and viewers.
-
-    name: the command, such as `calibrate beta`
-    """
+    """The words of a command that computes the same result to the last bit, without output files and viewers. name: the
+    command, such as `calibrate beta`"""
     return ["deformscope", *name.split(), *_arguments(options)]
 
 

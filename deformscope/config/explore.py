@@ -79,7 +79,7 @@ class ExploreFlags(Flags):
     its 3 touches."""
     detail: Detail = "full"
     """Content of the recording besides devices, estimates and maps. full: pixels with the rules that removed others,
-    the surface under each touch, the error over beta, and training data with weights. It has force and pose at the
+    the surface under each touch, the error over beta, and training data with weights. full: force and pose at the
     force's rate, and frames and maps in space. lean: none of these."""
 
     def __post_init__(self) -> None:

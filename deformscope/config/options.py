@@ -18,10 +18,7 @@ MarkT = TypeVar("MarkT")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """An output file of a command.
-
-    flag: the flag of its name; replace: whether an existing file may be replaced
-    """
+    """An output file of a command. flag: the flag of its name; replace: whether an existing file may be replaced"""
 
     flag: str
     path: Path
@@ -55,8 +52,9 @@ class Flags:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Makes options from a script's arguments by name, each in its group of flags. Paths may be strings, tuples any
-        sequences, and what has a form of its own on the command line that text. Raises TypeError for unknown names."""
+        """Makes options from a script's arguments by name, each in its group of flags. Paths may be strings, tuples may
+        be any sequences, and a value with its own form on the command line may be that text. Raises TypeError for
+        unknown names."""
         own: dict[str, Any] = {}
         hints, marks, named = get_type_hints(cls), marks_of(cls), flags_of(cls)
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # all that derive from it are dataclasses
@@ -72,7 +70,7 @@ class Flags:
         return cls(**own)
 
     def shared(self, kind: type) -> dict[str, Any]:
-        """The values of the fields that another class of options has too, by name."""
+        """The values of fields that another class of options has too, by name."""
         names = {one.name for one in dataclasses.fields(kind)}
         return {name: getattr(self, name) for name in marks_of(type(self)).keys() & names}
 
@@ -88,7 +86,7 @@ class Flags:
         return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
 
     def made(self) -> tuple[tuple[str, Path], ...]:
-        """The flags of output files and folders, and what is there after the command."""
+        """The flags of output files and folders, with the path of each output after the command."""
         folders = ((flag, value) for flag, value, _ in self._marked(flags.Makes) if value.is_dir())
         return (*((one.flag, one.path) for one in self.writes() if one.path.is_file()), *folders)
 
@@ -142,7 +140,8 @@ class ViewOptions(Flags):
     json: flags.JsonFlag = None
     """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
     record: flags.FileKept = None
-    """Write a rerun recording (.rrd). Without it nothing is recorded; `record` alone then makes a new name in runs/."""
+    """Write a rerun recording (.rrd). Without this flag only `deformscope record` records, under a new name in
+    runs/."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
     """Show every stage live: in rerun's window (stays open after the command), on a web page (ends with the command, at
     a terminal with Ctrl-C), or not at all; auto: the window if there is a display. The page answers only requests to
@@ -154,7 +153,7 @@ class ViewOptions(Flags):
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions(ViewOptions):
-    """The same, of commands with random numbers."""
+    """Output files and viewer of commands with random numbers."""
 
     seed: flags.SeedFlag = 0
     """Seed of every random number."""

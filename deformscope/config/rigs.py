@@ -64,8 +64,8 @@ class StageOptions(ParticleFlags):
         UseAppendAction[tuple[StageWord, ...]],
         arg(help_behavior_hint="(repeatable)"),
     ] = ()
-    """flow: optical flow between two images; particles: those of the first image, of the body at rest, tracked to the
-    newest; beta, theta: the fit of that pose with its verdict; field: relative stiffness of each place;
+    """flow: optical flow between two images; particles: particles of the body at rest in the first image, tracked to
+    the newest image; beta, theta: the fit of that pose with its verdict; field: relative stiffness of each place;
     surface: a depth camera's surface as a Gaussian process, with its deviation; tactile: centre of pressure, contact
     area and force of each pad; contact: stiffness by arm and force sensor, after each approach; tracking, depth-change,
     posterior: posterior of a squeeze alone (`deformscope squeeze`). A stage without a result reports the reason
@@ -96,7 +96,7 @@ class RigRunOptions(RecordedOptions):
     trust_rig: flags.TrustFlag = False
     keep_last: flags.PositiveFlag = None
     """Hold the last seconds in memory [s], using at most a quarter of the machine's memory. `record` writes only the
-    seconds before its end. On a page a button writes them; there 30 s in 256 MiB are held without this option."""
+    seconds before its end. On a page a button writes them; without this option a page holds 30 s in at most 256 MiB."""
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -197,7 +197,7 @@ class ExportConfig(CommandOptions):
     to: ExportFormat | None = None
     """The format. mcap needs `pip install 'deformscope[mcap]'`."""
     out: flags.NewFolder = None
-    """Output folder, new or empty. It appears once all is written."""
+    """Output folder, new or empty. The folder appears when the export is complete."""
     images: flags.NewFolder = None
     """Short for --to images --out FOLDER, without `export.json`; each of several cameras has its own folder. File names
     are indices in the camera's stream, distances are 16 bit PNG in the camera's unit."""
@@ -318,7 +318,7 @@ class DemoConfig(RecordedOptions):
     images: bool = False
     """Measure the included images instead: a specimen under tension, filmed."""
     detail: Detail = "full"
-    """As of explore."""
+    """As in `deformscope explore`."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 

@@ -17,10 +17,10 @@ PIECE = 1 << 16
 
 
 class Journal(contextlib.AbstractContextManager["Journal"]):
-    """A file that one process at a time adds lines to. A truncated last line is not read, and makes room for the next;
-    a file without a whole line belongs to another program, and is not changed.
+    """A file to which one process at a time adds lines. A truncated last line is not read, and is overwritten by the
+    next. A file without a whole line belongs to another program, and is not changed.
 
-    what: kind of its lines; hint: what to try if they are something else
+    what: kind of its lines; hint: what to try if its lines have another kind
     """
 
     def __init__(self, path: Path, what: str, hint: str = "") -> None:

@@ -1,4 +1,4 @@
-"""Workers of this machine: processes that stay, each with one thread; threads; or this process."""
+"""Workers of this machine: lasting processes with one thread each, threads, or this process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from deformscope.processes import RENEW_S, SPAWN, follow_parent, starting
 
 
 class HereWorker:
-    """This process: an attempt is done when it is begun, and its end ends all."""
+    """This process as a worker: an attempt is finished as soon as it is begun, and the end of this process ends all."""
 
     capacity = 1
 
@@ -35,15 +35,15 @@ class HereWorker:
         return attempt.result()
 
     def give_up(self, attempt: Future[Any]) -> None:
-        """Nothing ends a thread."""
+        """An attempt in this process cannot be ended."""
 
     def close(self) -> None:
         """There is nothing to end."""
 
 
 class ThreadWorkers(HereWorker):
-    """Threads of this process, for computations on arrays below Python; they do not keep an interrupted program
-    alive."""
+    """Threads of this process, for computations outside of Python's interpreter; they do not delay the end of an
+    interrupted program."""
 
     def __init__(self, count: int) -> None:
         self.capacity, self._pool = count, ThreadPool(count)
@@ -58,8 +58,8 @@ class ThreadWorkers(HereWorker):
 
 
 class LocalWorkers:
-    """A number of processes, begun as they are needed; one that ends is replaced. An attempt is the pipe to its
-    process."""
+    """A number of processes, started when they are needed; one that ends is replaced. An attempt is represented by the
+    pipe to its process."""
 
     def __init__(self, count: int) -> None:
         self.capacity = count
@@ -85,7 +85,8 @@ class LocalWorkers:
         return ours
 
     def ready(self, under_way: Collection[Connection]) -> set[Any]:
-        """Also those whose process has ended: a process that it forked may hold its pipe open."""
+        """Workers that have finished, including those whose process has ended: a process that it forked may hold its
+        pipe open."""
         return {*wait(under_way, RENEW_S), *(one for one in under_way if not self._processes[one].is_alive())}
 
     def result(self, attempt: Connection) -> Any:
@@ -136,7 +137,7 @@ def _work(pipe: Connection) -> None:
 
 
 def one_thread() -> None:
-    """First call in a worker: OpenCV has one thread too."""
+    """First call in a worker, after which OpenCV uses one thread too."""
     import cv2
 
     cv2.setNumThreads(1)

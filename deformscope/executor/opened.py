@@ -1,4 +1,4 @@
-"""Which workers compute, as the flags say."""
+"""Opens the workers that the flags request."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from deformscope.executor.tasks import Workers
 def open_workers(
     executor: str, address: str | None, workers: int | None, tasks: int | None = None, *, apart: bool = False
 ) -> Iterator[Workers]:
-    """Workers, which are ended at the end whatever they compute then.
+    """The workers, which are ended at the end of the context, even during a computation.
 
-    executor: `local`, or `ray` at this address; workers: at most, default: this machine's cores, or the cluster's
-    tasks: how many there are, None = not known; apart: a single one is a child process too Raises InputError if nothing
-    answers at the address.
+    executor: `local`, or `ray` at this address; workers: most workers, default: one for each core of this machine or of
+    the cluster; tasks: how many there are, None = not known; apart: use a child process even for a single worker.
+    Raises InputError if nothing answers at the address.
     """
     made: Workers
     if executor == "ray":

@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster that the user has started; nothing is started here."""
+"""Workers on a Ray cluster that the user has started; deformscope starts no cluster."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from deformscope.executor.tasks import WorkerLost
 from deformscope.processes import RENEW_S
 
 ANSWER_S = 5.0
-"""Within this a cluster's address answers."""
+"""Time within which a cluster's address must answer."""
 COUNT_S = 5.0
 """Period of counting the cores, because nodes come and go."""
 
 
 class RayWorkers:
-    """The cores of a cluster. A task takes one; those of a node that ends are tried on others."""
+    """Workers on the cores of a cluster. Each task uses one worker; tasks of a node that ends are tried on other
+    nodes."""
 
     def __init__(self, address: str, limit: int | None = None) -> None:
         """address: HOST:PORT of a cluster that this machine is part of, or ray://HOST:PORT of any; limit: tasks under
@@ -42,7 +43,8 @@ class RayWorkers:
 
     @property
     def capacity(self) -> int:
-        """Tasks under way at most: one for each core that there is now, a wait counts for its limit."""
+        """Largest number of tasks under way: one for each present core. Waiting for a core counts for a task's time
+        limit."""
         if time.monotonic() - self._counted > COUNT_S or not self._cores:
             self._counted = time.monotonic()
             self._cores = int(self._ray.cluster_resources().get("CPU", 0))

@@ -1,4 +1,4 @@
-"""Tasks that workers compute: each is tried until it is done or refused, and none ends the others.
+"""Tasks that workers compute: each is tried until it is done or refused, and a failed one does not end the others.
 
 A worker takes a function of a module and an item; its computation depends on nothing else. At most `capacity` tasks are
 under way, so that memory does not grow with their number.
@@ -21,7 +21,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 ATTEMPTS = 3
-"""Attempts of a task, where its worker or the system was at fault: another attempt may do."""
+"""Number of attempts of a task if its worker or the system failed: another attempt may succeed."""
 
 
 class WorkerLost(Exception):
@@ -41,7 +41,7 @@ class TaskOutcome(Generic[T, R]):
     """Outcome of a task. error: why the last attempt failed, None = it succeeded; reasons: why each attempt failed, in
     a line
 
-    seconds: that the last attempt took in its worker
+    seconds: duration of the last attempt in its worker
     """
 
     item: T
@@ -56,19 +56,19 @@ class Workers(Protocol):
 
     @property
     def capacity(self) -> int:
-        """Attempts that may be under way."""
+        """Largest number of attempts under way."""
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Begin an attempt."""
 
     def ready(self, under_way: Collection[Any]) -> Collection[Any]:
-        """Wait a little for any of them; which ended."""
+        """Wait a little for any of them; returns those that ended."""
 
     def result(self, attempt: Any) -> Any:
         """The task's return value. Raises its error, or WorkerLost."""
 
     def give_up(self, attempt: Any) -> None:
-        """End it; it is then lost."""
+        """End an attempt, which is then lost."""
 
     def close(self) -> None:
         """End the workers, whatever they compute."""
@@ -85,9 +85,9 @@ def compute(
 ) -> Iterator[TaskOutcome[T, R]]:
     """The outcome of each item as it is ready.
 
-    items: taken as there is room for them; attempts: most attempts of each task
-    limit_s: an attempt that takes longer is ended; that its worker begins counts too
-    begin: a function of a module too, called in each worker before its first task Raises OtherVersion; an error of an
+    items: cases; each is taken only when a worker is free for it; attempts: most attempts of each task
+    limit_s: an attempt that takes longer is ended; the start of its worker counts too
+    begin: a function of a module too, called in each worker before its first task. Raises OtherVersion; an error of an
     attempt becomes its outcome.
     """
     coming, again = iter(items), deque[tuple[T, tuple[str, ...]]]()
@@ -141,7 +141,7 @@ def compute_all(workers: Workers, function: Callable[[T], R], items: Iterable[T]
 
 
 def run_attempt(version: str, begin: Callable[[], None] | None, function: Callable[[T], R], item: T) -> tuple[R, float]:
-    """One attempt, in a worker; also how long it took [s]. version: version of who asks for it"""
+    """Result of one attempt in a worker, and its duration [s]. version: version of the program that requests it"""
     if version != __version__:
         raise OtherVersion(f"workers of version {version}", f"one of {__version__}", "install the same on all nodes")
     if begin is not None:

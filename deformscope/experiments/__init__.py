@@ -1,1 +1,1 @@
-"""The set-ups of the thesis, each a generator that wires pure stages together."""
+"""The experiments of the thesis, each a generator that connects pure stages."""

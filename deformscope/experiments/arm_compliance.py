@@ -1,4 +1,4 @@
-"""The compliance of an arm, from touches of something rigid; and whether camera and arm agree about where it is."""
+"""The compliance of an arm, from touches of something rigid, and whether camera and arm agree about its place."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ SURE_SD = 0.1
 """Largest unknown share of a compliance that is subtracted from dents."""
 
 DOME_AT_MOST = 3.5e-4
-"""Dent at 1 N that may be the tip's own [m/N^(2/3)]. A rubber dome of 10 mm radius that yields 2 mm at 40 N has 1.7e-4,
-foam of 300 kPa under it 8e-4. Chosen between the two."""
+"""Largest dent at 1 N that may be that of the tip itself [m/N^(2/3)]. A rubber dome of 10 mm radius that yields 2 mm at
+40 N has 1.7e-4, foam of 300 kPa under it 8e-4. The value is between the two."""
 
 COMMON_SD = 0.05
 """Share that all touches of one block have in common, and that their scatter does not show: the block's own dent."""
@@ -61,10 +61,8 @@ def touch_rigid(
     touches: int,
     found_one: Callable[[ComplianceTouch], None],
 ) -> RigExperiment[None]:
-    """The experiment that touches a place (2,) [m] of something rigid several times, after a look at it.
-
-    found_one: called with each. Raises ExplorationStopped, and InputError where there is nothing to see.
-    """
+    """The experiment that touches a place (2,) [m] of something rigid several times, after a look at it. found_one:
+    called with each touch. Raises ExplorationStopped, and InputError if the camera sees no surface."""
     seen = geometry.look((yield from ask(Look())))
     world = fit_surface(seen.points_m, noise_m=seen.noise_m, within_m=((0.0, 0.0), geometry.size_m), outlier_sd=5.0)
     height_m = float(world.at(xy_m[None]).mean[0])

@@ -1,4 +1,4 @@
-"""beta of a touch, from the dent that the camera saw while it pressed: by the model that the options name."""
+"""beta of a touch, from the dent that the camera saw during the press, by the model in the options."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ THESIS_ROI_M, TACTILE_NOISE_M = 0.08, 2e-4
 
 @dataclass(frozen=True, slots=True)
 class BetaEstimate:
-    """verdict: or why there is no value; value, interval: value and interval of beta, None where there is none; sd: nan
-    where not known; simulated_m: (p, 3) particles of the fitted model
-    dented_m: (m, 2) places that the touch dented, and surface: under it, for the thesis; curve: error over beta, None
-    where nothing was fitted
+    """verdict: verdict, or why there is no value; value, interval: value and interval of beta, None if there is none;
+    sd: deviation of the value, nan if unknown; simulated_m: (p, 3) particles of the fitted model
+    dented_m, surface: (m, 2) places that the touch dented, and the surface under it, for the thesis's model; curve:
+    error over beta, None where nothing was fitted
     """
 
     verdict: str
@@ -42,7 +42,7 @@ class BetaEstimate:
 
     @property
     def dent(self) -> SeenDent | None:
-        """The square around the touch, for the thesis."""
+        """The dent in a square around the touch, for the thesis's model."""
         return None if self.surface is None else self.surface.dent
 
 
@@ -80,7 +80,7 @@ def fit_beta(
 def touch_surface(
     touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
 ) -> TouchSurface:
-    """The surface under a touch that is not rigid, where `fit_beta` did without."""
+    """The surface under a touch that is not rigid, if `fit_beta` did not compute it."""
     return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface, options.beta_grid_m)
 
 

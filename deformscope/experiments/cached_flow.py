@@ -1,4 +1,4 @@
-"""The optical flow of a sequence, kept: particles of any grid follow it in milliseconds."""
+"""The stored optical flow of a sequence: particles of any grid follow it in milliseconds."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ MOST_BYTES = 2 << 30
 
 
 class CachedFlow:
-    """first, last: images; follow particles with `follow`.
+    """first, last: first and last image; `follow` follows particles.
 
-    frames: in order; method: method of the flow; note: called with the number of frames taken so far
-    Raises InputError for a single frame, and for more than memory is to hold.
+    frames: the frames in order; method: method of the flow; note: called with the number of frames taken so far.
+    Raises InputError for a single frame, and for more frames than may be held in memory.
     """
 
     def __init__(self, frames: Iterable[ColorFrame], method: FlowMethod, note: Callable[[int], None]) -> None:
@@ -44,8 +44,8 @@ class CachedFlow:
         self.first, self.last = images
 
     def follow(self, particles: ParticleOptions, mask: BoolArray | None) -> tuple[ParticleGrid, list[Tracked]]:
-        """As `foam_video.track`: where they stood at rest, and where at every frame [px]. mask: (H, W) mask of the
-        body"""
+        """Positions of the particles at rest and at every frame [px], as `foam_video.track` returns them. mask: (H, W)
+        mask of the body"""
         grid = seed_grid(self.first.shape[:2], particles.roi_rect, particles.grid, particles.spacing_px, mask)
         select_held(grid, particles.held, particles.contact_rect)
         history = [start(grid)]

@@ -62,18 +62,18 @@ def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
 
 
 def particle_options(images: ParticleFlags, noise_px: float | None = None) -> ParticleOptions:
-    """The same as the stages take it."""
+    """The options for the stages."""
     own = {"held": images.held_parts(), "noise_px": noise_px}
     return ParticleOptions(**images.shared(ParticleOptions) | own)
 
 
 def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
-    """The user's source, as a source of frames."""
+    """The user's source, opened as a source of frames."""
     return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
 
 
 def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
-    """The mask (H, W[, 3]) that was named, or that a recording holds, within the outline. size: H, W of the images
+    """The mask (H, W[, 3]) that the user named, or that of a recording, within the outline. size: H, W of the images
     [px]"""
     mask: ImageArray | None = None
     if images.mask is not None:

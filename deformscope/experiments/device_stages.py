@@ -1,4 +1,4 @@
-"""The stages that run with the devices: which frames each takes, and its computation.
+"""The stages that run with the devices: the frames that each uses, and its computation.
 
 A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
 """
@@ -40,13 +40,13 @@ StageName = Literal["flow", "particles", "beta", "theta", "field", "surface", "t
 PARTICLES_ALONG = 9
 """Particles along the longer side of the region if neither shape nor spacing is given: a fit takes 0.2 s."""
 CANDIDATES = 12
-"""Values of beta that the sweep tries before it refines: a finer one finds the same."""
+"""Number of values of beta that the sweep tries before it refines: a finer sweep finds the same result."""
 NOISE_SHARE = 0.005
 """Share of a tactile sensor's full scale, below which a texel is not in contact."""
 CELL_M = 0.01
 """Cell size of the map of a surface [m]."""
 DEPTH_ALONG = 160
-"""Pixels that are taken of a depth image's longer side: lone points are found among 12 000 in 0.1 s."""
+"""Number of pixels used along a depth image's longer side: lone points are found among 12 000 points in 0.1 s."""
 ABOVE_M, BELOW_M = 0.02, 0.03
 """Height range around the surface's top at rest whose points count as surface."""
 TOUCHING_N = 0.5
@@ -54,8 +54,8 @@ TOUCHING_N = 0.5
 BEFORE_S, LONGEST_S = 0.5, 8.0
 """Data of an approach before that, and its longest duration."""
 ALONG_WAY = 0.5
-"""Least share of the force along the arm's way: within it are 60 degrees. An arm that is led through the air while its
-sensor is pressed, as on `lab:bench`, gives no stiffness."""
+"""Least share of the force along the arm's way: the angle between them is below 60 degrees. An arm that moves through
+the air while its sensor is pressed, as on `lab:bench`, gives no stiffness."""
 FOLLOW = 0.01
 """Share by which the force without contact follows each reading."""
 
@@ -65,16 +65,16 @@ FOLLOW = 0.01
 
 @dataclass(frozen=True, slots=True)
 class LiveOptions:
-    """Stages to run, their devices and options; all that determines their results besides the frames.
+    """Stages to run, with their devices and options: everything that determines their results besides the frames.
 
     color, depth, tactile, wrench, arm: devices by name; lossless: colour images are recorded as PNG
-    particles, cluster_size: as in `calibrate beta`; longest_px: the longer side that images are reduced to
+    particles, cluster_size: as in `calibrate beta`; longest_px: longer side to which images are reduced
     focal_px, center_px, distortion, T_surface_camera: focal length, centre, distortion and pose of the camera of the
     depth camera; size_m, thickness_m: size and thickness of the surface [m]
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
-    tip: its shape; set_force_n: at which stiffness is given; compliance_m_per_n, compliance_sd: the arm's compliance
-    and its deviation [m/N]; version: version of fits, see `NEWEST_FIT`
+    tip: its shape; set_force_n: force at which stiffness is reported; compliance_m_per_n, compliance_sd: the arm's
+    compliance and its deviation [m/N]; version: version of fits, see `NEWEST_FIT`
     """
 
     names: tuple[StageName, ...] = ()
@@ -112,13 +112,13 @@ NEEDS: dict[StageName, tuple[Kind, ...]] = {
     "tactile": ("tactile",),
     "contact": ("wrench", "arm"),
 }
-"""The kinds of devices that a stage takes its frames from; its results belong to the first."""
+"""The kinds of devices whose frames a stage uses; its results belong to the first."""
 SQUEEZED = {
     "tracking": "it begins at the hand's placement, before first contact",
     "depth-change": "it needs the pressing fingertip and the tracked container",
     "posterior": "it needs the fingertips' forces since first contact",
 }
-"""Stages of a squeeze, which a rig that nothing moves cannot feed, and why."""
+"""Stages of a squeeze, which cannot run if nothing moves the rig, and why."""
 SQUEEZE = "deformscope squeeze RIG --content NAME, with --model FILE for posterior"
 REFERENCE: dict[str, Literal["first", "previous"]] = {
     "flow": "previous",
@@ -130,7 +130,7 @@ REFERENCE: dict[str, Literal["first", "previous"]] = {
 def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
     """The options completed from a rig file's devices and poses; the colour camera may be given already.
 
-    streams: streams of the devices, where they are not the file's
+    streams: streams of the devices, where they are not the file's.
     Raises InputError where the rig lacks a device or a calibration that a stage needs.
     """
     kinds: dict[str, Kind] = {one.device: one.kind for one in streams}
@@ -194,7 +194,7 @@ class Stage:
 
     @property
     def device(self) -> str:
-        """Whose newest frame its results belong to."""
+        """The device to whose newest frame its results belong."""
         device: str = getattr(self.options, NEEDS[self.name][0])
         return device
 
@@ -209,7 +209,8 @@ class Stage:
         return STAGES[self.name][0](frames)
 
     def compute(self, packed: Any) -> object:
-        """The result. Pure: the same of the same frames, to the last bit."""
+        """The result. Compute the stage's result. It is a pure function: the same frames give the same result to the
+        last bit."""
         return STAGES[self.name][1](self, packed)
 
 
@@ -217,20 +218,21 @@ class Chooser(Protocol):
     """Picks the frames of the next result."""
 
     skipped: int
-    """Frames (or approaches) that newer ones replaced before anything was computed from them, since the last `take`."""
+    """Number of frames (or approaches) since the last `take` that newer ones replaced before a result was computed from
+    them."""
 
     @property
     def lacks(self) -> str:
-        """Missing items before a first result, as text."""
+        """Text of the items that are missing for a first result."""
 
     def see(self, item: Item) -> None: ...
 
     def take(self) -> tuple[Frame, ...] | None:
-        """The frames of the next result, the newest last; None where there is nothing new."""
+        """The frames of the next result, the newest last; None without new ones."""
 
 
 class NewestFrame:
-    """The newest frame of a device; with it the first of all, or the one that was taken before."""
+    """The newest frame of a device, with its first frame or the one that was taken before."""
 
     def __init__(self, device: str, reference: Literal["", "first", "previous"] = "") -> None:
         self.skipped = 0
@@ -323,7 +325,7 @@ def fit_moment(
 ) -> MomentFit:
     """Track the particles of an image at rest directly to another one, and fit that pose alone.
 
-    A pose that cannot be fitted (too few particles seen, none of those to be held) gives particles and the reason.
+    A pose that cannot be fitted (too few particles seen, or no held ones) gives particles and the reason.
     """
     grid, tracked = _particles_at(rest, now, particles, longest_px)
     nothing = MomentFit(
@@ -500,7 +502,7 @@ def _contact(stage: Stage, packed: Any) -> TouchEstimate:
 def fit_contact(
     approach: ApproachReadings, T_ee_tip: FloatArray, set_force_n: float, arm: ArmCompliance, tip: TipKind
 ) -> TouchEstimate:
-    """The law of an approach, along the way that the tip took while it pressed. T_ee_tip: (4, 4) [m]
+    """The law of an approach, along the way that the tip took while it pressed. T_ee_tip: (4, 4) [m].
 
     Raises InputError where the arm did not press, and where the law cannot be fitted.
     """
@@ -552,11 +554,11 @@ STAGES: dict[StageName, tuple[Callable[[Sequence[Frame]], Any], Callable[[Stage,
     "tactile": (lambda frames: cast(TactileFrame, frames[-1]).pressure_pa, _tactile),
     "contact": (_approach, _contact),
 }
-"""Input of each from its frames, and its computation."""
+"""The stages' inputs, from their frames, and their computations."""
 
 
 def compute(stage: Stage, packed: Any) -> object:
-    """A stage's result, on one thread, so that it is the same to the last bit on any number of cores."""
+    """A stage's result, computed on one thread, so that it does not depend on the number of cores."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

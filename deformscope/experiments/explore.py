@@ -1,7 +1,7 @@
 """Thesis chapter 4: look, choose a place, touch, estimate, update the map, repeat; until the map is complete.
 
 `explore` is an experiment (`deformscope.session`): it commands a robot, has `ExplorationStages` computed, and yields
-their results. It is the same for simulated, recorded and real robots and stages.
+their results. The loop is the same for simulated, recorded and real robots and stages.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ _logger = logging.getLogger(__name__)
 ESTIMATES_FAILED = "estimates failed"
 AT_END = "recording at its end"
 DRY_RUN = "dry run"
-"""Kind of the stop at the end of a dry run, which is as it should be."""
+"""Kind of the stop at the end of a dry run, which is no fault."""
 AFTER_S = 0.5
 """Duration of a recording after the robot was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A command: see the surface, the robot standing still."""
+    """A command: look at the surface while the robot does not move."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """A command: rest and let the devices be recorded, stopped or not."""
+    """A command: record the devices for a while, whether or not the robot was stopped."""
 
     seconds: float
 
@@ -72,8 +72,8 @@ class TouchHeld(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NextMove:
-    """The next step: go on = as planned, veto = another plan without xy_m, touch = there, after a confirmation, and
-    replan. xy_m: (2,) [m]"""
+    """The next step: go on = as planned; veto = plan again without xy_m; touch = at xy_m, after a confirmation; replan
+    = plan again. xy_m: (2,) [m]"""
 
     kind: Literal["go on", "veto", "touch", "replan"] = "go on"
     xy_m: FloatArray = field(default_factory=lambda: np.zeros(2))
@@ -83,20 +83,20 @@ class Steering(Protocol):
     """A person who may change the next step: consulted before each touch."""
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
-        """plan: None where nothing could be planned; touches: made so far"""
+        """plan: the plan, None if no touch could be planned; touches: touches made so far"""
 
     def confirm(self, forecast: TouchForecast) -> Future[bool]:
         """Whether this touch is to be made."""
 
     def refuse(self, reason: str) -> None:
-        """The touch that was chosen cannot be made."""
+        """Report that the chosen touch cannot be made."""
 
     def look(self) -> None:
-        """Called now and then while it is waited for: an answer that will never come is to fail its future."""
+        """Called from time to time during a wait for an answer: if none can come, its future has to fail."""
 
 
 class Unsteered:
-    """All goes as planned."""
+    """No person steers: every touch is made as planned."""
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
         return _resolved(NextMove())
@@ -110,8 +110,8 @@ class Unsteered:
 
 
 class TouchPlanner(Protocol):
-    """A planner of one's own, for `deformscope.explore(..., planner=...)`. Its touches are checked as all are, and
-    recorded, so that a replay repeats them."""
+    """An own planner, for `deformscope.explore(..., planner=...)`. The planner's touches are checked like any
+    others and recorded, so that a replay repeats them."""
 
     def __call__(self, planned: PlannedTouch, so_far: Exploration) -> Sequence[float] | None:
         """The next place (x, y) on the surface [m]; None = as planned.
@@ -122,7 +122,7 @@ class TouchPlanner(Protocol):
 
 
 class PlannedBy(Unsteered):
-    """Touches where a planner says."""
+    """Touches the places that a planner chooses."""
 
     def __init__(self, planner: TouchPlanner, so_far: Exploration) -> None:
         self._planner, self._so_far, self._refused = planner, so_far, False
@@ -175,7 +175,7 @@ class AtOnce:
         self._robot = robot
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Look or touch, now; waiting has no effect."""
+        """Look or touch immediately; waiting has no effect."""
         if isinstance(command, Touch):
             return Inline().submit(self._robot.touch, command)
         return Inline().submit((lambda: None) if isinstance(command, Wait) else self._robot.look)
@@ -186,16 +186,16 @@ class AtOnce:
 
 @dataclass
 class Exploration:
-    """Results so far, for any end.
+    """Results so far, valid however the exploration ends.
 
-    surface, touches, maps, failures: results; maps is the newest
+    surface, touches, maps, failures: results, of which `maps` is the newest one
     region_probability: probability of each number of regions, with `maps`
     ended_ns, iou: when each touch ended on the robot's clock, and the IoU of the map after it (None without a truth)
-    travel_m: over the surface, in straight lines from its corner (0, 0); stop_reason: in a word or two
-    missed: by the touches so far, None before the first plan; lumps: the newest, None where none are sought
-    started: touches that were started; asked: numbers of touches that a person requested, from 1
-    stop, stop_ns: reason and time of a stop before the plan's end
-    compute_s, slowest_s: spent computing, and on the slowest touch [s]
+    travel_m: travel over the surface, in straight lines from its corner (0, 0); stop_reason: why it ended, in a word or
+    two; missed: inclusions that the touches so far may have missed, None before the first plan; lumps: newest result of
+    the search for inclusions, None without a search; started: number of touches that were started; asked: numbers of
+    touches that a person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
+    compute_s, slowest_s: computing time, and that of the slowest touch [s]
     """
 
     surface: SurfaceEstimate | None = None
@@ -217,7 +217,7 @@ class Exploration:
     slowest_s: float = 0.0
 
     def add(self, computed: Computed) -> tuple[Result, ...]:
-        """Take a computation in; its results."""
+        """Add a computation; returns its results."""
         self.compute_s += computed.seconds
         self.slowest_s = max(self.slowest_s, computed.seconds)
         for result in computed.results:
@@ -238,7 +238,7 @@ class Exploration:
         return computed.results
 
     def failed(self, touch: int) -> list[str]:
-        """Failures on a touch, from 1, as text."""
+        """Failures on a touch, counted from 1, as text."""
         return [f"{one.stage}: {one.reason}" for one in self.failures if one.touch == touch]
 
 
@@ -255,8 +255,9 @@ def explore(
 ) -> RigExperiment[None]:
     """Look, then touch until the plan is complete; `found` collects the results.
 
-    clock: the robot's [ns]; stage: has a stage computed; permitted: steps before the robot may move; steering: may
-    change the next touch It also returns when the robot must stop or the input is invalid: `found.stop` has the reason.
+    clock: the robot's clock [ns]; stage: computes a stage; permitted: steps before the robot may move; steering: may
+    change the next touch. The function also returns when the robot must stop or the input is invalid: `found.stop` has
+    the reason.
     """
     try:
         if permitted is not None:
@@ -379,7 +380,7 @@ def _given_up(clock: Callable[[], int], found: Exploration, why: str = "") -> Ex
 
 
 def within_loop(stages: ExplorationStages) -> Stage:
-    """Has stages computed where the loop runs."""
+    """Computes stages in the thread of the loop."""
     return lambda name, *inputs: Compute(getattr(stages, name), inputs, name)
 
 
@@ -394,7 +395,7 @@ class RecordedRobot:
         return self._next()
 
     def touch(self, command: Touch) -> Any:
-        """The next recorded touch, at any place."""
+        """The next recorded touch, whatever the requested place."""
         return self._next()
 
     def _next(self) -> Any:

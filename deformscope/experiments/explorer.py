@@ -1,6 +1,6 @@
 """Computation of an exploration: pure stages in their order, the same every time.
 
-A stage that fails on one touch costs that stage's result. The failure is a result like the others (`StageFailure`), and
+If a stage fails on one touch, only its result is missing. The failure is a result like the others (`StageFailure`), and
 the exploration continues with the usable touches, until too many in a row fail.
 """
 
@@ -59,7 +59,7 @@ StageResult = TypeVar("StageResult")
 Estimate = SurfaceEstimate | TouchEstimate | MapEstimate | InclusionsResult
 Result = Estimate | PlannedTouch | TouchForecast | StageFailure | Perception
 VETO_M = 0.03
-"""A veto leaves out places this near."""
+"""A veto excludes places within this distance."""
 SEEN_M = 0.01
 """A place counts as seen if a point of the surface was this near."""
 BEFORE_A_MAP = ("contact", "creep", "loss", "regions", "maps")
@@ -74,9 +74,9 @@ MOST_FAILED = 3
 class Computed:
     """Results of one computation of an exploration.
 
-    results: in their order; touch: that comes next, None where there is none; given_up: why it makes no sense to touch
-    on; region_probability: probability of each number of regions; seconds: computing time; refused: why a place cannot
-    be touched
+    results: results in their order; touch: the next touch, None if there is none; given_up: why further touches are
+    useless; region_probability: probability of each number of regions; seconds: computing time; refused: why a place
+    cannot be touched
     """
 
     results: tuple[Result, ...]
@@ -100,7 +100,8 @@ class ExplorationStages:
 
     @property
     def explorer(self) -> Explorer:
-        """That follows from the look. Raises InputError before."""
+        """The explorer of the surface that the look measured. The explorer of the surface. Raises InputError before a
+        look."""
         if self._explorer is None:
             raise InputError("a look at the surface first", "none")
         return self._explorer
@@ -138,7 +139,7 @@ class ExplorationStages:
         return self._computed(_present(plan), began, touch)
 
     def veto(self, xy_m: FloatArray) -> Computed:
-        """Plan again, from now on without a place (2,) [m] and its surroundings."""
+        """Plan again; from now on a place (2,) [m] and its surroundings are excluded."""
         self._vetoed.append(xy_m)
         return self.plan()
 
@@ -210,8 +211,8 @@ def _near(grid: MapGrid, xy_m: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AfterTouch:
-    """Results after a touch. estimate: estimate of the touch; maps: None where it gave none; inclusions: None also
-    where none are sought; perception: None unless requested"""
+    """Results after a touch. estimate: estimate of the touch; maps: maps after the touch, None if it gave none;
+    inclusions: None also if inclusions are not sought; perception: perception of the touch, None unless requested"""
 
     estimate: TouchEstimate
     maps: MapEstimate | None
@@ -220,10 +221,8 @@ class AfterTouch:
 
 
 class UnseenSurface:
-    """An exploration before its look at the surface: only the `Explorer` that a look returns takes touches.
-
-    failed: recorded failures by touch and stage
-    """
+    """An exploration before its look at the surface: only the `Explorer` that a look returns accepts touches. failed:
+    recorded failures by touch and stage"""
 
     def __init__(
         self,
@@ -243,19 +242,19 @@ class UnseenSurface:
         self.failed = {(one.touch, one.stage): one for one in failed}
 
     def look(self, looked: SurfaceMeasurement) -> Explorer:
-        """Take the surface before any touch in. Raises InputError where it cannot be fitted."""
+        """Add the surface before any touch. Raises InputError if it cannot be fitted."""
         return Explorer(
             self, SeenSurface.of(looked, self.grid, self.options, on_level_layer=self.search.on_level_layer)
         )
 
 
 class Explorer:
-    """The estimates after each touch of a measured surface; pure, except for its input so far.
+    """The estimates after each touch of a measured surface; its only state is the input so far.
 
-    surface: as the look saw it; search: the goal, and its posterior by the usable touches
-    touches, betas: touches and betas of every touch made
-    maps: the newest, None before the first; region_probability: probability of each number of regions, with it
-    failures: every stage that failed; travel_m: over the surface, from its corner (0, 0), from place to place
+    surface: the surface that the look measured; search: the goal, and its posterior by the usable touches
+    touches, betas: estimates and betas of all touches made
+    maps: the newest maps, None before the first touch; region_probability: probability of each number of regions
+    failures: every stage that failed; travel_m: travel over the surface from its corner (0, 0), from place to place
     """
 
     def __init__(self, unseen: UnseenSurface, surface: SeenSurface) -> None:
@@ -280,7 +279,7 @@ class Explorer:
 
     @property
     def given_up(self) -> str:
-        """Why it makes no sense to touch on; empty where it does."""
+        """Why further touches are useless; empty if they are useful."""
         if self._without_map < MOST_FAILED:
             return ""
         last = next((one for one in reversed(self.failures) if one.stage in BEFORE_A_MAP), None)
@@ -324,11 +323,11 @@ class Explorer:
             raise InputError("--first at a place that the tip can reach", f"{xy_m[0]:g},{xy_m[1]:g}", "another one")
 
     def approach(self, xy_m: FloatArray, geometry: Geometry) -> Touch | None:
-        """The touch of a place (2,) [m]; None where it could not be planned."""
+        """The planned touch of a place (2,) [m]; None if it cannot be planned."""
         return self._stage("plan", lambda: self.approached(xy_m, geometry))
 
     def approached(self, xy_m: FloatArray, geometry: Geometry) -> Touch:
-        """The touch of a place (2,) [m]. Raises InputError where it cannot be made."""
+        """The touch of a place (2,) [m]. Raises InputError if it cannot be made."""
         return geometry.approach(xy_m, *self.surface.aim(xy_m), self.over_m(xy_m), self.known_m(xy_m))
 
     def over_m(self, xy_m: FloatArray) -> float | None:
@@ -338,7 +337,8 @@ class Explorer:
 
     def known_m(self, xy_m: FloatArray) -> float | None:
         """Uncertainty of the surface's height at a place (2,) [m]: the largest deviation of a contact from the observed
-        height, and the process's deviation. None before the first touch, of an observed place."""
+        height, and the process's deviation. How well the height of an observed place is known; None before the first
+        touch."""
         doubt_m = self.surface.doubt_m(xy_m)
         return None if not self.touches and doubt_m <= SEEN_M else self._off_seen_m + doubt_m
 
@@ -365,8 +365,7 @@ class Explorer:
     def touch(
         self, touched: TouchMeasurement, dent: Callable[[], tuple[FloatArray, SeenPixels | None]] | None = None
     ) -> AfterTouch:
-        """Take a touch in, and update the map. dent: computes its `after_m` and `pixels`, where these are not known
-        yet"""
+        """Add a touch, and update the map. dent: computes its `after_m` and `pixels`, if they are not known yet"""
         self._touch = len(self.touches) + 1
         if dent is not None and (seen := self._stage("dent", dent)) is not None:
             touched = dataclasses.replace(touched, after_m=seen[0], pixels=seen[1])

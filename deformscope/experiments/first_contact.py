@@ -15,17 +15,18 @@ from deformscope.stages.map.exploration import PhaseStart
 from deformscope.stages.squeeze.events import EventRule, OnsetDetector
 
 KINDS = (WrenchFrame, TactileFrame, SessionNote, PhaseStart)
-"""Kinds of frames and notes that first contact is found from."""
+"""Kinds of frames and notes from which first contact is found."""
 FOLLOW_S = 5.0
 """Time constant by which the force without contact follows the readings [s]."""
 
 
 def first_contact_ns(rows: Sequence[Row]) -> int | None:
-    """Session time of the first contact [ns], None = there is none. rows: a recording's rows, in order of time
+    """Session time of the first contact [ns], None without contact. rows: a recording's rows, in order of time
 
-    The beginning of an exploration's first press. Else by a force sensor: the first reading TOUCHING_N away from
-    the force without contact. That force is followed until then as fast as sensors drift, and starts again after a
-    tare. By a tactile array: the rule of `squeeze`, for each of its pads; whichever was first.
+    The beginning of an exploration's first press. Otherwise a force sensor decides: the first reading that differs by
+    TOUCHING_N from the force without contact. The force without contact follows the sensor's drift until then, and
+    starts again after a tare. A tactile array decides by the rule of `squeeze` for each pad; the earliest contact
+    counts.
     """
     if phases := [row for row in rows if isinstance(row.item, PhaseStart)]:
         return next((row.session_ns for row in phases if row.item.name == "press"), None)

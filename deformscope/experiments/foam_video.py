@@ -1,7 +1,7 @@
 """A deforming thing in a sequence of images: flow, particles, and the fit of the last pose (Thesis 3, experiment 5.2).
 
 The sweep fits the last frame, as in the thesis (`whole_motion` fits every frame). The best value is then simulated at
-every frame, so that simulated particles follow the observed ones on the `frame` timeline.
+every frame, so that the timeline `frame` shows simulated next to observed particles.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from deformscope.stages.see.flow import FlowMethod, FlowStep, flow_onward
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
 FRAMES_AT_ONCE = 256
-"""Frames that are simulated in one launch; the next ones start from the last of them."""
+"""Number of frames simulated in one launch; the next launch starts from the last of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParticleOptions(ParticleFlags):
     """Options that turn an image into particles, and noise_px, the deviation of a measured position.
-    frames_of: how many the sequence has, of which some are followed; None = all are"""
+    frames_of: number of frames in the sequence, if only some are followed; None = all are followed"""
 
     held: tuple[HeldPart, ...] = ("top", "bottom")
     flow: FlowMethod = "dis"
@@ -51,10 +51,8 @@ class ParticleOptions(ParticleFlags):
 def foam_video(
     particles: ParticleOptions, fit: FitOptions, mask: BoolArray | None = None, progress: Progress | None = None
 ) -> Experiment[Calibration]:
-    """Follow particles through the frames that are sent, then fit the last pose and simulate every frame.
-
-    mask: (H, W) True where the thing is in the first frame
-    """
+    """Follow particles through the frames, then fit the last pose and simulate every frame. mask: (H, W) True where the
+    thing is in the first frame"""
     grid, history = yield from track(particles, mask)
     if len(history) < 2:
         raise InputError("at least two frames", "one", "a longer sequence, or a smaller --stride")
@@ -90,11 +88,8 @@ def last_pose(
 def track(
     particles: ParticleOptions, mask: BoolArray | None = None, times: list[float] | None = None
 ) -> Experiment[tuple[ParticleGrid, list[Tracked]]]:
-    """Follow particles through the frames that are sent: where they stood at rest, and where at every frame.
-
-    mask: (H, W) True where the thing is in the first frame; times: where it is given, each frame's time after the first
-    is added to it [s]
-    """
+    """Follow particles through the frames: their positions at rest, and at every frame. mask: (H, W) True where the
+    thing is in the first frame; times: where it is given, each frame's time after the first is added to it [s]"""
     frame = yield Step()
     if frame is None:
         raise InputError("at least two frames", "none")
@@ -121,10 +116,10 @@ def track(
 def hold_what_is_seen(
     grid: ParticleGrid, last: Tracked, parts: Sequence[str], contact: Rect | None
 ) -> tuple[IntArray, list[str]]:
-    """(n,) indices of the held particles whose motion is known, and the parts that had to be taken elsewhere.
+    """Indices (n,) of the held particles whose motion is known, and the parts that were replaced by others.
 
-    Particles lost on the way are prescribed nowhere, hence free. A part that was lost altogether (the specimen's end
-    has left the image) is held at the outermost row or column in view: the rest moves with it.
+    Lost particles are not prescribed, but free. If a held part was lost completely (the specimen's end
+    has left the image), the outermost row or column in view is held instead.
     """
     chosen: list[IntArray] = []
     moved: list[str] = []

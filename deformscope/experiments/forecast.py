@@ -25,9 +25,7 @@ def forecast_touch(
     touches: int,
 ) -> TouchForecast:
     """Forecast of a touch where the map has this log stiffness [N/mm], with the deviation of one touch's measurement.
-
-    exponent: exponent of the law of force over depth; shift: as in `SeenSurface.shift`; touches: made so far
-    """
+    exponent: exponent of the law of force over depth; shift: as in `SeenSurface.shift`; touches: touches made so far"""
     if shift is not None:
         log_stiffness -= shift.log
     forces = np.linspace(0.0, options.set_force_n, FORCES)

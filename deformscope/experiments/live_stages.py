@@ -1,13 +1,14 @@
-"""Stages that run during a rig's recording: items of a rig in, results out, computed outside the loop that takes the
-items.
+"""Stages that run during a rig's recording: they receive the rig's items, and are computed outside of the loop that
+reads the items.
 
     with StageProcesses(options.names, quiet_warp) as executors:
         counts = session.run(rig, live_stages(stages_of(options, streams), executors, ended), recorder)
 
-The newest frame wins: while a stage computes, frames pass it by, and are counted. A stage without a result notes the
-reason after a second, or with its first frame; a slow one notes its delay behind its frame. A stage uses an image as
-recorded (decoded from JPEG), and a result names its frames. `replay_stages` computes every result of a recording again
-and compares it to the last bit. A stage that fails gives a `StageFailure`, and continues with later items.
+A stage uses the newest frame: frames that arrive during its computation are skipped and counted. A stage without a
+result notes the reason after a second, or with its first frame; a slow one notes its delay behind its frame. A stage
+uses an image as recorded (decoded from JPEG), and a result names its frames. `replay_stages` computes every result of a
+recording again and compares it to the last bit. A stage that fails gives a `StageFailure`, and continues with later
+items.
 """
 
 from __future__ import annotations
@@ -32,15 +33,15 @@ if TYPE_CHECKING:
 
 
 SOON_S = 0.02
-"""Time for which device items are collected while stages wait for them: the largest delay of a frame."""
+"""Time for which device items are collected while stages wait for them: it delays a frame by this at most."""
 AT_ONCE_S = 1.0
 """Time without a result after which a stage reports the reason."""
 AGAIN_S = 10.0
-"""A reason that comes and goes is said again after this at the earliest."""
+"""Time after which a reason may be reported again."""
 LEFT_OUT_LEAST = 3
-"""Frames that are left out before a note says that a stage does not keep up."""
+"""Number of skipped frames after which a note reports that a stage is too slow."""
 NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
-"""Reasons that differ in numbers alone are the same."""
+"""Pattern of numbers: reasons that differ only in numbers count as the same."""
 
 
 class StageExecutor(Protocol):
@@ -51,10 +52,11 @@ class StageExecutor(Protocol):
 
 @dataclass(slots=True)
 class StageCounts:
-    """Outcomes of a stage's frames. frames: that came; results; failures among them; late_s: delay of each result [s]
+    """Outcomes of a stage's frames. frames: number of frames that came; results, failures: numbers of results, and of
+    failures among them; late_s: delay of each result [s]
 
-    left: frames that were skipped because newer ones came; the others were not finished when it ended; lasted_s: since
-    the first frame [s]; reasons: reasons of the results that give nothing, with how many there were of each
+    left: frames that were skipped because newer ones came; the others were not finished when it ended; lasted_s: time
+    since the first frame [s]; reasons: reasons of the results that give nothing, with how many there were of each
     nothing: why there is no result, "" where there is one
     """
 
@@ -88,7 +90,7 @@ class StageCounts:
         return {**counts, "lag_ms": self.lag_ms, **more}
 
     def to_text(self) -> str:
-        """The same in a line."""
+        """The counts in a line."""
         failed = f", {self.failures} of them FAILED" if self.failures else ""
         late = "behind their frame by {p50:.0f} ms (median), {p95:.0f} ms (95 %), {max:.0f} ms at most"
         lag = "" if self.lag_ms is None else f", {late.format(**self.lag_ms)}"
@@ -110,10 +112,10 @@ def live_stages(
 ) -> RigExperiment[dict[str, StageCounts]]:
     """The experiment that passes items to stages, and yields their `StageResult`s; returns the counts.
 
-    executors: the executor of each stage, by its name: each has its own, so that none waits for another; ended: sees
-    every batch with the stages' notes, and returns whether it is over; lossless: colour images are recorded without
-    losses
-    watch: sees every result; clock: the host's, or that of recorded items [ns]
+    executors: the executor of each stage, by the stage's name; each has its own, so that no stage waits for another;
+    ended: called with every batch and the stages' notes, returns whether to end; lossless: colour images are recorded
+    without losses
+    watch: called with every result; clock: the host's, or that of recorded items [ns]
     """
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
     given = yield Step(batch_s=SOON_S)
@@ -245,7 +247,7 @@ class _Running:
 
 
 def reason_of(result: object) -> str:
-    """Why a result holds no value; "" where it does."""
+    """Why a result has no value; "" if it has one."""
     if isinstance(result, StageFailure):
         return result.reason
     return result.verdict_text if isinstance(result, MomentFit) and np.isnan(result.value) else ""
@@ -257,7 +259,7 @@ def alike(reason: str) -> str:
 
 
 def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
-    """The stretches of these frames in their devices' streams, that of the last frame's device last."""
+    """The ranges of these frames in their devices' streams; that of the last frame's device is last."""
     found: list[UsedFrames] = []
     for device in sorted({frame.device for frame in frames}, key=lambda device: device == frames[-1].device):
         for frame in (frame for frame in frames if frame.device == device):
@@ -269,7 +271,7 @@ def used_frames(frames: Sequence[Frame]) -> tuple[UsedFrames, ...]:
 
 
 def compute_stage(stage: Stage, packed: Any, lossless: bool) -> tuple[object, int]:
-    """A stage's result of live frames, and when it was there [ns]. A failure is a result too."""
+    """A stage's result from live frames, and when it was ready [ns]. A failure is a result too."""
     from deformscope.experiments.device_stages import REFERENCE, compute
 
     images = packed if stage.name in REFERENCE else ()

@@ -42,7 +42,7 @@ from deformscope.stages.see.particles import select_held
 MaterialEstimate = AxisEstimate | FieldEstimate | YieldEstimate | RecoveryEstimate
 
 MOST_FRAMES = 8
-"""Most frames of a camera's motion that yielding is fitted to: a history of loads takes seconds a frame."""
+"""Most frames of a camera's motion to which yielding is fitted: a history of loads takes seconds for each frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,8 @@ class UnloadingOptions:
 
 @dataclass(frozen=True, slots=True)
 class MaterialFit:
-    """Result of a material's fit. comparisons: comparison of some frames, by index; motion: the fitted one, if any"""
+    """Result of a material's fit. comparisons: comparison of some frames, by index; motion: the fitted motion, if
+    any"""
 
     estimate: MaterialEstimate
     comparisons: tuple[tuple[int, Comparison], ...]
@@ -67,15 +68,13 @@ class MaterialFit:
 def material_video(
     particles: ParticleOptions, find: Callable[[TrackedMotion], MaterialFit], mask: BoolArray | None = None
 ) -> Experiment[MaterialFit]:
-    """Track particles through the frames that are sent, fit, and show every frame with the fit.
-
-    mask: (H, W) True where the thing is in the first frame
-    """
+    """Track particles through the frames, fit, and show every frame with the fit. mask: (H, W) True where the thing is
+    in the first frame"""
     return (yield from _shown(find((yield from tracked_motion(particles, mask)))))
 
 
 def material_files(find: Callable[[], MaterialFit]) -> Experiment[MaterialFit]:
-    """The same of pairs or a motion as files, which have no images."""
+    """Fit pairs or a motion from files, which have no images."""
     yield Step()
     return (yield from _shown(find()))
 
@@ -127,8 +126,8 @@ def camera_motion(
 ) -> tuple[Motion, PressCycle]:
     """All frames, the first one at rest among them, and the time of the release.
 
-    Released parts are held as long as anything may hold them: until the frame of the release. From then on they count
-    as not seen.
+    Released parts count as held until the frame of the release. After that the particles
+    count as not seen.
     """
     released = [part for part in particles.held if part in unloading.released]
     if not released:
@@ -233,8 +232,8 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 
 
 def recovery_of_motion(motion: Motion, level: float, seed: int, version: int = NEWEST_RELAXATION) -> MaterialFit:
-    """The recovery in a motion file: particles that are held at the greatest depth and no longer at the end are
-    released, from then on. version: see `NEWEST_RELAXATION`"""
+    """The recovery in a motion file: particles that are held at the greatest depth and not at the end count as
+    released. version: see `NEWEST_RELAXATION`"""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])

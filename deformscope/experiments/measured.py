@@ -56,7 +56,7 @@ SOFT_STOP_SHARE = 0.75
 DWELL_S, DWELL_AT_MOST_S = 0.5, 3.0
 """Time at rest during a touch, and the largest such time after the requested hold."""
 COARSE_M = 0.02
-"""Spacing of the places whose reach is computed, each for the cells around it."""
+"""Spacing of places for which it is computed whether the tip reaches them; each represents the cells around it."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 HOP_M, HOP_SPEED_M_S, HOP_PASSING_M, HOP_BRAKING_PER_S = 0.02, 0.05, 2e-3, 8.0
@@ -70,9 +70,7 @@ may be higher than that, all is as at a careful pace. Chosen."""
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameData:
     """The contents of frames by their times on the host's clock [ns]; a reading of force by time and device's ticks.
-
-    depth_m: (H, W); arm: states; wrench_n: (3,) before any tare, in the tip's frame
-    """
+    depth_m: (H, W); arm: states; wrench_n: (3,) force before any tare, in the tip's frame"""
 
     depth_m: Mapping[int, npt.NDArray[np.floating]]
     arm: Mapping[int, ArmSample]
@@ -116,7 +114,7 @@ class Looked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touched:
-    """A touch. used: its frames, named; data: its values"""
+    """A touch. used: its frames, by the name of their use; data: its values"""
 
     used: TouchFrames
     data: FrameData
@@ -128,18 +126,15 @@ def highest_m(options: ExploreOptions) -> float:
 
 
 def sample_box(size_m: tuple[float, float], thickness_m: float, low_share: float = LOW_SHARE) -> Box:
-    """Box of the sample's surface: its edges are left out, where the camera sees its sides."""
+    """Box of the sample's surface without its edges, where the camera may see its sides."""
     low = (EDGE_M, EDGE_M, low_share * thickness_m)
     return Box(low, (size_m[0] - EDGE_M, size_m[1] - EDGE_M, thickness_m + ABOVE_M))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetupGeometry:
-    """Poses of surface, arm and camera relative to each other, and their consequences; pure.
-
-    compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]; described: shape of
-    the robot
-    """
+    """Poses of surface, arm and camera relative to each other, and their consequences; pure. compliance_m_per_n,
+    compliance_sd: the arm's compliance under a push and its deviation [m/N]; described: shape of the robot"""
 
     size_m: tuple[float, float]
     placement: Placement
@@ -155,7 +150,7 @@ class SetupGeometry:
         return cls(setup.size_m, setup.placement, setup.workspace, setup.camera, *give, setup.described)
 
     def as_json(self) -> dict[str, Any]:
-        """For a recording's settings."""
+        """The geometry for a recording's settings."""
         values = {name: getattr(self, name) for name in ("size_m", "compliance_m_per_n", "compliance_sd")}
         values |= {name: dataclasses.asdict(getattr(self, name)) for name in ("workspace", "camera")}
         if self.described is not AS_CAPSULES:
@@ -196,7 +191,7 @@ class SetupGeometry:
 
     @property
     def touch_error(self) -> TouchErrorModel:
-        """Errors of touches: the force sensor's gain as calibrated, else as any sensor's."""
+        """Errors of touches, with the calibrated error of the force sensor's gain, or else that of any sensor."""
         known_to = self.placement.tool.force_gain_sd
         return TouchErrorModel() if known_to is None else TouchErrorModel(gain_sd=known_to)
 
@@ -292,8 +287,8 @@ class SetupGeometry:
         return perceive(depth_m, camera, self.camera.T_surface_camera, box, robot=robot, cell_m=cell_m)
 
     def posed_robot(self, pose: ArmSample, chain: Chain | None) -> PosedRobot:
-        """The volume of arm, gripper, stick and cables at the arm's reported pose, surface frame; of an arm without a
-        chain, the parts at its end alone."""
+        """The volume of arm, gripper, stick and cables at the arm's reported pose, surface frame; for an arm without a
+        chain, only the parts at its end."""
         T_base_links = pose.T_base_ee[None] if chain is None else chain.forward(pose.joints_deg)
         described = self.described
         capsules = arm_shape(
@@ -316,7 +311,7 @@ class SetupGeometry:
     # Where it can touch -----------------------------------------------------------------------------------------------
 
     def more_force_n(self, options: ExploreOptions) -> float | None:
-        """Pressed with where the dent stays small; None where the soft stop leaves no room for it."""
+        """Force of a touch whose dent stays small; None if the soft stop does not allow more."""
         more_n = min(options.second_force_n, SOFT_STOP_SHARE * self.workspace.soft_stop_n)
         return more_n if more_n > options.set_force_n else None
 
@@ -375,9 +370,9 @@ class SetupGeometry:
         joints_deg: npt.ArrayLike,
         known_m: float | None = None,
     ) -> TouchPlan:
-        """The same along the normal, or upright where the arm cannot be led along it: joint limits and singularities
-        depend on the tilt. Whoever places a stick without a chain holds it upright. Raises NotThere where no way leads
-        there within the workspace."""
+        """A touch along the normal, or upright if the arm cannot move along the normal: joint limits and singularities
+        depend on the tilt. A person who places a stick without a chain holds it upright. Raises NotThere if there is no
+        way within the workspace."""
         along = self.plan(xy_m, height_m, normal, over_m, options, known_m)
         upright = self.plan(xy_m, height_m, UPRIGHT, over_m, options, known_m)
         if chain is None:
@@ -406,8 +401,8 @@ class SetupGeometry:
     def reachable(
         self, grid: MapGrid, options: ExploreOptions, chain: Chain | None, joints_deg: npt.ArrayLike
     ) -> BoolArray:
-        """(rows, columns) cells that the tip can reach from above with the stick upright, as deep as a touch, except a
-        margin at the border; without a chain, all those."""
+        """(rows, columns) cells that the tip can reach with the stick upright, down to the depth of a touch, without a
+        margin at the border; without a chain, all cells except the margin."""
         if chain is None:
             return off_the_border(grid, options.border_m)
         rows, columns = grid.shape
@@ -438,8 +433,8 @@ def _pixels(camera: str, depth_ns: IntArray, clouds: Sequence[Perceived], option
 
 
 def off_the_border(grid: MapGrid, border_m: float) -> BoolArray:
-    """(rows, columns) all cells but a margin at the surface's edge. A narrower one than usual begins with the cell
-    that reaches it: places that are considered lie on cells' corners."""
+    """(rows, columns) all cells except a margin at the surface's edge. A narrower margin than usual excludes fewer
+    cells: considered places are corners of cells."""
     if border_m < BORDER_M:
         border_m -= 0.501 * grid.cell_m
     places = grid.centres_m

@@ -32,14 +32,14 @@ SHALLOW_M = 0.002
 VIEW_CELL_M = 0.004
 """Points of the surface before any touch are reduced to one in each cell of this size."""
 TRAVEL_M_S = {"careful": 0.05, "quick": 0.15}
-"""Between touches in the laboratory, by pace; a rig file says it for a rig."""
+"""Speed between touches in the laboratory, by pace; for a rig the rig file states it."""
 PLAN_CELL_M = 0.02
-"""Places that are considered for a touch are this far apart."""
+"""Distance of the places that are considered for a touch."""
 PLANNED_COSTS = {"careful": (6.0, 0.1), "quick": (4.0, 0.15)}
 """Duration of a touch for the planner [s], and the speed of the path to it [m/s], by pace. Chosen near the measured
-times, and such that both paces weight a touch and its travel alike, and touch the same places."""
+times, so that a touch and its travel have the same relative cost at both paces and the places are the same."""
 DRY_RUN_M = 0.1
-"""A dry run is made so far above the surface: the tip stays 8 cm above it, a hand's breadth."""
+"""Height of a dry run above the surface: the tip stays 8 cm above it, a hand's breadth."""
 EDGE_M, ABOVE_M, LOW_SHARE, LOW_UNSTATED = 0.005, 0.08, 0.5, 0.2
 """Bounds of points that count as surface: distance from its edges, height above its thickness, and lowest share of the
 thickness; another share without a stated thickness."""
@@ -49,20 +49,20 @@ thickness; another share without a stated thickness."""
 class ExploreOptions(ExploreFlags):
     """How to explore: options of a user, of a rig file or a scene, and of studies.
 
-    relief, beta_grid_m, beta_step, sigma_w_m: without values, as in older recordings, the foam is level and as thick as
-    stated. beta is then swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
-    set_force_n, max_depth_m: set force and largest depth of a touch; tip_radius_m: tip radius of its ball; thickness_m:
+    relief, beta_grid_m, beta_step, sigma_w_m: None in older recordings; then the foam is level and as thick as stated.
+    beta is then swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
+    set_force_n, max_depth_m: set force and largest depth of a touch; tip_radius_m: radius of its ball; thickness_m:
     thickness of the foam; cell_m: cell size of the maps; seed
     standoff_m: height of the tip above the surface before and after a touch, and above all that it crosses
     go_on: touch until the budget is spent, even if the plan is complete (for studies)
     inclusion_m: radius of the smallest inclusions that are sought
-    lift_m: all touches are made this far above the surface, without contact: a dry run
+    lift_m: height above the surface at which all touches of a dry run are made, without contact
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
-    thickness_stated: else thickness_m is only the height at which the surface is sought
-    detail: where nothing is said, as in older recordings, lean
-    plan_version: plan version of what the planner expects of touches (`PlanOptions`), in older recordings 1
-    relaxation_version: relaxation version of intervals of a touch's creep (`relaxation.NEWEST_RELAXATION`), in older
-    recordings 1
+    thickness_stated: thickness_m was stated; otherwise it is only the height at which the surface is sought
+    detail: `lean` in older recordings
+    plan_version: version of the planner's expectations of touches (`PlanOptions`), 1 in older recordings
+    relaxation_version: version of the intervals of a touch's creep (`relaxation.NEWEST_RELAXATION`), 1 in older
+    recordings
     """
 
     budget: flags.ManyFlag = REGION_TOUCHES
@@ -100,12 +100,12 @@ class ExploreOptions(ExploreFlags):
 
     @property
     def second_force_n(self) -> float:
-        """Pressed with where the set force makes a small dent: 5 N after 3 N, and in proportion, 5 N at most."""
+        """Force that is used if the set force makes only a small dent: 5/3 of it, at most 5 N."""
         return min(SECOND_FORCE_N, SECOND_SHARE * self.set_force_n)
 
     @property
     def stated_m(self) -> float | None:
-        """Thickness of the foam, where it was stated."""
+        """Thickness of the foam, if it was stated."""
         return self.thickness_m if self.thickness_stated else None
 
     @property

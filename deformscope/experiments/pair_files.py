@@ -1,4 +1,4 @@
-"""Pairs of rest and deformed shapes: no frames, each fitted alone or all to one value."""
+"""Pairs of rest and deformed shapes without frames, each fitted alone or all to one value."""
 
 from __future__ import annotations
 

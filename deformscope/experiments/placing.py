@@ -59,19 +59,21 @@ from deformscope_drivers.errors import DeviceError
 LOOK_S, LOOKS = 0.6, 3
 """Time at rest, and number of last images for a median: fewer are noisier."""
 ROBOT_MARGIN_M = 0.015
-"""Around links and fingers that is left out of an image: arms differ by a centimetre or so from capsules."""
+"""Margin around links and fingers that is removed from an image: arms differ by about a centimetre from capsules."""
 AREA_M = 0.45
 """Objects on the table further from the middle of its frame are ignored [m]: an arm's foot, other objects."""
 BACK_M = 0.03
 """Distance to back away from a contact on the way."""
 STUCK_S = 2.0
-"""A finger whose arrays repeat the same force for this time, and not 0, is stuck: 22 frames at worst. A shorter time
-stops arrays with little noise; a longer one lets the arm move on for longer with a finger that may be dead."""
+"""A finger whose arrays repeat the same force for this time, and not 0, is stuck: 22 frames at worst. With a shorter
+time, arrays with little noise cause stops; with a longer one, the arm moves for longer with a finger that may be
+dead."""
 NOT_FOUND, NO_GRASP, CONTAINER = "container not found", "no grasp is reached", "container"
 BEGINS_NEAR, NOT_READY = "arm begins too near the container", "checks before motion"
 """Kinds of stops; `CONTAINER` with its change: `container moved`."""
 LEAVE_OUT = ("plan", "arm: reach", "force sensor: noise", "force sensor: alive")
-"""Rows of the preflight that are of touches, and of sensors that are never silent: arrays in the air may all say 0."""
+"""Rows of the preflight that are left out: those about touches, and about sensors that are never silent, as arrays in
+the air may all read 0."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +85,7 @@ class CheckArm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Carry:
-    """A command: bring the hand to the grasp. preflight: that passed"""
+    """A command: bring the hand to the grasp. preflight: the preflight that passed"""
 
     plan: GraspPlan
     preflight: Preflight
@@ -91,16 +93,16 @@ class Carry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Withdraw:
-    """A command: bring it back the way it came."""
+    """A command: bring the hand back on the way it came."""
 
     plan: GraspPlan
 
 
 class PlacingArm:
-    """The arm over the devices of an open source; commands are carried out where they are called.
+    """The arm that carries the hand, over the devices of an open source; commands run in the thread that calls them.
 
-    begin: called with each phase as it begins; cycled: in every control period; reached: the last phase
-    stands: it is at rest, or was never commanded
+    begin: called with each phase when it begins; cycled: called in every control period; reached: the last phase that
+    the arm reached; stands: the arm is at rest, or was never commanded
     """
 
     def __init__(
@@ -129,7 +131,7 @@ class PlacingArm:
         )
 
     def do(self, command: object) -> object:
-        """Carry a command out. Raises SqueezeEnded, after which the arm is at rest, and takes no further one."""
+        """Carry a command out. Raises SqueezeEnded, after which the arm is at rest and accepts no further command."""
         try:
             with self._stopping():
                 robot = self._made = self._made or self._robot()
@@ -161,11 +163,11 @@ class PlacingArm:
 
     @contextlib.contextmanager
     def watched(self) -> Iterator[Callable[[], str]]:
-        """During the hand's motion: called in each of the hand's control periods. It yields the reason to stop if the
-        arm has left its pose; empty = continue.
+        """Watch the arm during the hand's motion: called in each of the hand's control periods. It yields the reason to
+        stop if the arm has left its pose; empty = continue.
 
-        The arm is judged as when it moves, but for the forces of fingers that squeeze. It is not stopped here: the hand
-        is first, as an arm that does not answer takes seconds.
+        The arm is judged as when it moves, except for the forces of fingers that squeeze. It is not stopped here: the
+        hand is stopped first, because stopping an arm that does not answer takes seconds.
         """
         if self._placed is None:
             yield lambda: ""
@@ -185,12 +187,13 @@ class PlacingArm:
             robot.rest()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person requests a stop: it is at rest within a control period."""
+        """Stop on a person's request: the arm is at rest within a control period."""
         if self._made is not None:
             self._made.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Erase points that wait in the arm; whether it was reached, or never commanded. It is watched no further."""
+        """Erase points that wait in the arm; returns whether the arm received this, or was never commanded. The arm is
+        no longer watched."""
         self._placed = None
         self.stands = self._made is None or self._made.halt(reason)
         return self.stands
@@ -261,10 +264,8 @@ def sight(
     before: ContainerFit | None = None,
     near: bool = False,
 ) -> ContainerSighting:
-    """The container in images of a robot at rest; the robot's points are left out.
-
-    before: how it was found then, near: it is sought close to that, also where the hand hides a part of it
-    """
+    """The container in images of a robot at rest; the robot's points are left out. before: the container's earlier
+    pose; near: search only close to it, also where the hand hides a part of the container"""
     camera = geometry.camera
     if camera.focal_px is None or camera.center_px is None or geometry.T_arm_camera is None:
         raise InputError("[camera] focal_px, center_px and T_arm_camera", "none")
@@ -305,8 +306,8 @@ def sight(
 class Placing:
     """An arm that places the hand, before and after the squeeze.
 
-    grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed
-    permit: called with the preflight before the arm moves, whether it had to wait for a person; arm: as in `PlacingArm`
+    grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed; permit: called with the
+    preflight before the arm moves; returns whether it waited for a person; arm: as in `PlacingArm`
     found: collects sightings and placement
     """
 

@@ -40,10 +40,8 @@ def poke_files(
     progress: Progress | None = None,
     note: Callable[[int, float, float], None] = lambda particles, spacing_m, finest_m: None,
 ) -> Experiment[PokesResult]:
-    """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline.
-
-    note: called before the fit with the lattice's particles, its spacing, and the one it has without `most_particles`
-    """
+    """Fit all pokes of one surface together. Each poke is one place on the `frame` timeline. note: called before the
+    fit with the lattice's particles, its spacing, and the one it has without `most_particles`"""
     yield Step()
     surface = MeasuredSurface(seen[0].rest, layers.thickness_m)
     pokes = [seen_poke(one) for one in seen]

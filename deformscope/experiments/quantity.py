@@ -1,4 +1,4 @@
-"""Which quantity of a touch is mapped: stiffness as it came down, relaxed stiffness, or the share of its energy that is
+"""Which quantity of a touch is mapped: stiffness during the approach, relaxed stiffness, or the share of energy that is
 lost. `ExploreOptions.quantity` chooses."""
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import StiffnessSample
 
 SPEED_SD = 0.03
-"""Change of log stiffness for each e-fold of the approach speed, for touches without a fitted creep. It corresponds to
-a third of the modulus relaxing evenly over three decades of time [assumed]."""
+"""Change of log stiffness for each e-fold of the approach speed, for touches without a fitted creep. Assumed: a third
+of the modulus relaxes evenly over three decades of time."""
 
 
 class ApparentStiffness:
@@ -31,15 +31,15 @@ class ApparentStiffness:
     def stiffness(
         self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
     ) -> StiffnessSample | None:
-        """The stiffness by which touches compare; None where the touch does not say it.
+        """The stiffness with which touches are compared; None if the touch does not determine it.
 
-        felt: the stiffness of the contact; creep: None where it was not fitted; speed_m_s: speed of the approach in
-        contact, None where it is not known
+        felt: the stiffness of the contact; creep: the touch's creep, None if it was not fitted; speed_m_s: speed of the
+        approach in contact, None where it is not known
         """
         return felt
 
     def sample(self, stiffness: StiffnessSample, creep: CreepFit | None) -> StiffnessSample:
-        """The map's sample of a touch of this stiffness. Raises InputError where it does not say the quantity."""
+        """The map's sample of a touch of this stiffness. Raises InputError if it does not determine the quantity."""
         return stiffness
 
     def maps(self, maps: MapEstimate, stiffness: Sequence[StiffnessSample]) -> MapEstimate:
@@ -70,7 +70,7 @@ class StiffnessAtReferenceSpeed(ApparentStiffness):
 
 
 class RelaxedStiffness(ApparentStiffness):
-    """Stiffness when all has relaxed."""
+    """Stiffness after complete relaxation."""
 
     def stiffness(
         self, felt: StiffnessSample, creep: CreepFit | None, speed_m_s: float | None
@@ -87,7 +87,7 @@ class EnergyLoss(StiffnessAtReferenceSpeed):
     """The share of its energy that a touch loses, with stiffness."""
 
     def error(self, error: TouchErrorModel) -> TouchErrorModel:
-        """The force that goes in and the one that comes back are off by the same gain."""
+        """An error of the sensor's gain changes the forces of approach and retract equally."""
         return dataclasses.replace(error, gain_sd=0.0)
 
     def sample(self, stiffness: StiffnessSample, creep: CreepFit | None) -> StiffnessSample:

@@ -1,8 +1,8 @@
-"""Touches of a recording: as an exploration named their frames, or found in any robot's arm, force sensor and depth
-camera data.
+"""Touches of a recording: either an exploration named their frames, or they are found in the data of any robot's arm,
+force sensor and depth camera.
 
-It names the frames of a recording as `touching_robot` names those of a look and of touches during a run; the same
-results are computed from them.
+It selects the frames of a recording that `touching_robot` would have used for a look and touches, so that the same
+results are computed.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from deformscope_drivers.depth_camera.image import depth_m
 from deformscope_drivers.manual_arm.config import MANUAL
 
 FOLLOW_S = 5.0
-"""In which the force without contact is followed: a slow press outruns it."""
+"""Time over which the force without contact is followed: it is short enough that a slow press is faster."""
 TRAVEL_M = 0.03
 """An arm this far from the contact has left it."""
 ASIDE_M, LEAST_WAY_M = 3e-3, 1e-3
 """Largest distance of the tip from the straight path to a touch. One that dents less has its direction from the way
 before contact too."""
 UNSEEN = 0.1
-"""Share of the dent that may pass between the last reading before contact and the first of it."""
+"""Largest share of the dent between the last reading before contact and the first reading in contact."""
 LOADED, STILL = (0.02, 5e-5), (0.05, 2e-4)
 """Bounds of the greatest depth in time: how close to it the dent must be before and after it, as a share of the dent,
 and at least [m]."""
@@ -83,11 +83,11 @@ class _Approaches(ApproachChooser):
 def find_touches(
     items: Iterable[Item], names: tuple[str, str, str], setup: SetupGeometry, options: ExploreOptions, model: str
 ) -> tuple[list[LookFrames | TouchFrames], list[str]]:
-    """The look and the touches of a recording, and why other approaches were none.
+    """The look and the touches of a recording, and why other approaches do not count as touches.
 
     items: items of its devices in order of time, images need not be decoded; names: names of arm, force sensor and
     depth camera
-    model: the arm's, as the vendor calls it Raises InputError where there is nothing to be found.
+    model: the vendor's name of the arm. Raises InputError if nothing is found.
     """
     arm, wrench, camera = names
     chooser = _Approaches(wrench, arm)
@@ -223,10 +223,10 @@ def _newest(of_ns: IntArray, at_ns: IntArray) -> IntArray:
 
 
 class RecordedTouches(AtOnce):
-    """Looks and touches as they were recorded; earlier device items are passed over. given: as `RecordedRobot`
+    """Looks and touches as they were recorded; earlier device items are skipped. given: as `RecordedRobot`
 
-    count: number of touches; largest_force_n: that was measured in one; left_out: why other approaches were none
-    asked: whether a person requested the end: no further touch is given
+    count: number of touches; largest_force_n: largest force measured in a touch; left_out: why other approaches do not
+    count as touches; asked: whether a person requested the end: no further touch is given
     """
 
     def __init__(self, given: list[Looked | Touched], source: ItemSource, left_out: Sequence[str]) -> None:
@@ -254,13 +254,13 @@ class RecordedTouches(AtOnce):
         return done
 
     def rest(self) -> list[Item]:
-        """Device items after the last touch, a portion at a time."""
+        """Device items after the last touch, in portions."""
         self._source.until_ns = math.inf
         return self._source.take(0.0)
 
 
 def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup, RecordedTouches]:
-    """A recording's arm as a setup that is explored. Raises InputError where it made no touch."""
+    """A recording's arm as a setup that is explored. Raises InputError if it made no touch."""
     replay, streams = Replay(path, trust=True), read_streams(path, trust=True)
     names: list[str] = []
     for kind in ("arm", "wrench", "depth"):
@@ -297,7 +297,7 @@ def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup
 def recorded_inputs(path: Path) -> list[Any]:
     """The look and the touches of a recording, in their order, in the form of `ExplorationStages`.
 
-    Raises InputError where a frame that one of them names is not in the recording.
+    Raises InputError if a named frame is not in the recording.
     """
     kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
     inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]

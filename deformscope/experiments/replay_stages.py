@@ -1,4 +1,4 @@
-"""The results of stages that ran while devices did, computed again from the recorded frames that they name."""
+"""The results of stages that ran during a recording, computed again from the recorded frames that they name."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Key = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class ReplayedStages:
-    """Outcome of a replay of stages. results: that were computed again; failures: that were recorded, and are not
-    computed again: whether a stage fails may hang on the machine; different: largest difference of each stage's
-    numbers, as a share of the number (0 = equal to the last bit; inf = other words or sizes)
+    """Outcome of a replay of stages. results: number of results computed again; failures: recorded failures, which are
+    not computed again: whether a stage fails may depend on the machine; different: largest difference of each stage's
+    numbers, as a share of the number (0 = equal to the last bit; inf = different words or sizes)
     """
 
     results: int
@@ -35,10 +35,8 @@ class ReplayedStages:
 
 
 def replay_stages(path: Path, *, trust: bool = False) -> ReplayedStages:
-    """Compute every recorded result again from the frames that it names, read from the recording, and compare.
-
-    trust: skip the comparison with the ledger. Raises InputError where frames are missing.
-    """
+    """Compute every recorded result again from the frames that it names, read from the recording, and compare. trust:
+    skip the comparison with the ledger. Raises InputError if frames are missing."""
     replay = Replay(path, trust=trust)
     options = msgspec.convert(replay.settings["stages"], LiveOptions)
     stages: dict[str, Stage] = {stage.name: stage for stage in stages_of(options, read_streams(path, trust=True))}

@@ -1,7 +1,7 @@
 """Measurements of a rig's set-up: places where the arm was held, pushes, taps and views of a board.
 
-A person follows each request, frames are recorded for a moment, and the next request follows. No robot commands
-anything here: the arm is moved by its joystick, by `deformscope arm jog`, or in the laboratory.
+A person follows each request, frames are recorded for a moment, and the next request follows. Nothing here commands a
+robot: the arm is moved by its joystick, by `deformscope arm jog`, or by the laboratory.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transfor
 FrameT = TypeVar("FrameT", bound=Frame)
 
 HOLD_S = 0.6
-"""For which the arm is held."""
+"""Time for which the arm is held."""
 PUSH_S, REST_S, TAP_S = 1.5, 8.0, 8.0
 LOADS = 4
 """Number of times that the known load is applied."""
@@ -32,14 +32,14 @@ STILL_M, STILL_DEG = 0.0008, 0.3
 """Greatest motion within that of an arm that is held."""
 TRIES = 5
 PATIENCE = 400
-"""Steps without a frame, of 0.05 s."""
+"""Largest number of steps of 0.05 s without a frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class SetupRequest:
     """A request to a person.
 
-    kind: corner, tilt, push, load, rest, tap or view; number: which one of its kind, from 0; words: for the person
+    kind: corner, tilt, push, load, rest, tap or view; number: count within its kind, from 0; words: text for the person
     axis: for a push, the direction of the finger's force on the tip, surface frame; for a load, its force [N]
     """
 
@@ -50,7 +50,7 @@ class SetupRequest:
 
 
 Assistant = Callable[[SetupRequest], RigExperiment[None]]
-"""Carries out requests; frames pass meanwhile."""
+"""Carries out requests, while frames continue to come."""
 
 
 CORNER_WORDS = (
@@ -149,7 +149,7 @@ def touch_corners(
 
 
 def tilt_about_tip(operator: Assistant, arm: str, count: int, note: Callable[[str], None]) -> RigExperiment[FloatArray]:
-    """(n, 4, 4) poses of the arm's end, turned about a ball that stays in its place."""
+    """(n, 4, 4) poses of the arm's end that turn it about a ball at a fixed place."""
     poses = []
     for number in range(count):
         way = TILT_WORDS[number % len(TILT_WORDS)]
@@ -160,7 +160,7 @@ def tilt_about_tip(operator: Assistant, arm: str, count: int, note: Callable[[st
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceReadings:
-    """time_s: (n,) from the first; force_n: (n, 3) in the sensor's axes [N]"""
+    """time_s: (n,) from the first; force_n: (n, 3) force in the sensor's axes [N]"""
 
     time_s: FloatArray
     force_n: FloatArray
@@ -168,12 +168,12 @@ class ForceReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PushedTip:
-    """T_base_ee: (4, 4) pose of the arm's end; free: in free air
+    """T_base_ee: (4, 4) pose of the arm's end; free: readings in free air
 
     force_n, axis: (n, 3) for each push, the measured force relative to free air [N], and the force of the finger on the
     tip, surface frame
-    tilted: (m, 4, 4) poses in which it was held in free air besides; tilted_n: (m, 3) forces there [N]
-    load_n: the known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]
+    tilted: (m, 4, 4) other poses in which it was held in free air; tilted_n: (m, 3) forces in these poses [N]
+    load_n: the known load, None = none; loaded_n: (k, 3) forces under the load relative to free air [N]
     """
 
     T_base_ee: FloatArray
@@ -247,8 +247,7 @@ def _forces(frames: Sequence[Frame]) -> ForceReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Taps:
-    """Two signals by the host's clock: x_time_s, x: (n,) of the force; y_time_s, y: (m,) y time and y of the other
-    device"""
+    """Two signals by the host's clock: x_time_s, x: (n,) of the force; y_time_s, y: (m,) those of the other device"""
 
     x_time_s: FloatArray
     x: FloatArray
@@ -277,8 +276,8 @@ def tap_tip(operator: Assistant, wrench: str, other: str, kind: type[Frame]) -> 
 
 
 def taps_of(forces: Sequence[Frame], others: Sequence[Frame]) -> Taps:
-    """Frames of a force sensor and another device, one or more of each, by arrival: their stamps contain an offset that
-    was measured before."""
+    """Taps from frames of a force sensor and another device, by arrival: their stamps contain an offset that was
+    measured before."""
     start_ns = forces[0].stamp.arrived_ns
     x = np.array([np.linalg.norm(one.force_n[0]) for one in forces if isinstance(one, WrenchFrame)])
     times = [np.array([one.stamp.arrived_ns - start_ns for one in some]) / 1e9 for some in (forces, others)]
@@ -305,7 +304,8 @@ def _small(frame: ColorFrame | DepthFrame) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardViews:
-    """T_base_ee: (n, 4, 4) pose of the arm's end in each view; seen: the board in it; size_px: (width, height)"""
+    """T_base_ee: (n, 4, 4) pose of the arm's end in each view; seen: the board in each view; size_px: (width,
+    height)"""
 
     T_base_ee: FloatArray
     seen: tuple[SeenBoard, ...]

@@ -1,4 +1,4 @@
-"""Reach of a robot, and its readings of looks and touches: of one that measures, or of one that gives frames."""
+"""Reach of a robot, and its readings of looks and touches, for robots that give measurements or frames."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ from deformscope_drivers.arms import chain_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,).
-
-    plan: the same for a robot that has to be led there
-    """
+    """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,). plan: path of
+    the touch, for a robot that needs one"""
 
     xy_m: FloatArray
     height_m: float
@@ -46,15 +44,14 @@ class Geometry(Protocol):
     ) -> Touch:
         """The touch of a place (2,) [m] whose surface was seen at this height, along this normal (3,).
 
-        over_m: how high the surface may be on the straight way from the touch before; known_m: how far from this height
-        it may be; None = not known
+        over_m: how high the surface may be on the straight way from the touch before; known_m: how far the surface may
+        be from this height; None = unknown
         """
 
     def touch(self, touched: Any) -> TouchMeasurement: ...
 
     def dent(self, touched: Any) -> tuple[FloatArray, SeenPixels | None]:
-        """(k, 3) points seen while it pressed, without the robot [m], and their pixels, as a `TouchMeasurement` has
-        them."""
+        """(k, 3) points seen during the press, without the robot [m], and their pixels, as in `TouchMeasurement`."""
 
 
 class AsMeasured:

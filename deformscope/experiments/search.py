@@ -28,7 +28,7 @@ from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 FEWEST_FOR_FIELD = 2
-"""Number of touches with a beta from which it has a field."""
+"""Number of touches with a beta from which there is a field of beta."""
 FREE_EXPONENT_SD = 0.3
 """Prior deviation of the contact's exponent in a search for inclusions, which change it: nearly uninformative."""
 
@@ -54,20 +54,20 @@ class SurfaceSearch(ABC):
         return self.posterior.region_map()
 
     def with_touch(self, touch: StiffnessSample) -> SurfaceSearch:
-        """After one more touch."""
+        """The search after one more touch."""
         return dataclasses.replace(self, posterior=self.posterior.with_touch(touch))
 
     def with_beta(self, dented_m: FloatArray, beta: float) -> SurfaceSearch:
-        """After a touch that dented places (m, 2) [m] and has this beta."""
+        """The search after a touch that dented places (m, 2) [m] and has this beta."""
         return self
 
     @abstractmethod
     def planner(self, touches: int) -> Callable[..., TouchChoice]:
-        """Chooses the next touch; its arguments are those of `plan_inclusion_touch` but for the posterior. touches:
-        made so far, usable or not"""
+        """The function that chooses the next touch; its arguments are those of `plan_inclusion_touch` without the
+        posterior. touches: number of touches made so far, usable or not"""
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
-        """The stiffness that a contact at a place (2,) [m] gave."""
+        """The stiffness sample of a contact at a place (2,) [m]."""
         return StiffnessSample(
             xy_m, log_stiffness=fit.log_stiffness, log_sd=fit.own_log_sd, rigid=fit.rigid, arm_sd=fit.arm_log_sd
         )
@@ -75,8 +75,8 @@ class SurfaceSearch(ABC):
     def beta_field(
         self, grid: MapGrid, places_m: FloatArray, beta: FloatArray, beta_sd: FloatArray
     ) -> tuple[FloatArray, FloatArray, TrainedField] | None:
-        """(rows, columns) mean and deviation of beta, from touches at places (n, 2) [m] with these (n,), nan for an
-        unknown deviation, and the training data. None with too few touches."""
+        """Mean and deviation (rows, columns) of beta from touches at places (n, 2) [m] with values and deviations (n,),
+        nan = unknown; and the training data. The field of beta, None with too few touches."""
         if len(beta) < FEWEST_FOR_FIELD:
             return None
         sds = np.where(np.isfinite(beta_sd), beta_sd, BETA_PRIOR.nugget)
@@ -96,13 +96,13 @@ class SurfaceSearch(ABC):
         return maps
 
     def inclusions(self, truth_m: FloatArray | None) -> InclusionsResult | None:
-        """The inclusions found; None where none are sought. truth_m: (m, 4) x, y, radius, depth [m]"""
+        """The inclusions found; None if they are not searched for. truth_m: (m, 4) x, y, radius, depth [m]"""
         return None
 
 
 @dataclass(frozen=True, eq=False)
 class RegionSearch(SurfaceSearch):
-    """For regions of one stiffness each. seed: seed of planners that draw"""
+    """Search for regions of one stiffness each. seed: seed of planners that draw"""
 
     posterior: RegionPosterior
     seed: int
@@ -113,7 +113,7 @@ class RegionSearch(SurfaceSearch):
 
 @dataclass(frozen=True, eq=False)
 class ThesisSearch(RegionSearch):
-    """For the thesis's regions, between isopleths of its field of beta. thesis: that field"""
+    """Search for the thesis's regions, between isopleths of its field of beta. thesis: the field of beta"""
 
     thesis: ThesisField = field(default_factory=ThesisField)
     first_share = FIRST_SHARE
@@ -140,8 +140,8 @@ class ThesisSearch(RegionSearch):
         return found.mean.clip(0.0, 1.0), found.deviation, trained
 
     def divided(self, maps: MapEstimate) -> MapEstimate:
-        """With the thesis's regions in place of those by stiffness, softest first. Levels are means of the field of
-        stiffness; the number of regions is as probable as by stiffness: the thesis has no probability of it."""
+        """The map with the thesis's regions in place of those by stiffness, softest first. Levels are means of the
+        field of stiffness. The probability of the number of regions is that by stiffness, as the thesis has none."""
         found = self.thesis.on(self.posterior.grid)
         cut = contoured(found, self.thesis.isopleths)
         stiffness = np.log(maps.stiffness_n_per_mm)
@@ -169,7 +169,7 @@ class ThesisSearch(RegionSearch):
 
 @dataclass(frozen=True, eq=False)
 class InclusionSearch(SurfaceSearch):
-    """For inclusions below a surface that shows nothing: they show in stiffness and exponent of contacts."""
+    """Search for inclusions that the surface does not show: they change the stiffness and the exponent of contacts."""
 
     posterior: InclusionPosterior
     exponent_sd = FREE_EXPONENT_SD
@@ -180,7 +180,7 @@ class InclusionSearch(SurfaceSearch):
         return partial(plan_inclusion_touch, self.posterior)
 
     def sample(self, xy_m: FloatArray, fit: ContactFit) -> StiffnessSample:
-        """The stiffness sample of a place (2,) [m], with the exponent, which was left free."""
+        """The stiffness sample of a place (2,) [m], with the exponent, which is fitted."""
         sample = super().sample(xy_m, fit)
         if fit.rigid:
             return sample

@@ -1,5 +1,5 @@
-"""The surface as the camera measured it before any touch, and its consequences for touches: targets, height of the path
-there, and effect of the foam's shape on stiffness."""
+"""The surface as the camera measured it before any touch, and its use for touches: targets, height of the path, and
+effect of the foam's shape on stiffness."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ deviations."""
 LEAST_THICKNESS = 0.1
 """Least share of the stated thickness."""
 CURVED_OVER_M = 0.01
-"""Half width over which curvature is taken: a tip of 1 cm resolves no finer shape."""
+"""Half width over which curvature is computed: a tip of 1 cm resolves no finer shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenSurface:
-    """points_m: (n, 3) as seen [m, surface frame]; process, heights: process and heights of their height, and on the
-    grid; layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on that layer even
-    where the surface is level; pixels: number of pixels of the points, None = not requested, or no images
+    """points_m: (n, 3) points seen [m, surface frame]; process, heights: Gaussian process of the heights, and its
+    values on the grid; layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on
+    that layer even where the surface is level; pixels: number of pixels of the points, None = not requested, or no
+    images
     """
 
     grid: MapGrid
@@ -50,7 +51,7 @@ class SeenSurface:
     def of(
         cls, looked: SurfaceMeasurement, grid: MapGrid, options: ExploreOptions, *, on_level_layer: bool
     ) -> SeenSurface:
-        """Fit it. on_level_layer: if the search needs it; a narrow border does as well"""
+        """Fit it. on_level_layer: the search needs that comparison; a narrow border needs it as well"""
         process = fit_surface(
             looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), grid.size_m), outlier_sd=5.0
         )
@@ -74,7 +75,7 @@ class SeenSurface:
 
     @property
     def estimate(self) -> SurfaceEstimate:
-        """Reported estimate of it."""
+        """The reported estimate of the surface."""
         return SurfaceEstimate(
             points_m=self.points_m,
             height_m=self.heights.mean_m,
@@ -105,7 +106,7 @@ class SeenSurface:
         return float((self.heights.mean_m + SURE_SD * self.heights.deviation_m)[crossed].max())
 
     def doubt_m(self, xy_m: FloatArray) -> float:
-        """By how much its height at a place (2,) [m] may be off, by its process."""
+        """Deviation of the surface's height at a place (2,) [m], from its Gaussian process."""
         row, column = (xy_m[::-1] / self.grid.cell_m).astype(int)
         return SURE_SD * float(self.heights.deviation_m[row, column])
 
@@ -127,7 +128,8 @@ class SeenSurface:
         return shape_of(above_m, found.deviation, step, edge_m, LEAST_THICKNESS * self.options.thickness_m)
 
     def shift(self, xy_m: FloatArray, n_per_mm: float) -> ShapeShift | None:
-        """Addition of the level layer to a log stiffness [N/mm] at a place (2,) [m]; None if it is one."""
+        """Change of a log stiffness [N/mm] at a place (2,) [m] to that of the level layer; None if the surface is
+        level."""
         shape, options, thickness_m = self.shape(xy_m), self.options, self.layer.thickness_m
         if shape is None or thickness_m is None:
             return None
@@ -135,12 +137,12 @@ class SeenSurface:
         return shape_shift(shape, depth_m, reference_m=thickness_m, radius_m=options.tip_radius_m)
 
     def modulus(self, n_per_mm: float, interval: tuple[float, float]) -> LayerModulus | None:
-        """Modulus of the level layer, by its stiffness at the set force; None where its thickness is not known."""
+        """Modulus of the level layer, from its stiffness at the set force; None if its thickness is unknown."""
         options = self.options
         return modulus_of(self.layer, n_per_mm, interval, force_n=options.set_force_n, radius_m=options.tip_radius_m)
 
     def with_moduli(self, maps: MapEstimate) -> MapEstimate:
-        """Maps with the modulus of each level; without where the thickness is not known."""
+        """Maps with the modulus of each level; unchanged if the thickness is unknown."""
         if self.layer.thickness_m is None:
             return maps
         level, interval = maps.level_n_per_mm, maps.level_interval_n_per_mm

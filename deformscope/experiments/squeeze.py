@@ -1,6 +1,6 @@
-"""Thesis chapter 2: squeeze a container, and take the features of its content.
+"""Thesis chapter 2: squeeze a container, and compute the features of its content.
 
-`squeeze` is an experiment (`deformscope.session`): it commands a hand, has the features computed, and yields them.
+`squeeze` is an experiment (`deformscope.session`): it commands a hand, requests the features, and yields them.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ FEATURES_FAILED = "features not computed"
 
 @dataclass
 class Squeezed:
-    """The outcome so far, for any end.
+    """The outcome so far, valid however the squeeze ends.
 
-    features: with its events, None where there are none; posterior: a model's classification of its content
-    stop, stop_ns: why and when it ended before its time; untracked: why the container was not tracked on, or empty
-    placement, sightings: placement and sightings of an arm that placed the hand; withdrawal: why it stopped on its way
-    back
+    features: features and events, None if there are none; posterior: a model's classification of its content
+    stop, stop_ns: why and when it ended early; untracked: why tracking of the container ended, or empty
+    placement, sightings: placement and sightings of an arm that placed the hand; withdrawal: why the arm stopped on its
+    way back
     """
 
     features: TrialFeatures | None = None
@@ -56,9 +56,9 @@ def squeeze(
 ) -> RigExperiment[None]:
     """Pre-shape, squeeze once, compute the features; `found` collects the results.
 
-    clock: the devices' [ns]; name: function that names the content, None = none
-    permitted: steps before the hand may move; placed: before it closes; withdrawn: once it has opened again It returns
-    also when the hand must stop: `found.stop` has the reason.
+    clock: the devices' clock [ns]; name: function that names the content, None = none
+    permitted: steps before the hand may move; placed: steps before the hand closes; withdrawn: called when the hand has
+    opened again. The function returns also when the hand must stop: `found.stop` has the reason.
     """
     frames = observer.frames
     try:

@@ -1,4 +1,4 @@
-"""From the frames of a squeeze to its features: one function, while the hand squeezes and when it is replayed."""
+"""From the frames of a squeeze to its features: the same function while the hand squeezes and in a replay."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ from deformscope.stages.squeeze.trial import SqueezeFeatures
 from deformscope_drivers.arm.kinematics import rotation_from_euler_xyz, transform
 
 STEADY_IMAGES = 3
-"""Depth images whose median is taken together, from the steady state on."""
+"""Number of depth images from the steady state whose median is used."""
 AROUND = 0.6
-"""Room on each side of the container in a picture, as a share of its larger side there."""
+"""Margin on each side of the container in a picture, as a share of its larger side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeGeometry:
     """Information for the features besides the frames; a recording's settings have it.
 
-    T_camera_hand: (4, 4), None = not known, or by the arm: T_arm_hand (hand to the arm's end) and T_arm_camera
+    T_camera_hand: (4, 4), None = unknown, or given by the arm: T_arm_hand (hand to the arm's end) and T_arm_camera
     T_hand_container: (4, 4) where the container is expected; arm_model, T_arm_table: model and pose of the arm that
     places the hand, and the table's frame to its base; empty, None = none does
     """
@@ -62,7 +62,7 @@ class SqueezeGeometry:
 
     @classmethod
     def of(cls, setup: SqueezeSetup) -> SqueezeGeometry:
-        """The one of a setup."""
+        """The geometry of a setup."""
         return cls(
             setup.hand,
             setup.container,
@@ -76,7 +76,7 @@ class SqueezeGeometry:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """For a recording's settings."""
+        """The geometry for a recording's settings."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return msgspec.json.decode(msgspec.json.encode(values, enc_hook=lambda array: array.tolist()))  # type: ignore[no-any-return]
 
@@ -114,8 +114,8 @@ class SqueezeGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialFeatures:
-    """Results of a squeeze. tracked: in order of time, then the steady state; vision_series: (k, 121) the small change
-    of depth every 0.1 s since first contact, None = none"""
+    """Results of a squeeze. tracked: tracked images in order of time, then that of the steady state; vision_series: (k,
+    121) the small change of depth every 0.1 s since first contact, None = none"""
 
     events: SqueezeEvents
     features: SqueezeFeatures = field(metadata=reported(flat=True))
@@ -130,7 +130,7 @@ class TrialFeatures:
 
     @property
     def modalities(self) -> dict[str, FloatArray]:
-        """(p,) features of each as classifiers take them: missing depth changes [m] as in `patch.filled`."""
+        """(p,) features of each modality for classifiers: missing depth changes [m] are filled as in `patch.filled`."""
         found = {"tactile": self.features.tactile, "physical": self.features.physical}
         if self.features.vision is not None and self.features.vision_small is not None:
             found["vision"] = filled(self.features.vision).ravel()
@@ -138,7 +138,7 @@ class TrialFeatures:
         return found
 
     def steps(self) -> list[tuple[int, tuple[object, ...]]]:
-        """Results that were not there while it was squeezed, and when on the devices' clock they belong."""
+        """Results that were computed after the squeeze, and their times on the devices' clock."""
         found = [(one.when_ns, (one.container, one.change)) for one in self.tracked if not one.container.live]
         return [*found, (self.events.steady_ns, (self.events, self.features))]
 
@@ -146,7 +146,7 @@ class TrialFeatures:
 def trial_features(
     frames: SqueezeFrames, geometry: SqueezeGeometry, tracked: Sequence[TrackedImage] = ()
 ) -> TrialFeatures:
-    """The events and features of a squeeze. Raises InputError where it has no first contact or no steady state.
+    """The events and features of a squeeze. Raises InputError without a first contact or a steady state.
 
     tracked: images in which the container was tracked before, in order of time; none = it is tracked in all of them
     Without a camera, or with a bad track, there is no visual feature, but the reason for it.
@@ -186,7 +186,7 @@ def _gaps(hands: Sequence[HandFrame], geometry: SqueezeGeometry, when_ns: Sequen
 
 def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | None:
     """Left, top, right and bottom of the part of an image to show: the container at its expected place, and the same
-    size around it. None without the camera's pose or projection."""
+    size around it. Region of the image around the container [px]; None without the camera's pose or projection."""
     camera, pose = geometry.camera, geometry.T_camera_hand
     if pose is None or camera.focal_px is None or camera.center_px is None:
         return None
@@ -205,7 +205,7 @@ def around_px(geometry: SqueezeGeometry) -> tuple[float, float, float, float] | 
 
 
 def container_tracker(geometry: SqueezeGeometry) -> ContainerTracker:
-    """The camera in front of the container. Raises InputError where its projection is not known."""
+    """The tracker for the camera in front of the container. Raises InputError if its projection is unknown."""
     camera = geometry.camera
     if camera.focal_px is None or camera.center_px is None:
         raise InputError("[camera] focal_px and center_px", "none")
@@ -214,8 +214,8 @@ def container_tracker(geometry: SqueezeGeometry) -> ContainerTracker:
 
 
 class SqueezeImages:
-    """The depth images of a squeeze so far, each with where the hand was. frames: in order of time, while the fingers
-    were not opened again"""
+    """The depth images of a squeeze so far, each with the hand's pose. frames: frames in order of time, until the
+    fingers open again"""
 
     def __init__(self, frames: SqueezeFrames, geometry: SqueezeGeometry) -> None:
         """Raises InputError where there is no image, or it is not known where the hand is in them."""
@@ -231,8 +231,8 @@ class SqueezeImages:
         self._hand_ns = np.array([frame_ns(one) for one in self._hands])
 
     def due(self, first_ns: int) -> range:
-        """Indices of those to track, each once the hand's next reading has arrived. They begin with enough images to
-        locate the container, or with the last one before first contact [ns], 0 = not yet."""
+        """Indices of the images to track, each after the hand's next reading has arrived. They begin with enough images
+        to locate the container, or with the last one before first contact [ns], 0 = not yet."""
         before = sum(frame_ns(one) < first_ns for one in self.frames) if first_ns else REST_IMAGES
         known_ns = self._hand_ns[-1] if len(self._hand_ns) else 0
         known = sum(frame_ns(one) <= known_ns for one in self.frames)
@@ -240,7 +240,7 @@ class SqueezeImages:
 
     def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
         """The image at a place, and those before it, `together` in number. first_ns: time of first contact, 0 = not
-        known; since_ns: from when on the fingertips have come closer, default from there"""
+        known; since_ns: time from which the closing of the fingertips counts, default first contact"""
         when_ns = frame_ns(self.frames[at])
         frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
         closed_m = 0.0

@@ -1,4 +1,4 @@
-"""Device items of a squeeze, stored for its features; the same during a run and in a replay."""
+"""Device items of a squeeze, stored for its features in the same way during a run and in a replay."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ POSTERIOR_S = 0.1
 FrameT = TypeVar("FrameT", TactileFrame, HandFrame, DepthFrame)
 
 Predict = Callable[[float, Mapping[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]
-"""Prediction from a time since first contact [s] and features then by modality, (72,) `tactile` and (121,)
-`vision_small` where it is known: the modalities used, labels, and their probabilities (k,)."""
+"""Predicts from a time since first contact [s] and the features then, by modality: (72,) `tactile` and, if known,
+(121,) `vision_small`. Returns the modalities used, labels, and probabilities (k,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class TactileSource:
 
     @classmethod
     def of(cls, streams: Sequence[Stream], device: str, fingers: Sequence[int]) -> TactileSource:
-        """Raises InputError where the device lacks such pads."""
+        """Raises InputError if the device lacks such pads."""
         known = next(stream.pads for stream in streams if stream.device == device and stream.kind == "tactile")
         places = [_distal(known, finger, device) for finger in fingers]
         return cls(device, tuple(places), known[places[0]].texel_m)
@@ -69,11 +69,11 @@ def _distal(pads: Sequence[Pad], finger: int, device: str) -> int:
 
 @dataclass
 class SqueezeFrames:
-    """Frames of one squeeze, in the order in which they came. air_ns: from when on the open fingertips were in the air,
-    at rest; open_ns: from when on they opened again, after which nothing is of interest; 0 = not yet
-    arm: the last state before it of the arm that carries the hand; arm_now: its newest
-    T_hand_container: (4, 4) where an arm has placed the hand [m]; None: as in the setup
-    all_images: depth images are stored from `air_ns` on, however long before the first contact that is
+    """Frames of one squeeze, in the order in which they came. air_ns: time from which the open fingertips were in the
+    air, at rest; open_ns: when they opened again, after which no frame is used; 0 = not yet
+    arm: last state of the arm that carries the hand, before the squeeze; arm_now: its newest
+    T_hand_container: (4, 4) pose of the container where an arm has placed the hand [m]; None: as in the setup
+    all_images: depth images are stored from `air_ns`, even long before the first contact
     """
 
     tactile_source: TactileSource
@@ -91,7 +91,7 @@ class SqueezeFrames:
     all_images: bool = False
 
     def add(self, item: Item, first_ns: int) -> None:
-        """Store its own items. first_ns: time of the first contact, 0 = not yet"""
+        """Store the items of its devices. first_ns: time of the first contact, 0 = not yet"""
         if isinstance(item, TactileFrame) and item.device == self.tactile_source.device:
             self.tactile.append(item)
         elif isinstance(item, HandFrame) and item.device == self.hand:
@@ -108,12 +108,12 @@ class SqueezeFrames:
                 self.depth.pop(0)
 
     def during(self, frames: Sequence[FrameT]) -> list[FrameT]:
-        """The frames from when the fingertips were in the air until they opened, in order of time."""
+        """The frames from the time when the fingertips were in the air until they opened, in order of time."""
         until_ns = self.open_ns or np.inf
         return sorted((one for one in frames if self.air_ns <= frame_ns(one) < until_ns), key=frame_ns)
 
     def events(self) -> SqueezeEvents:
-        """First contact and steady state, from all frames since the fingers were to close, in order of time."""
+        """First contact and steady state, from all frames since the command to close, in order of time."""
         tactile, hands = self.during(self.tactile), self.during(self.hands)
         sums = [[float(pad.sum(dtype=np.int64)) for pad in self.tactile_source.counts(one)] for one in tactile]
         return squeeze_events(
@@ -131,10 +131,8 @@ def frame_ns(frame: Frame) -> int:
 
 
 class Tracking:
-    """The tracker of the container (`deformscope.experiments.squeeze_live`); this one does not track.
-
-    found: all that was tracked; failed: why it stopped, or empty; waiting: the last image in computation
-    """
+    """The tracker of the container (`deformscope.experiments.squeeze_live`); this class does not track. found: all
+    tracked poses; failed: why tracking stopped, or empty; waiting: the last image that is being computed"""
 
     waiting: Future[Any] | None = None
 
@@ -152,11 +150,12 @@ class Tracking:
 
 
 class SqueezeObserver:
-    """Takes device items, in order of time, stores them for the features, and has results for the views of each frame.
+    """Receives device items in order of time, stores them for the features, and computes results for the views of each
+    frame.
 
-    predict: a model's posterior from the features so far, None = no model; tracking: may be set. The results are
-    functions of the frames, of the time when the fingers opened in the air (`phase`), and of the images tracked by each
-    time. All are recorded, so that a recording gives the same results.
+    predict: computes a model's posterior from the features so far, None = no model; tracking: may be set. The results
+    are functions of the frames, of the time when the fingers opened in the air (`phase`), and of the images tracked by
+    each time. All of them are recorded, so that a replay gives the same results.
     """
 
     def __init__(self, frames: SqueezeFrames, end: End, predict: Predict | None) -> None:
@@ -167,14 +166,14 @@ class SqueezeObserver:
         self.latest: ContentPosterior | None = None
 
     def phase(self, name: str, now_ns: int) -> None:
-        """The hand begins with something."""
+        """Note that the hand begins a phase."""
         if name == AIR:
             self.frames.air_ns = now_ns
         elif name == OPEN:
             self.frames.open_ns = now_ns
 
     def observe(self, item: Item) -> Step | None:
-        """Take it in; its view, None = nothing."""
+        """Add an item, and return its view, None = nothing."""
         self.frames.add(item, self._onset.first_ns)
         if isinstance(item, TactileFrame) and item.device == self.frames.tactile_source.device:
             results, costs = with_costs("fingertips", self._felt, item)
@@ -182,7 +181,7 @@ class SqueezeObserver:
         return None
 
     def tracked(self) -> list[Step]:
-        """Present view of the container; computation begins with the arrived images."""
+        """The present view of the container; tracking of the arrived images begins."""
         known = self.tracking.go_on(self._onset.first_ns)
         return [Step((one.container, one.change), moment=Moment(one.when_ns), costs=one.costs) for one in known]
 

@@ -20,7 +20,7 @@ from deformscope.stages.squeeze.trial import ContainerChange, ContentPosterior, 
 BEHIND_S = 0.25
 """Largest delay of an image, after which all except the newest one are left out. Devices' items come every 0.1 s."""
 FRESH_S = 0.5
-"""An older change of depth does not describe the present."""
+"""Age of a change of depth from which it does not describe the present."""
 
 _tracker: ContainerTracker | None = None
 
@@ -57,7 +57,7 @@ def _track(image: ContainerImage) -> TrackedImage:
 
 
 class LiveTracking(Tracking):
-    """Has the images of a squeeze tracked in their order as they come; when it does not keep up, the newest one."""
+    """Tracks the images of a squeeze in their order while they come; if it is too slow, only the newest one."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class LiveTracking(Tracking):
         self._newest_ns = self._skipped = 0
 
     def go_on(self, first_ns: int) -> Sequence[TrackedImage]:
-        """Begin with the images that arrived meanwhile."""
+        """Begin to track the images that have arrived."""
         known = self._known()
         try:
             self._ask(first_ns)
@@ -85,7 +85,7 @@ class LiveTracking(Tracking):
         return known
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
-        """The last one, unless it is old."""
+        """The last change of depth, unless it is old."""
         fresh = (one.change for one in reversed(self.found) if now_ns - one.when_ns <= FRESH_S * 1e9)
         return next((one for one in fresh if one.small_m is not None), None)
 
@@ -125,8 +125,8 @@ class LiveTracking(Tracking):
 
 
 class RecordedTracking(Tracking):
-    """The same from a recording: the tracked images are tracked again, each from the information of that time. The
-    median at the steady state is no image."""
+    """Tracking in a replay: the tracked images are tracked again, each from the information of its time. The median at
+    the steady state does not count as an image."""
 
     def __init__(
         self,
@@ -152,6 +152,6 @@ class RecordedTracking(Tracking):
             self.found.append(one if before.lag_s is None else one.after(before.lag_s, before.skipped or 0))
 
     def newest(self, tactile_index: int, now_ns: int) -> ContainerChange | None:
-        """The one that the recorded posterior is of."""
+        """The tracked image to which the recorded posterior belongs."""
         wanted = self._of.get(tactile_index)
         return next((one.change for one in self.found if one.change.index == wanted), None)

@@ -30,22 +30,22 @@ from deformscope_drivers.depth_camera.image import depth_m
 from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points
 
 REST_IMAGES = 5
-"""Depth images whose median is taken together to locate the container."""
+"""Number of depth images whose median is used to locate the container."""
 DENT_M = 0.035
-"""The wall is no part of a rigid container within this of a fingertip."""
+"""Distance from a fingertip within which the wall does not count as rigid."""
 JUMP_M, FASTEST_M_S = 0.005, 0.15
 """A container that is held moves by no more than the first and, for each second, the second. Chosen."""
 MARGIN_PX = 120
-"""Margin around the container: no pixel farther away is used."""
+"""Margin around the container: pixels farther away are not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerImage:
     """An image in which the container is to be tracked.
 
-    frames: the image, last, and up to `REST_IMAGES` - 1 before it; angles_deg: (7,) angles of the hand then
+    frames: up to `REST_IMAGES` - 1 earlier images and, last, the image; angles_deg: (7,) angles of the hand then
     T_camera_hand, T_hand_container: (4, 4), the latter where the container is expected
-    first_ns: time of first contact, 0 = not known then; closed_m: by how much the fingertips have come closer since [m]
+    first_ns: time of first contact, 0 = not known then; closed_m: by how much the fingertips have closed since [m]
     """
 
     frames: tuple[DepthFrame, ...]
@@ -58,7 +58,7 @@ class ContainerImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedImage:
-    """Result of an image. when_ns: its time on the host's clock; measured: the change of depth, None = none
+    """Result of an image. when_ns: its time on the host's clock; measured: the change of depth, or None
     costs: its computation time during the squeeze"""
 
     when_ns: int
@@ -69,15 +69,16 @@ class TrackedImage:
     costs: tuple[StageCost, ...] = ()
 
     def after(self, lag_s: float, skipped: int = 0, costs: tuple[StageCost, ...] = ()) -> TrackedImage:
-        """The same with how long after the image it was known, and how many images before it were left out."""
+        """The result with its delay after the image, and the number of images before it that were left out."""
         known = dataclasses.replace(self.container, lag_s=lag_s, skipped=skipped)
         return dataclasses.replace(self, container=known, costs=costs)
 
 
 class ContainerTracker:
-    """A camera in front of a container of known form, and of the hand that squeezes it; the last pose.
+    """Tracks a container of known form in the images of a camera in front of it and of the hand that squeezes it;
+    stores the last pose.
 
-    rest: the image in which it was located before, None = not yet
+    rest: the image in which it was located before the squeeze, None = not yet
     """
 
     def __init__(self, section: ContainerSection, fingers: tuple[int, ...], camera: Intrinsics) -> None:
@@ -92,13 +93,13 @@ class ContainerTracker:
         return self.track_median(image, image.frames if self.rest is None else image.frames[-1:], -1)
 
     def follow(self, found: TrackedImage) -> TrackedImage:
-        """Go on from an image, or from the rest where its pose was refused."""
+        """Continue from an image, or from the rest if the image's pose was refused."""
         self.rest = self.rest or (found if found.pose.good else None)
         self._start = found if found.pose.good else self.rest
         return found
 
     def track_median(self, image: ContainerImage, frames: tuple[DepthFrame, ...], of: int) -> TrackedImage:
-        """The same in the median of some frames, as an image at the time of one of them, `of`."""
+        """The pose in the median of some frames, which counts as an image at the time of the frame `of`."""
         frame, start = frames[of], self._start
         expected = image.T_camera_hand @ image.T_hand_container if start is None else start.pose.T_camera_container
         depth = self._median_m(frames, expected)

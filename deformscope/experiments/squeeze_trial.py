@@ -16,12 +16,12 @@ from deformscope.version import __version__
 
 
 def feature_settings(setup: SqueezeSetup) -> dict[str, Any]:
-    """Settings of a data set's features: they compare only if these are equal."""
+    """Settings of a data set's features: features compare only if their settings are equal."""
     return {"tactile_end": setup.hand.tactile_end, "patch_px": SIDE_PX, "physical": list(PHYSICAL)}
 
 
 def recorded_settings(setup: SqueezeSetup) -> dict[str, Any]:
-    """Settings that a recording needs so that all can be computed again."""
+    """Settings that a recording needs so that its results can be computed again."""
     recorded = {"names": dataclasses.asdict(setup.names), "rule": dataclasses.asdict(rule_of(setup))}
     recorded |= {"squeeze": dataclasses.asdict(setup.squeeze), "features": feature_settings(setup)}
     return {"squeezed": recorded | {"geometry": SqueezeGeometry.of(setup).as_json()}, "simulated": setup.simulated}

@@ -33,7 +33,7 @@ from deformscope_drivers.priority import STEERING, be_prompt
 KEEP_EVERY = 5
 """Control periods of a simulated clock between two portions of the recording."""
 AIR_FRAMES = BASELINE_FRAMES
-"""Tactile frames in the air, the fingers open and at rest, before they close."""
+"""Number of tactile frames in the air, with open fingers at rest, before they close."""
 AIR_TIMEOUT_S = 3.0
 AFTER_S = 0.5
 """Duration of a recording after the hand was stopped."""
@@ -44,7 +44,7 @@ RELEASES = (
     SqueezeFault.NO_CONTACT,
     SqueezeFault.NOT_STILL,
 )
-"""After these the hand, once at rest, opens again: it must not press its content any longer."""
+"""Phases after which the hand, once at rest, opens again, so that it does not press for longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class SqueezeOnce:
 
 @dataclass(frozen=True, slots=True)
 class HandWait:
-    """A command: rest and let the devices be recorded, stopped or not."""
+    """A command: record the devices for a while, whether or not the hand was stopped."""
 
     seconds: float
 
@@ -74,8 +74,8 @@ class SqueezeEnded(InputError):
 
 @contextlib.contextmanager
 def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Executor]:
-    """The computation of the features. Devices on their own clock are not waited for: hand and features then have a
-    thread each."""
+    """The computation of the features. Devices on their own clock do not wait: hand and features then have a thread
+    each."""
     if not setup.runs_itself:
         yield Inline()
         return
@@ -85,7 +85,7 @@ def feature_executor(setup: SqueezeSetup, hand: SqueezingHand) -> Iterator[Execu
 
 
 def rule_of(setup: SqueezeSetup) -> EventRule:
-    """The rule of its events, as the rig file says."""
+    """The rule of its events, from the rig file."""
     squeeze = setup.squeeze
     return EventRule(squeeze.onset_counts, squeeze.onset_frames, squeeze.still_deg, squeeze.still_s)
 
@@ -115,9 +115,9 @@ def observer_of(setup: SqueezeSetup, source: RigSource, predict: Predict | None 
 class SqueezingHand:
     """The hand over the devices of an open source; a `SessionRobot`.
 
-    arm: carries out other commands, None = none
+    arm: carries out the arm's commands, None = no arm
 
-    on_cycle: called in every control period; on_phase: with each phase as it begins
+    on_cycle: called in every control period; on_phase: called with each phase when it begins
     observer: is informed of each phase
     """
 
@@ -153,9 +153,9 @@ class SqueezingHand:
     # Commands ---------------------------------------------------------------------------------------------------------
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Begin with a `PreShape`, `SqueezeOnce` or `HandWait`: in the hand's thread, else at once.
+        """Begin with a `PreShape`, `SqueezeOnce` or `HandWait`: in the hand's thread if it has one, else immediately.
 
-        The reason for its stop is a SqueezeEnded.
+        If the hand stops, the reason is raised as SqueezeEnded.
         """
         if self._pool is not None:
             return self._pool.submit(self._do, command)
@@ -163,7 +163,7 @@ class SqueezingHand:
         return Inline().submit(self._do, command)
 
     def reports(self) -> list[Step]:
-        """Actions since the last call."""
+        """The hand's actions since the last call."""
         taken, self._reports = self._reports, []
         return taken
 
@@ -174,14 +174,14 @@ class SqueezingHand:
             yield
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person requests a stop: the hand is at rest within a control period."""
+        """Stop on a person's request: the hand is at rest within a control period."""
         self._robot.ask_to_stop(reason)
         if self.arm is not None:
             self.arm.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Stop the hand and restore its current limits; returns whether it confirmed both. From any thread: a command
-        that is under way ends in its next control period."""
+        """Stop the hand and restore its current limits; returns whether it confirmed both. Stop the hand, from any
+        thread: a running command ends in its next control period."""
         self._robot.ask_to_stop(reason)
         try:
             self.stands = self._robot.halt()
@@ -294,7 +294,7 @@ class SqueezingHand:
         return SqueezeEnded(stop, verdict.time_ns)
 
     def begin(self, phase: str) -> None:
-        """Something begins: it is recorded and shown."""
+        """Record and show that a phase begins."""
         self.doing, now_ns = phase, self._clock()
         self._observer.phase(phase, now_ns)
         self._reports.append(Step((SqueezePhase(phase),), moment=Moment(now_ns)))
@@ -304,8 +304,8 @@ class SqueezingHand:
         return self._setup.clock()
 
     def cycled(self) -> None:
-        """In each control period, the arm's too. An arm that left its pose ends the hand's motion, in the same period.
-        Fingers that open continue, which frees an arm that is pushed (it does not withdraw then)."""
+        """Called in each control period, also in the arm's. If the arm has left its pose, the hand's motion ends in the
+        same period. Fingers that open continue, which frees an arm that is pushed (it does not withdraw then)."""
         self._on_cycle()
         if (faulty := self._arm_faulty()) and self.doing != OPEN:
             self._robot.supervisor.stop(SqueezeFault.ARM, faulty, self._clock())

@@ -1,4 +1,4 @@
-"""Place of an exploration's stage computations: a child process, or its loop."""
+"""Where an exploration's stages are computed: in a child process, or in its loop."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _stages: ExplorationStages | None = None
 
 
 def exploration_stages(geometry: SetupGeometry, options: ExploreOptions, truth: Truth | None) -> ExplorationStages:
-    """The stages of a robot whose frames are at hand."""
+    """The stages of a robot whose frames are available here."""
     unseen = UnseenSurface(geometry.size_m, options, geometry.arm, truth, error=geometry.touch_error)
     return ExplorationStages(unseen, FromFrames(geometry, options))
 
 
 @contextlib.contextmanager
 def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Executor, Stage]]:
-    """The executor, and how to compute a stage with it; its state lasts until the end of the context.
+    """The executor, and a function that computes a stage with it; its state lasts until the end of the context.
 
-    Devices on their own clock must not wait: then it is a child process, with one thread of BLAS and a low priority. On
-    a simulated clock nothing runs meanwhile, and it is computed within the loop.
+    Devices on their own clock must not wait: for them it is a child process, with one thread of BLAS and a low
+    priority. On a simulated clock nothing runs in parallel, and stages are computed within the loop.
     """
     given = SetupGeometry.of(setup), options, setup.truth
     if not setup.runs_itself:

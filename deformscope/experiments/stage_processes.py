@@ -31,9 +31,9 @@ from deformscope.stages.regions.touches import MapGrid
 class StageProcesses:
     """A process for every stage; they have loaded their modules when the context begins, before any device is opened.
 
-    A process, no thread: both ask for Python's lock all the time. On two cores with `lab:bench` a fit of beta came
-    3.6 s after its frame from a thread, 0.6 s from a process. They have the lowest priority by default: eight stages of
-    the same priority as the recording left it 6 % of a core, and ended it.
+    Stages have processes, not threads, because threads would compete for Python's lock. On two cores with `lab:bench` a
+    fit of beta came 3.6 s after its frame from a thread, 0.6 s from a process. They have the lowest priority by
+    default: eight stages of the same priority as the recording left it 6 % of a core, and ended it.
     """
 
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, nice: int = LAST_NICE) -> None:
@@ -54,7 +54,7 @@ class StageProcesses:
 
 
 class StageProcess(contextlib.ExitStack):
-    """One process; a new one where it has died. warm: is done once its stage is loaded"""
+    """One process; it is replaced if it dies. warm: future that is done when its stage is loaded"""
 
     def __init__(self, warm_up: Callable[[], None], nice: int) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class StageProcess(contextlib.ExitStack):
         self.warm = self._executor.submit(self._warm_up)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Have it computed after earlier submissions."""
+        """Compute an input after earlier submissions."""
         try:
             return self._executor.submit(function, *arguments)
         except BrokenProcessPool:

@@ -1,4 +1,4 @@
-"""Fits to one touch as measured: its contact, its creep; and its reported estimate."""
+"""Fits to one measured touch: its contact and its creep, and its reported estimate."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from deformscope.stages.regions.touches import StiffnessSample
 NEAR_M = 0.08
 """Points within this of a touch are shown with it."""
 CLOCK_SD_S = 0.002
-"""Standard deviation of the force's times against the arm's [s; assumed: a millisecond or two are left by `calibrate
-time`]."""
+"""Standard deviation of the force's times relative to the arm's [s; assumed: a millisecond or two are left by
+`calibrate time`]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchContact:
     """fit; law_n: (n,) its force at each reading [N]; modulus: modulus of the layer, None where it is not known
-    speed_m_s: at which the tip came down in it, None where that is not known
-    level_n_per_mm: stiffness of a level layer as thick as stated, None if the touched one is that"""
+    speed_m_s: speed of the tip's approach in contact, None if unknown
+    level_n_per_mm: stiffness of a level layer of the stated thickness, None if the touched layer is level"""
 
     fit: ContactFit
     law_n: FloatArray
@@ -39,7 +39,7 @@ class TouchContact:
     level_n_per_mm: float | None = None
 
     def on_level_layer(self, shift: ShapeShift, surface: SeenSurface) -> TouchContact:
-        """The same with the stiffness and the modulus of the level layer."""
+        """The contact with the stiffness and the modulus of the level layer."""
         log_level = self.fit.log_stiffness + shift.log
         log_sd = float(np.hypot(self.fit.own_log_sd, shift.sd))
         level, low, high = (float(np.exp(log_level + sds * log_sd)) for sds in (0.0, -Z_90, Z_90))
@@ -79,7 +79,7 @@ def fit_contact(
 
 
 def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCompliance) -> CreepFit | None:
-    """Creep of a touch that was measured with a hold; None of any other touch."""
+    """Creep of a touch that was measured with a hold; None for any other touch."""
     if touched.loading is None or touched.held is None:
         return None
     return fit_creep(
@@ -98,7 +98,7 @@ def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCom
 
 
 def levelled(felt: StiffnessSample, shift: ShapeShift) -> StiffnessSample:
-    """The same touch on a level, wide layer as thick as stated."""
+    """The touch converted to a level, wide layer of the stated thickness."""
     return dataclasses.replace(
         felt,
         log_stiffness=felt.log_stiffness + shift.log,
@@ -118,8 +118,9 @@ def touch_estimate(
     shape: LocalShape | None,
     tip_radius_m: float,
 ) -> TouchEstimate:
-    """The reported estimate of a touch. number: from 1; height_m: height of the surface as it was seen there, None =
-    not; known: then as low as the tip came; contact: None where it could not be fitted"""
+    """The reported estimate of a touch. number: from 1; height_m: observed height of the surface there, None = not
+    seen; known: the surface's height is known: it is the lowest place of the tip; contact: the fitted contact, None if
+    it could not be fitted"""
     along, force_n, nan = _along(touched), _force_along(touched), float("nan")
     lowest_m = float(touched.position_m[:, 2].min()) - tip_radius_m
     near = np.abs(touched.after_m[:, :2] - touched.xy_m).max(axis=1) < NEAR_M if len(touched.after_m) else []

@@ -48,28 +48,28 @@ DENT_PICTURES = 10
 PREFLIGHT_CELL_M = 0.02
 """The outermost places that can be reached are sought on a grid of this."""
 LOOKS = 3
-"""Pictures of the surface that are taken together before any touch."""
+"""Number of pictures of the surface that are combined before any touch."""
 OFF_MIDDLE = 0.15
-"""Largest distance of the principal point from the image's middle, as a share of width and height. Real lenses are
-closer, values of another resolution further."""
+"""Largest distance of the principal point from the image's middle, as a share of width and height. Centres of real
+lenses are closer to the middle, those of another resolution are farther."""
 LOOK_PERIODS = 1000
-"""Control periods in which they come, or the camera is silent."""
+"""Number of control periods in which these pictures must come; otherwise the camera counts as silent."""
 KEEP_EVERY = 50
 """Control periods of a simulated clock between two portions of the recording: each costs bytes and seconds."""
 IDLE_S = 0.02
 """Period at which a robot without permission checks for a command."""
 SWITCH_S = 5e-4
-"""A thread that waits for Python's lock is let in after this. With Python's 5 ms a control period, which waits for it
-several times, is late if other threads write and draw."""
+"""Time after which a thread that waits for Python's lock gets it. With Python's default of 5 ms, a control period is
+late if other threads write and draw, as it waits for the interpreter several times."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckFirst:
     """A command: run all checks before anything moves; its answer is a `Preflight`.
 
-    calibrated: the required calibrations, by name, and whether they are done; places_m: (n, 2) that will be touched,
-    None = any that can be reached; ask_finger: says to a person that they have to press the tip, where nothing else
-    guards the arm; None = they have
+    calibrated: the required calibrations, by name, and whether they are done; places_m: (n, 2) places that will be
+    touched, None = any that can be reached; ask_finger: requests that a person presses the tip, if nothing else guards
+    the arm; None = not needed
     """
 
     calibrated: Mapping[str, bool] = field(default_factory=dict)
@@ -81,8 +81,8 @@ class CheckFirst:
 def touching_robot(
     setup: Setup, source: RigSource, options: ExploreOptions, on_cycle: Callable[[], None] = lambda: None
 ) -> Iterator[TouchingRobot]:
-    """The robot over the devices of an open source; with devices on their own clock it cycles in a thread, until the
-    end of the context. on_cycle: called in every control period"""
+    """The robot over the devices of an open source. With devices on their own clock its control loop runs in a thread
+    until the end of the context. on_cycle: called in every control period"""
     robot = TouchingRobot(lambda watch: setup.robot(source, watch), setup, options, on_cycle)
     if not setup.runs_itself:
         yield robot
@@ -157,7 +157,7 @@ class TouchingRobot:
     # Commands ---------------------------------------------------------------------------------------------------------
 
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
-        """Begin with a `CheckFirst`, `Look`, `Touch` or `Wait`: in the robot's thread, else at once.
+        """Begin with a `CheckFirst`, `Look`, `Touch` or `Wait`: in the robot's thread if it has one, else immediately.
 
         Its answer is a `Preflight`, `Looked`, `Touched` or None; the reason for a stop is an ExplorationStopped.
         """
@@ -198,8 +198,8 @@ class TouchingRobot:
 
     @contextlib.contextmanager
     def in_a_thread(self) -> Iterator[None]:
-        """Carry commands out in a thread that continues to cycle between them, once the robot may move. The supervisor
-        checks every period, under any computation or recording."""
+        """Carry commands out in a thread whose control loop continues between commands, once the robot may move. The
+        supervisor checks every period, also during computations and recording."""
         commands: queue.SimpleQueue[tuple[object, Future[Any]]] = queue.SimpleQueue()
         self._commands = commands
         over = threading.Event()
@@ -248,7 +248,7 @@ class TouchingRobot:
     # Before it moves --------------------------------------------------------------------------------------------------
 
     def preflight(self, asked: CheckFirst) -> Preflight:
-        """See `CheckFirst`. Raises InputError where nothing can be reached."""
+        """See `CheckFirst`. Raises InputError if no place can be reached."""
         self._robot.rest()  # finding what can be reached takes longer than queues hold
         corners = self._corners() if asked.places_m is None else list(asked.places_m)
         height_m = self._options.thickness_m
@@ -287,7 +287,7 @@ class TouchingRobot:
         return f"{set_n:g} N" + ("" if more_n is None else f", {more_n:g} N if the dent is below 2 mm")
 
     def let_move(self, preflight: Preflight) -> None:
-        """From now on the robot may move. Raises InputError where a check has failed, with which."""
+        """From now on the robot may move. Raises InputError if a check has failed, and names it."""
         self._robot.start()
         self._robot.let_move(preflight)
 
@@ -310,8 +310,8 @@ class TouchingRobot:
         return Looked(used, FrameData(_depths_m(pictures), {pose.time_ns: pose}, {}))
 
     def touch(self, plan: TouchPlan, xy_m: FloatArray) -> Callable[[], Touched]:
-        """Go to a place (2,) [m], touch along the normal, store the pictures of the dent, come back; the returned
-        function puts the measurement together.
+        """Go to a place (2,) [m], touch along the normal, store the pictures of the dent, and come back; returns a
+        function that assembles the measurement.
 
         Raises ExplorationStopped, and TouchHeld for a touch that was stopped: the arm is then at rest.
         """
@@ -394,7 +394,7 @@ class TouchingRobot:
 
     @property
     def doing(self) -> str:
-        """The present action, or its condition for continuing, as text; empty between touches."""
+        """Text of the present action, or of the condition for continuing; empty between touches."""
         if self._phase is None:
             return self._waits
         words = f"touch {self._touches + 1}: {self._phase}"
@@ -407,17 +407,17 @@ class TouchingRobot:
 
     @property
     def gaps_s(self) -> FloatArray:
-        """(n,) from each look of the supervisor to the next since the robot may move [s]."""
+        """(n,) times from each check of the supervisor to the next, since the robot may move [s]."""
         return np.zeros(0) if self._made is None else self._made.gaps_s
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person requests a stop: the arm is at rest within a control period, and the exploration ends."""
+        """Stop on a person's request: the arm is at rest within a control period, and the exploration ends."""
         if self._made is not None:
             self._made.ask_to_stop(reason)
 
     def halt(self, reason: str) -> bool:
-        """Erase points that wait in the arm, which takes no further command; whether it was reached, or never
-        commanded."""
+        """Erase points that wait in the arm, which accepts no further command; returns whether the arm received this,
+        or was never commanded."""
         return self._made is None or self._made.halt(reason)
 
     def _begin(self, phase: Phase, time_ns: int) -> None:
@@ -480,8 +480,8 @@ class TouchingRobot:
 
 
 def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
-    """Raises InputError for a principal point (x, y) [px] that is not near the middle of images (rows, columns). It
-    belongs to another resolution, and would displace all measured points."""
+    """Raises InputError for a principal point (x, y) [px] that is not near the middle of images (rows, columns). A
+    wrong centre belongs to another resolution, and would displace all measured points."""
     rows, columns = shape[:2]
     off = np.abs(np.asarray(center_px) - (0.5 * columns, 0.5 * rows)) / (columns, rows)
     if (off > OFF_MIDDLE).any():
@@ -491,7 +491,7 @@ def check_center(center_px: tuple[float, ...], shape: tuple[int, ...]) -> None:
 
 
 def reported_lens(reported: Intrinsics | None) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Focal length and centre [px] as pictures report them. Raises InputError where the rig file has to say them."""
+    """Focal length and centre [px] that pictures report. Raises InputError if the rig file has to state them."""
     if reported is None:
         raise InputError("[camera] focal_px and center_px", "none, and a camera that reports none")
     if any(reported.distortion):

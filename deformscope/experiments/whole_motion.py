@@ -2,8 +2,8 @@
 
 Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
 `deformscope.stages.fit.shared_errors`, how ways of fitting are compared in `deformscope.stages.fit.held_out`. Cluster
-size and held set are selected by static states, which do not depend on alpha and dt. Those two are selected afterwards,
-by time stepping through the frames.
+size and held set are selected by static states, which do not depend on alpha and dt. alpha and dt are selected
+afterwards, by time stepping through the frames.
 """
 
 from __future__ import annotations
@@ -33,36 +33,35 @@ CLUSTER_SIZES = (2, 3, 4, 5)
 ALPHAS = (0.1, 0.25, 0.5, 0.75, 1.0)
 DTS_S = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
 DT_S = 2e-3
-"""Time step where only alpha is chosen (Thesis 3)."""
+"""Time step if only alpha is selected (Thesis 3)."""
 
 CANDIDATES = 16
-"""Values of the parameter that a way of fitting is tried with."""
+"""Number of values of the parameter with which each way of fitting is tried."""
 
 FRAMES_TO_SELECT = 12
-"""Frames that ways of fitting are compared on, spread over all."""
+"""Number of frames, evenly spread, on which ways of fitting are compared."""
 
 PARTICLES_IN_ALL = 150_000
-"""Particles of all frames together that are fitted at once (some 1 GB); of longer sequences an even part of the frames
-is."""
+"""Largest number of particles of all frames that are fitted at once (some 1 GB); of longer sequences evenly spread
+frames are fitted."""
 
 FLOW_WINDOW_PX = 60.0
 """Distance over which neighbouring flows share their errors: shorter motion waves are flattened (`stages.flow`)."""
 
 JUDGES_LEAST = 8
-"""Particles that are free in every way of fitting, fewer than which cannot judge it."""
+"""Least number of particles that are free in every way of fitting: with fewer, ways are not compared."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackedMotion:
-    """Particles followed through a sequence: the grid, where they are at each frame, and when that is [s]."""
+    """Particles followed through a sequence: the grid, their positions at each frame, and the frames' times [s]."""
 
     grid: ParticleGrid
     history: list[Tracked]
     times: list[float]
 
     def frames(self, most: int) -> IntArray:
-        """(n,) frames after the first, which has no information: all, or an even part of them that includes the
-        last."""
+        """(n,) frames after the first, which has no information: all, or evenly spread ones including the last."""
         count = len(self.history) - 1
         return np.unique(np.linspace(count, 1, min(count, max(most, 1))).round().astype(int))
 
@@ -74,7 +73,7 @@ class TrackedMotion:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A way of fitting: a model, the parts that are held and which particles these are, and for time stepping how."""
+    """A way of fitting: a model, the held parts with their particles, and the settings of time stepping, if any."""
 
     model: Model
     parts: tuple[str, ...]
@@ -93,7 +92,7 @@ class Selection:
 
 
 def tracked_motion(particles: ParticleOptions, mask: BoolArray | None) -> Experiment[TrackedMotion]:
-    """Follow particles through the frames that are sent. mask: (H, W) True where the thing is in the first frame"""
+    """Follow particles through the frames. mask: (H, W) True where the thing is in the first frame"""
     times: list[float] = []
     grid, history = yield from track(particles, mask, times)
     if len(history) < 2:
@@ -108,9 +107,9 @@ def whole_motion(
     mask: BoolArray | None = None,
     progress: Progress | None = None,
 ) -> Experiment[Calibration]:
-    """Follow particles through the frames that are sent, fit all of them, and simulate every frame.
+    """Follow particles through the frames, fit all frames, and simulate every one.
 
-    asked: options selected by held-out error; the rest stays as in `fit` and `particles`
+    asked: options that are selected by held-out error; others are those of `fit` and `particles`
     mask: (H, W) True where the thing is in the first frame
     """
     motion = yield from tracked_motion(particles, mask)
@@ -129,7 +128,7 @@ def fit_motion(
     asked: tuple[Selectable, ...],
     progress: Progress | None = None,
 ) -> tuple[Calibration, Way]:
-    """The fit of all frames, and the way that was chosen for it."""
+    """The fit of all frames, and the options that were selected for it."""
     chosen = select(motion, particles, fit, asked, progress)
     way = chosen.way
     rows = motion.frames(PARTICLES_IN_ALL // len(motion.grid.rest_px) if way.pace is None else len(motion.history))

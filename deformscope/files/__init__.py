@@ -1,1 +1,1 @@
-"""Files that people bring or take away: images, videos, pairs, motions, models."""
+"""Files of users: images, videos, pairs, motions, models."""

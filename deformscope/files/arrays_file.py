@@ -26,18 +26,18 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 
 DEFLATED_AT_MOST = 1100
-"""No compressed byte becomes more than 1032."""
+"""Most bytes to which one compressed byte can expand."""
 SAMPLES = {"pair": "sample:pair", "motion": "sample:press"}
 """An example of each kind of file."""
 LATTICE_CELLS = 10_000_000
-"""Largest number of cells of a lattice with holes: arrays of that size are made."""
+"""Largest number of cells of a lattice with holes, as arrays have that size."""
 
 
 def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.NDArray[Any]]:
-    """All arrays in a file's bytes, by name, as they are stored: of any shape.
+    """All arrays in a file's bytes, by name, of any shape.
 
     expected, where: the expected kind of file, and its name, for messages. Raises InputError for bytes that are no such
-    file or damaged. Nothing is allocated that the bytes cannot fill.
+    file or damaged. No more memory is allocated than the bytes can fill.
     """
     came = "a damaged file, or one of another kind"
     if raw.startswith(np.lib.format.MAGIC_PREFIX):
@@ -80,14 +80,14 @@ def numbers(found: Arrays, name: str) -> npt.NDArray[np.float64]:
 
 
 def sized(found: Arrays, name: str, count: int) -> npt.NDArray[Any]:
-    """(count,) of any kind."""
+    """An array (count,) of any type."""
     if found[name].shape != (count,):
         raise InputError(f"{name} of shape ({count},)", str(found[name].shape))
     return found[name]
 
 
 def indices(found: Arrays, name: str, count: int) -> npt.NDArray[np.int64]:
-    """(n,) distinct indices below `count`, of an array of them or of a mask (count,)."""
+    """(n,) distinct indices below `count`, from an array of indices or a mask (count,)."""
     value = found[name]
     if value.dtype == np.bool_ and value.shape == (count,):
         return np.flatnonzero(value)
@@ -101,7 +101,7 @@ def indices(found: Arrays, name: str, count: int) -> npt.NDArray[np.int64]:
 
 
 def number(found: Arrays, name: str, hint: str = "") -> float | None:
-    """One finite number of 0 or more; None where there is none of this name."""
+    """One finite number of 0 or more; None without an array of this name."""
     if name not in found:
         return None
     value = numbers(found, name).reshape(-1)
@@ -111,7 +111,7 @@ def number(found: Arrays, name: str, hint: str = "") -> float | None:
 
 
 def rest_of(found: Arrays, needed: tuple[str, ...], kind: str) -> npt.NDArray[np.float64]:
-    """`rest` (K, d), d = 2 or 3, of a file with all arrays of its kind."""
+    """`rest` (K, d), d = 2 or 3, from a file that must have all arrays of its kind."""
     if missing := [name for name in needed if name not in found]:
         keys = ", ".join(sorted(found)) or "nothing"
         hint = f"{', '.join(needed)}, as {SAMPLES[kind]} has them"
@@ -135,8 +135,8 @@ def parsed(raw: bytes, kind: str, where: object, parse: Callable[[Arrays], T]) -
 
 def described(path: Path, kind: str, version: int, how: str, make: Callable[[Any, Arrays], T]) -> T:
     """The result of `make` on the description and the arrays of a file with `format` "deformscope KIND VERSION" and
-    `told`, a JSON text. how: to make one. Raises InputError for another kind of file, a damaged one, or another
-    format."""
+    `told`, a JSON text. how: how to make such a file. Raises InputError for another kind of file, a damaged one, or
+    another format."""
     what, wanted = f"a {kind} file", f"deformscope {kind} {version}"
     found = read_arrays(read_file(path, what, how), f"{what} (.npz)", path)
     shown = str(found["format"]) if "format" in found and found["format"].dtype.kind == "U" else ""
@@ -160,7 +160,8 @@ NOT_KNOWN = "leave it out if it is unknown"
 
 
 def lattice(found: Arrays, rest: npt.NDArray[Any]) -> tuple[tuple[int, ...] | None, npt.NDArray[Any] | None]:
-    """`shape` and `cell` (K,) of rest positions (K, d); without `shape` those of a regular rest shape, else None."""
+    """`shape` and `cell` (K,) of rest positions (K, d). If the file has no `shape`, those of a regular rest shape, else
+    None."""
     if "shape" not in found:
         return find_lattice(rest) or (None, None)
     given = found["shape"].reshape(-1)

@@ -30,13 +30,13 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     Needed: `rest (K, d)`, `deformed (K, d)` in metres, d = 2 or 3, `held (n,)` indices whose deformed position is
     prescribed. Optional: `shape` (lattice, last axis fastest), `cell (K,)` flat lattice index where it has holes,
     `observed (K,)` bool, `noise_m` (a number, or (K,)), `held_noise_m` (a number; 0 = exact), `held_shift_m` (a
-    number: deviation of what all held positions are off by as one; 0 = registered exactly), `force_n` with
+    number: deviation of the common offset of all held positions; 0 = registered exactly), `force_n` with
     `contact (m,)`, a subset of `held`, and `force_noise_n`, the standard deviation of that force;
     without `contact` it acts on the held particles that moved (`stages.model.TOUCHED_SHARE`).
     `tip` (flat, disc, sphere) with `tip_size_m`: the tip on `contact`, if particles do not show its size, and `tip_at_m
     (d,)`, the place of its axis: particles show that only within their spacing. Without `shape`, a rest shape that is
-    regular within 1 % is taken as a lattice. noise_m: instead of the file's. Raises InputError for missing arrays, for
-    arrays that contradict each other, and for values that are not finite, or cannot be metres.
+    regular within 1 % is taken as a lattice. noise_m: noise that replaces the file's. Raises InputError for missing
+    arrays, for arrays that contradict each other, and for values that are not finite, or cannot be metres.
     """
     return parsed(raw, "pair", where, lambda found: _observation(found, noise_m))
 

@@ -1,4 +1,4 @@
-"""Tables of results: made a row at a time, stored as Parquet, filtered by a condition without other effects."""
+"""Tables of results: made row by row, stored as Parquet, and filtered by a condition that can have no other effect."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 from deformscope.file_io import replacing
 
 BATCH = 2000
-"""Rows that are held as Python's objects."""
+"""Number of rows that are held as Python objects."""
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -31,10 +31,8 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 
 
 def make_table(rows: Iterable[Mapping[str, Any]], types: Mapping[str, pa.DataType] | None = None) -> pa.Table:
-    """Rows with the columns of all of them; a column whose values are of several kinds becomes text.
-
-    types: types of columns that are there in any case
-    """
+    """A table with the columns of all rows; a column whose values have several types becomes text. types: types of
+    columns that always exist"""
     batches, held = [pa.table({name: pa.array([], kind) for name, kind in (types or {}).items()})], list[Any]()
     for row in rows:
         held.append(row)
@@ -80,7 +78,7 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 
 def read_table(path: Path) -> pa.Table:
-    """Raises InputError where it is no Parquet."""
+    """Raises InputError if it is no Parquet."""
     try:
         return pq.read_table(path, partitioning=None)
     except (OSError, pa.ArrowException) as error:

@@ -23,7 +23,7 @@ from deformscope_drivers.clock import Stamp
 
 DEFAULT_FPS = 30.0
 FAILED_READS = 8
-"""Failed reads in a row that are the end of a video: single frames may be damaged."""
+"""Number of successive failed reads that end a video: single frames may be damaged."""
 IMAGE_SUFFIXES = frozenset(
     {".avif", ".bmp", ".dib", ".gif", ".jp2", ".jpe", ".jpeg", ".jpg", ".pbm"}
     | {".pgm", ".png", ".pnm", ".ppm", ".ras", ".sr", ".tif", ".tiff", ".webp"}
@@ -75,7 +75,7 @@ class Source:
             yield from self._frames
 
     def thin(self, most: int) -> None:
-        """Give at most this number of frames, evenly spread, the last one among them; two at least. Once it was
+        """Give at most this number of frames, evenly spread, including the last one; at least two. Once it was
         entered."""
         if self.count is None or self.count <= most or self._frames is None:
             return
@@ -94,7 +94,7 @@ class Source:
 
     @property
     def began_ns(self) -> int:
-        """When its first frame came, until that was taken."""
+        """When its first frame came; for use before that frame is taken."""
         return self._ahead[0].stamp.host_ns
 
     def close(self) -> None:
@@ -115,9 +115,9 @@ def open_source(
 
     paths: one video, folder, recording or `sample:NAME`, or two or more image files in their order
     stride: use every n-th frame; a frame's index counts the used ones
-    fps: frames a second of the source before `stride`; default: the video's own, else 30; a recording has its stamps
-    mask: an image that is no frame, should it lie among them
-    camera: whose images, where a recording holds those of several
+    fps: frames a second of the source before `stride`; default: the video's rate, else 30; a recording has stamps
+    mask: an image that is not used as a frame if it is among them
+    camera: the camera to use, if a recording has several
     """
     if stride < 1:
         raise InputError("a stride of 1 or more", str(stride))

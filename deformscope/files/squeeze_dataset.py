@@ -1,7 +1,7 @@
 """A data set of squeezes: a folder of recordings, their index, and their features.
 
     trials/ID.rrd recordings; may be absent if only features are stored
-    index.parquet one row a trial: container, content, time, settings, and the reason for a discard
+    index.parquet one row for each trial: container, content, time, settings, and the reason for a discard
     features.parquet    trial, then tactile.0..., vision.0..., vision_small.0..., physical.0...; a row of null where a
                         modality is missing; `series` and `series_vision_small`: tactile features and small changes of
                         depth every 0.1 s since first contact, flat
@@ -46,11 +46,11 @@ class TrialEntry:
     """One squeeze in the index.
 
     trial: its name, unlike any other; content, container, container_type: content, container and container type of the
-    squeezed container; fill: share of the height session, operator; T_hand_container: (16,) row by row, planned pose of
-    the hand; seed: seed of its random errors
+    squeezed container; fill: share of the height; session, operator: their names; T_hand_container: (16,) row by row,
+    planned pose of the hand; seed: seed of its random errors
     software: versions; recorded_at: ISO 8601, UTC; recording: path from the folder, or empty
     first_s, steady_s: the events, since the recording's start [s], nan = none
-    discarded: why it is left out, None = it is not
+    discarded: why it is left out, None = it is used
     """
 
     trial: str
@@ -72,10 +72,8 @@ class TrialEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialRow:
-    """A squeeze and its features by modality; one that is missing was not measured, as in a discarded trial.
-
-    series: by modality (k, p) features every 0.1 s since first contact
-    """
+    """A squeeze and its features by modality; a missing modality was not measured, as in a discarded trial. series: by
+    modality (k, p) features every 0.1 s since first contact"""
 
     entry: TrialEntry
     features: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -83,10 +81,8 @@ class TrialRow:
 
 
 class SqueezeDataset:
-    """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing.
-
-    settings: settings of the features; None = those of the folder
-    """
+    """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing. settings:
+    settings of the features; None = those of the folder"""
 
     def __init__(self, folder: Path, settings: Mapping[str, Any] | None = None) -> None:
         self.folder = Path(folder)
@@ -103,7 +99,7 @@ class SqueezeDataset:
     # Reading ---------------------------------------------------------------------------------------------------------
 
     def entries(self) -> list[TrialEntry]:
-        """All trials, discarded ones too. Raises InputError if it is no data set."""
+        """All trials, including discarded ones. Raises InputError if it is no data set."""
         rows = self._read(INDEX).to_pylist()
         try:
             return [TrialEntry(**{**row, "T_hand_container": tuple(row["T_hand_container"])}) for row in rows]
@@ -116,7 +112,7 @@ class SqueezeDataset:
         return found
 
     def rows(self) -> list[TrialRow]:
-        """All trials with their features. Raises InputError where a trial lacks them and is not discarded."""
+        """All trials with their features. Raises InputError if a trial lacks them and is not discarded."""
         entries, table = self.entries(), self._read(FEATURES)
         at = {trial: row for row, trial in enumerate(table["trial"].to_pylist())}
         if missing := [one.trial for one in entries if one.trial not in at and one.discarded is None]:
@@ -140,7 +136,7 @@ class SqueezeDataset:
         return found
 
     def table(self) -> LabelledTable:
-        """The trials that are not discarded, as classifiers take them: grouped by container, kinds by its type."""
+        """The trials that are not discarded, as a table for classifiers: groups are containers, kinds their types."""
         rows = [one for one in self.rows() if one.entry.discarded is None]
         if not rows:
             raise InputError("trials that are not discarded", "none", NEW, self.folder)
@@ -174,8 +170,8 @@ class SqueezeDataset:
     # Writing ---------------------------------------------------------------------------------------------------------
 
     def add(self, rows: Sequence[TrialRow]) -> None:
-        """Append trials. Raises InputError for one that is there already, by name or with the same features in all
-        modalities."""
+        """Append trials. Add a trial. Raises InputError for one that exists already, by name or with the same features
+        in all modalities."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with one_at_a_time(self.folder):
             known = self.rows() if self.exists else []
@@ -197,8 +193,8 @@ class SqueezeDataset:
                     rows[at] = dataclasses.replace(row, entry=dataclasses.replace(row.entry, **changes))
 
     def merge(self, other: SqueezeDataset) -> int:
-        """Take over the trials of another one, with their recordings; how many came. Those that are here already, the
-        same in all, are passed over; raises InputError for one of the same name that differs."""
+        """Copy the trials of another data set, with their recordings; returns their number. Trials that are here
+        already and equal are skipped; raises InputError for a trial of the same name that differs."""
         theirs = other.rows()
         here = {one.entry.trial: one for one in self.rows()} if self.exists else {}
         for row in theirs:

@@ -1,4 +1,4 @@
-"""Tables of labelled trials: `.npz`, CSV or Parquet, as other people's data come.
+"""Tables of labelled trials: `.npz`, CSV or Parquet files of any origin.
 
     .npz     label (N,), optional group, kind, trial (N,), and one (N, ...) array of numbers per modality; optional
              `series.NAME` (N, T, p) over the squeeze with `step_s`

@@ -1,6 +1,6 @@
-"""Whether a video gave all its frames: the container's list against the readable frames, and the times.
+"""Checks whether a video gave all its frames: compares the container's list with the readable frames and their times.
 
-A damaged video is read without an error: a decoder conceals, or leaves out, undecodable parts.
+A damaged video is read without an error, because a decoder conceals or omits undecodable parts.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ HEAD_BYTES = 1 << 16
 EVEN_SHARE, EVEN_WITHIN = 0.9, 0.25
 """A video has a constant rate where this share of its steps is within this share of the median."""
 ROUNDED_S = 0.0015
-"""Times in Matroska are whole milliseconds."""
+"""Rounding of times: in Matroska they are whole milliseconds."""
 
 
 class VideoCheck:
-    """Fed with each frame that is read, and each that is not; `problems` once the end has come.
+    """Receives each frame that is read, and each that cannot be read; `problems` lists missing parts after the end.
 
-    claimed: how many frames the container is said to hold, 0 = not known; rate_hz: as stated Only a container with a
-    table of its frames (MP4, MOV, AVI) is relied on; elsewhere the count comes from a duration, which may be that of
-    the sound. There, times must be even for a gap to be one.
+    claimed: how many frames the container is said to hold, 0 = not known; rate_hz: stated frame rate. Only a container
+    with a table of its frames (MP4, MOV, AVI) is relied on; elsewhere the count comes from a duration, which may be
+    that of the sound. A gap in the times counts only if the other times are even.
     """
 
     def __init__(self, path: Path, claimed: float, rate_hz: float) -> None:
@@ -37,13 +37,13 @@ class VideoCheck:
         self._failed = self._unreadable = 0
 
     def read(self, time_s: float) -> None:
-        """A frame; time_s: times of it, as the container says."""
+        """A frame; time_s: times of the frames in the container."""
         self._times_s.append(time_s)
         self._unreadable += self._failed
         self._failed = 0
 
     def fail(self) -> None:
-        """A frame that could not be read, or the end."""
+        """Note a frame that could not be read, or the end."""
         self._failed += 1
 
     def problems(self) -> list[str]:

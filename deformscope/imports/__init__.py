@@ -1,1 +1,1 @@
-"""Data of others as frames like any device's."""
+"""Imports data of other programs as frames, like those of a device."""

@@ -1,4 +1,4 @@
-"""Recorded bytes of devices, decoded by their drivers' own decoders."""
+"""Recorded bytes of devices, decoded by the decoders of their drivers."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from deformscope_drivers.health import Health, Link
 from deformscope_drivers.optoforce.protocol import Reading as ForcePacket
 
 FED = {"optoforce": "wrench", "dsa": "tactile"}
-"""Drivers whose frames are decided by what the device sends, and the frames' kind."""
+"""Drivers whose frames depend only on the bytes that the device sends, and the frames' kind."""
 PIECE_BYTES = 16
-"""No longer than the shortest reading, so that each piece of a file without times completes one at most."""
+"""Size of a piece: no longer than the shortest reading, so that each piece of a file without times completes at most
+one."""
 
 
 def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
-    """Raises InputError where a stream's driver, kind and topics do not belong together."""
+    """Raises InputError if a stream's driver, kind and topics do not belong together."""
     of_bytes = all(topics[name].type in ("bytes", "candump") for name in stream.topics)
     if of_bytes and stream.driver not in FED:
         raise stream.missing("driver", f"one of {', '.join(FED)}", stream.driver)
@@ -37,7 +38,8 @@ def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
 
 
 class Counted:
-    """Frames of a stream as they are made. lost: messages that made none; gap_ns: the longest time between two"""
+    """Counts of a stream's frames. lost: number of messages without a frame; gap_ns: the longest time between two
+    frames"""
 
     def __init__(self) -> None:
         self.count = self.lost = self.skipped = self.first_ns = self.last_ns = self.gap_ns = 0
@@ -49,7 +51,7 @@ class Counted:
 
     @property
     def rate_hz(self) -> float:
-        """In the mean; 0 of one alone."""
+        """Mean rate; 0 with a single reading."""
         span_ns = self.last_ns - self.first_ns
         return 1e9 * (self.count - 1) / span_ns if span_ns > 0 else 0.0
 
@@ -78,7 +80,7 @@ class CaptureStream(Counted):
         return self._known
 
     def behind_s(self, reader: Reader) -> float | None:
-        """None: bytes have no stamps but when they came."""
+        """None: bytes have only the time of their arrival."""
         return None
 
     def frames(self, reader: Reader) -> Iterator[Frame | RawBytes]:

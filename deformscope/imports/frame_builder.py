@@ -71,11 +71,11 @@ SI = {
 }
 """Quantity of each unit, and its factor."""
 Pose = npt.NDArray[np.float64]
-"""(4, 4) the end's to the base's frame [m]."""
+"""Pose (4, 4) of the arm's end in the base frame [m]."""
 Row = dict[str, Any]
 CLOUDS = (".pcd", ".ply")
 REAL_STEP_M = 1e-4
-"""Stored step of distances that come as real numbers."""
+"""Step with which distances in real numbers are stored."""
 TIME_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
 ARM_SIZES: dict[str, int | None] = {"position_m": None, "rotation_rad": None, "force_n": 3, "torque_nm": 3, "finger": 0}
 """Vectors of an arm's frame, and the length of those that a source may lack."""
@@ -86,7 +86,7 @@ POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8:
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """Time of a frame, the messages that it is made of, and the pose of the arm's end."""
+    """Time of a frame, its messages, and the pose of the arm's end."""
 
     stamp: Stamp
     index: int
@@ -167,7 +167,7 @@ class FrameBuilder:
         return 1.0 if given == wanted else SI[given][1] / SI[wanted][1]
 
     def build(self, messages: Mapping[str, Message], stamp: Stamp, index: int, pose: Pose | None) -> Frame | None:
-        """The frame of these messages, by topic; None where they are not of it. pose: pose of the arm's end"""
+        """The frame of these messages, by topic; None if they do not belong to it. pose: pose of the arm's end"""
         row: Row = {}
         try:
             for message in messages.values():
@@ -203,8 +203,8 @@ class FrameBuilder:
         return row
 
     def values(self, row: Mapping[str, Any], name: str, kind: Any = np.float64, size: int | None = None) -> Any:
-        """A field's values, flat, NaN for real ones that are empty; without its columns, `size` times no number. Raises
-        KeyError where that is None too."""
+        """A field's values as a flat list, NaN for empty real numbers; if its columns are missing, `size` times NaN.
+        Raises KeyError if that is None too."""
         columns = _columns_of(name, tuple(row))
         is_empty = all(row[one] is None for one in columns)
         if not columns or (is_empty and (columns == [name] or kind is not np.float64)):
@@ -380,8 +380,8 @@ def _cloud_depth(stream: MappedStream, value: Any) -> Any:
 
 
 def depth_of_points(stream: MappedStream, points_m: FloatArray) -> FloatArray:
-    """Distances along z [m] of points (H, W, 3): in their order if H > 1, else projected into the map's camera, the
-    nearest of those that fall on one pixel."""
+    """Distances along z [m] of points (H, W, 3): in their order if H > 1, else projected into the map's camera, with
+    the nearest point for each pixel."""
     if len(points_m) > 1:
         return points_m[..., 2]
     given = {"focal_px": stream.focal_px, "center_px": stream.center_px, "size_px": stream.size_px}

@@ -1,7 +1,7 @@
-"""The map of an import: which topic or table becomes which device's frames, in TOML.
+"""The map of an import in TOML: it assigns topics and tables to devices.
 
-Read strictly, as a rig file is. Values that a source does not contain (a unit, a pose, clock offsets) are keys of the
-map; while one reads `"?"` the import is refused with its name.
+It is read strictly, like a rig file. Values that a source does not contain (a unit, a pose, clock offsets) are keys of
+the map; while one reads `"?"` the import is refused with its name.
 """
 
 from __future__ import annotations
@@ -28,19 +28,20 @@ HOW = "deformscope import --inspect SOURCE > map.toml"
 class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One device's frames.
 
-    topics: topics, tables or files that they are made of; of several, those of one time make a frame
+    topics: its topics, tables or files; if there are several, messages with the same time make a frame
     columns: place of each column (named as in an export) in the source, if its type has no default
     units: units of the source's fields that do not say them themselves
     time: the column of its stamps. For messages it is `header`, or `log` for their recorded times; for files, a text
-    file with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns
-    offset_s: added to its stamps, if it has another clock [s]; None = it has the others', which is checked
-    nan: `keep` takes forces that are no numbers, which are refused otherwise
-    unit_m: the step of distances [m]: of files always; of real numbers it is chosen, 1e-4 without it
+    file with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns; offset_s:
+    offset that is added to its stamps, if it has another clock [s]; None = it has the others' clock, which is checked
+    nan: `keep` accepts forces that are NaN, which are otherwise refused
+    unit_m: step of distances [m]: always needed for files; for real numbers the default is 1e-4
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
     pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
-    joints: names, in their order; focal_px, center_px, size_px: focal length, centre and size of the camera that points
-    are projected into; pads: layout of a tactile sensor; rate_hz: rate of rows without a time
-    driver, config: whose bytes they are, and how it is set as in a rig file; topics are then received and sent bytes
+    joints: names of the joints, in their order; focal_px, center_px, size_px: focal length, centre and size of the
+    camera that points are projected into; pads: layout of a tactile sensor; rate_hz: rate of rows without a time;
+    driver, config: the driver whose bytes they are, and its keys as in a rig file; topics are then received and sent
+    bytes
     """
 
     device: str
@@ -78,7 +79,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How foreign data become devices. start_ns: the stamp at which the recording begins [ns]; None = the first;
-    skip_rows: lines of CSV tables before their header; rig: sections of a rig file, as `tool` and `camera`"""
+    skip_rows: lines of CSV tables before their header; rig: sections of a rig file, such as `tool` and `camera`"""
 
     streams: tuple[MappedStream, ...]
     start_ns: Annotated[int, msgspec.Meta(ge=-MOST_NS, le=MOST_NS)] | None = None
@@ -99,13 +100,13 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return "\n".join(lines).lstrip() + "\n"
 
     def rig_text(self) -> str:
-        """The devices whose bytes are imported, and where all is, as in a rig file; empty without either."""
+        """The devices whose bytes are imported, and the poses, as text of a rig file; empty without either."""
         sections = {f"devices.{one.device}": {"driver": one.driver, **one.config} for one in self.streams if one.driver}
         return lines_of(sections | self.rig, digits="")
 
 
 def read_map(path: Path) -> ImportMap:
-    """Raises InputError if it is no map, with the wrong key."""
+    """Read a map. Raises InputError if it is no map, and names the wrong key."""
     try:
         said = tomllib.loads(read_file(path, "a map (TOML)", HOW).decode())
         if "rig" in said:

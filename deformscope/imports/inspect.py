@@ -1,4 +1,4 @@
-"""Content of a source, and a map as a start."""
+"""The content of a source, and a proposal of a map."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from deformscope.imports.source import CLOCKS_APART_S
 from deformscope.recording.export.manifest import Manifest
 
 TIMES = ("host_ns", "time", "timestamp", "stamp", "t")
-"""Names of columns that hold times, in small letters, the likeliest first."""
+"""Names of columns with times, in lower case, the likeliest first."""
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(slots=True)
 class Found:
-    """A topic as it was read. seen: messages, when they were recorded; stamp_ns: time stamp of the first message
-    itself, None = it has none; encoding: encoding of images; frames: frames of transforms
-    joints: names in the first message; unread: why that is not read"""
+    """A topic, as found in the source. seen: times at which its messages were recorded; stamp_ns: time stamp of the
+    first message itself, None = it has none; encoding: encoding of images; frames: frames of transforms
+    joints: names of joints in the first message; unread: why its first message cannot be read"""
 
     topic: Topic
     seen: Counted = field(default_factory=Counted)
@@ -40,11 +40,11 @@ class Found:
 
     @property
     def clock_s(self) -> float | None:
-        """By how much its own stamps are behind when it was recorded [s]; None = it has none."""
+        """How far its own stamps are behind the time of recording [s]; None = it has no stamps."""
         return None if self.stamp_ns is None or not self.seen.first_ns else (self.seen.first_ns - self.stamp_ns) / 1e9
 
     def look(self, value: Any) -> None:
-        """Use the first message's description."""
+        """Describe the topic from its first message."""
         self.encoding = _encoding(value)
         self.joints = tuple(value.name) if self.topic.type.endswith("JointState") else ()
         stamp = getattr(getattr(value, "header", None), "stamp", None)
@@ -62,7 +62,7 @@ class Found:
 
 
 def inspect(reader: Reader) -> list[Found]:
-    """Read it once, message by message. Raises InputError where nothing is there."""
+    """Read the source once, message by message. Raises InputError if the source is empty."""
     found = {name: Found(topic) for name, topic in reader.topics.items()}
     if not found:
         raise InputError("a source with topics", "an empty one")

@@ -1,8 +1,9 @@
 """A take of another laboratory's poked object, as pairs and a motion: meshes frame by frame with forces, in the form of
 PokeFlex.
 
-robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one a frame, with
-the same vertices [mm], z up; CAMERA/camera_parameters.json: intrinsics and extrinsics, of a Kinect color_intrinsics...
+robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one for each frame,
+with the same vertices [mm], z up; CAMERA/camera_parameters.json: intrinsics and extrinsics, of a Kinect
+color_intrinsics...
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ class _Kinect(msgspec.Struct, rename=lambda name: f"color_{name}"):
 
 @dataclass(frozen=True, slots=True)
 class MeshTake:
-    """rest: (K, 3) particles of the first frame, before any load [m]; position: (T, K, 3) in each later frame
-    frames: (T,) their numbers; force_n: (T, 3) since the first frame; cameras: intrinsics and extrinsics as the files
-    have them, by folder"""
+    """rest: (K, 3) particles of the first frame, before any load [m]; position: (T, K, 3) positions in each later frame
+    frames: (T,) their numbers; force_n: (T, 3) change of the force since the first frame; cameras: intrinsics and
+    extrinsics as the files have them, by folder"""
 
     rest: FloatArray
     position: FloatArray
@@ -66,13 +67,13 @@ class MeshTake:
 
     @property
     def stands(self) -> BoolArray:
-        """(K,) on the table."""
+        """(K,) particles that rest on the table."""
         z = self.rest[:, 2]
         return np.asarray(z <= z.min() + STANDS * np.ptp(z))
 
     @property
     def touched(self) -> BoolArray:
-        """(T, K) held by the tool."""
+        """(T, K) particles that the tool holds in each frame."""
         moved = np.linalg.norm(self.position - self.rest, axis=2)
         least = np.maximum(TOUCHED * moved.max(axis=1, keepdims=True), PRESSED_M)
         return np.asarray((moved >= least) & ~self.stands)
@@ -84,7 +85,7 @@ class MeshTake:
         return _npz(rest=self.rest, deformed=self.position[at], held=held, contact=contact, force_n=force)
 
     def motion(self, unseen: IntArray) -> bytes:
-        """All frames as a motion file. unseen: indices of frames with known held positions alone"""
+        """All frames as a motion file. unseen: indices of frames in which only held positions are known"""
         held, motion = self.stands | self.touched, self.position.copy()
         motion[unseen] = np.where(held[unseen, :, None], motion[unseen], np.nan)
         return _npz(rest=self.rest, motion=motion, held=held, frame=self.frames)

@@ -34,7 +34,7 @@ class Topic:
     """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: number of messages, None
     = not known
 
-    units: units of each field that it names, empty where it does not say; kind: for an export of deformscope, the class
+    units: units of each field that it names, empty if unknown; kind: for an export of deformscope, the class
     of the rows
     """
 
@@ -47,8 +47,8 @@ class Topic:
 
 @dataclass(frozen=True)
 class Message:
-    """log_ns: when it was recorded [ns], 0 = not known; content: as it was read; decode: makes the value of it, None =
-    it is the value"""
+    """log_ns: when it was recorded [ns], 0 = not known; content: the content as read; decode: makes the value from the
+    content, None = the content is the value"""
 
     topic: str
     log_ns: int
@@ -57,11 +57,11 @@ class Message:
 
     @cached_property
     def value(self) -> Any:
-        """With fields as attributes, or as items of a mapping. Raises InputError."""
+        """The decoded value, with fields as attributes or as items of a mapping. Raises InputError."""
         return self.content if self.decode is None else self.decode(self.content)
 
     def get(self, name: str) -> Any:
-        """A field, or a.b within one. Raises KeyError where there is none."""
+        """A field, or a.b within one. A field's value. Raises KeyError without such a field."""
         if isinstance(self.value, Mapping):
             return self.value[name]
         found = self.value
@@ -73,7 +73,7 @@ class Message:
 
 
 class Reader(Protocol):
-    """An open source. about: the description in an export of ours"""
+    """An open source. about: the description in an export of deformscope"""
 
     @property
     def about(self) -> Manifest: ...
@@ -88,7 +88,7 @@ class Reader(Protocol):
 
 @contextlib.contextmanager
 def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> Iterator[Reader]:
-    """Open a source. times: columns that hold them. Raises InputError for unreadable sources."""
+    """Open a source. times: columns with the times. Raises InputError for unreadable sources."""
     try:
         next(path.iterdir(), None) if path.is_dir() else path.open("rb").close()
     except FileNotFoundError:
@@ -180,7 +180,8 @@ def _metadata(path: Path) -> Manifest:
 
 
 class ByteReader:
-    """Bytes of a device: a file as they came (`.bin`, `.raw`), or frames of a CAN bus as candump logs them (`.log`)."""
+    """Bytes of a device: a file of raw bytes (`.bin`, `.raw`), or frames of a CAN bus in the format of candump
+    (`.log`)."""
 
     about = Manifest()
 
@@ -215,8 +216,8 @@ class ByteReader:
 
 
 class FolderReader:
-    """Tables, named by their places in the folder, and files of images or of points, a frame each, by their folder and
-    ending: such a topic is a pattern (`depth/*.png`). path: path of the folder, or of one table"""
+    """Topics of a folder: tables, named by their paths in it, and files of images or points, one frame each, by their
+    folder and ending: such a topic is a pattern (`depth/*.png`). path: path of the folder, or of one table"""
 
     def __init__(self, path: Path, skip_rows: int, times: Collection[str]) -> None:
         self.path, self._skip_rows, self._times = path, skip_rows, times

@@ -30,11 +30,11 @@ CLOCKS_APART_S = 1.0
 """Difference of stamps from their recorded times that means another clock."""
 START_APART_NS = 86_400 * 10**9
 WAITING = 64
-"""Messages of a stream of several topics that wait for those of the same time."""
+"""Largest number of messages, in a stream of several topics, that wait for others with the same time."""
 
 
 class ImportSource(ItemSource):
-    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`. rig: places and tool, from the
+    """`with open_reader(path) as reader: source = ImportSource(reader, read_map(file))`. rig: poses and tool, from the
     map; raises InputError for missing keys of the map"""
 
     def __init__(self, reader: Reader, asked: ImportMap) -> None:
@@ -61,7 +61,7 @@ class ImportSource(ItemSource):
             raise InputError("start_ns within a day of the first stamp", came, "the map without it")
 
     def take(self, wait_s: float) -> list[Item]:
-        """The next frames. Raises InputError where it ends, and the clocks are not one."""
+        """The next frames. Raises InputError at the end if the streams' clocks differ."""
         was_over, found = self.ended, super().take(wait_s)
         if self.ended and not was_over:
             self._check_clocks()

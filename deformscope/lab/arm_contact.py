@@ -25,7 +25,7 @@ class World(Protocol):
     """A world that can be touched."""
 
     def press(self, center_m: FloatArray) -> FloatArray:
-        """Force (3,) [N] on a tip whose centre (3,) [m] is here, both in the surface frame; zero where it is free."""
+        """Force (3,) [N] on a tip with this centre (3,) [m], both in the surface frame; zero without contact."""
 
 
 class PushedArm(Protocol):
@@ -41,8 +41,8 @@ class PushedArm(Protocol):
 class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
-    world: the touched world; force_n: (3,) on the tip now, surface frame [N]; max_force_n: its greatest magnitude so
-    far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
+    world: the touched world; force_n: (3,) present force on the tip, surface frame [N]; max_force_n: the greatest
+    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
     """
 
     def __init__(
@@ -74,11 +74,11 @@ class ArmContact:
 
     @property
     def center_m(self) -> FloatArray:
-        """(3,) where the tip's centre truly is, the arm's give among it [m, surface frame]."""
+        """(3,) true place of the tip's centre, including the arm's compliance [m, surface frame]."""
         return self._kinematic()[:3, 3] + self._deflection_m * self._direction
 
     def feel(self) -> None:
-        """Once in each of the arm's cycles: the contact at its new pose."""
+        """Compute the contact at the arm's new pose, once in each of its cycles."""
         T = self._kinematic()
         self.force_n = self._contact(T[:3, 3])
         self._before_n, self._felt_ns = self._felt_n, self._clock()
@@ -104,7 +104,7 @@ class ArmContact:
         return felt_n
 
     def hit(self, force_n: npt.ArrayLike, duration_s: float) -> None:
-        """Something else pushes the tip from now on, force (3,) [N] in the surface frame."""
+        """From now on another object pushes the tip with this force (3,) [N] in the surface frame."""
         now_ns = self._clock()
         self._hit = now_ns, now_ns + round(duration_s * 1e9), np.asarray(force_n, dtype=float)
 

@@ -38,13 +38,14 @@ class ArmBody(PushedArm, Protocol):
 
     @property
     def T_base_links(self) -> FloatArray:
-        """(k, 4, 4) of its joints and, last, of its end [m]."""
+        """Poses (k, 4, 4) of its joints and, last, of its end [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmInLab:
-    """arm: the driver's device, not opened; body: the moving arm; person: places it; None = an arm with motors
-    wire: between them, to be entered before the arm is opened, None = no thread or process runs
+    """arm: the driver's device, not opened; body: the moving arm; person: the person who places it; None = an arm with
+    motors
+    wire: connection of driver and double, to be entered before the arm is opened, None = no thread or process runs
     """
 
     arm: Arm[Any]
@@ -54,7 +55,7 @@ class ArmInLab:
 
 
 class SimulatedPerson:
-    """Places a stand at requested places, as exactly as people do. asked: every request, in its order"""
+    """Places a stand at requested places, with the errors of a person. asked: every request, in its order"""
 
     def __init__(self, stand: StandDouble, seed: int = 0) -> None:
         self.asked: list[PlaceRequest] = []
@@ -84,7 +85,7 @@ def arm_in_lab(
     seed: int = 0,
 ) -> ArmInLab:
     """An arm of a driver and its configuration, at the first of places (3,) of the tip's centre [m, surface frame] from
-    which it reaches the others. Raises InputError where it does not."""
+    which it reaches the others. Raises InputError if it does not reach them."""
     return _MADE[driver](config, placement, places_m, clock, seed)
 
 

@@ -1,8 +1,8 @@
 """A rigid ball pressed into a bonded layer of foam at large strain, without friction: finite elements around its axis.
 
 Nine-node quadrilaterals in a half plane (r, z), whose deformation gradient has the ring's stretch 1 + u_r / r as a
-third axis; Ogden's law. The ball's surface pushes out nodes within it, along its own normal, by a penalty so stiff that
-they enter by about a five hundredth of its radius at the highest pressure. Newton's method as in
+third axis; Ogden's law. The ball's surface pushes out nodes inside it along its normal. The penalty is so stiff that
+they enter by about a five hundredth of the radius at the highest pressure. Newton's method as in
 `deformscope.lab.finite_strain`.
 
 Forces scale with the law's moduli. So the effect of large strain is one number at each depth: the force over that of
@@ -27,17 +27,17 @@ from deformscope.lab.ogden import OgdenFoam, stress_and_tangent
 FINE = 0.1
 """Size of the elements under the ball, as a share of its radius."""
 GROWTH = 1.35
-"""Ratio of neighbouring elements away from it."""
+"""Ratio of the sizes of neighbouring elements, away from the contact."""
 REACH = 1.6
-"""The mesh goes this many thicknesses beyond the ball."""
+"""Extent of the mesh beyond the ball, in thicknesses."""
 PENALTY = 300.0
-"""Pressure per depth that the foam enters the ball, in units of modulus over radius."""
+"""Pressure per depth of the foam inside the ball, in units of modulus over radius."""
 
 
 @dataclass(frozen=True, slots=True)
 class BallPress:
-    """At each depth, all (n,): depth_m [m]; force_n: with which the ball pushes down [N]; ground_n: with which the
-    table pushes up; contact_m: radius of the contact [m]"""
+    """Numbers at each depth, all (n,): depth_m [m]; force_n: force with which the ball pushes down [N]; ground_n: force
+    with which the table pushes up; contact_m: radius of the contact [m]"""
 
     depth_m: FloatArray
     force_n: FloatArray
@@ -48,10 +48,8 @@ class BallPress:
 def press_ball(
     law: OgdenFoam, radius_m: float, thickness_m: float, depths_m: Sequence[float], fine: float = FINE
 ) -> BallPress:
-    """The ball at each of the rising depths of its lowest point below the rest surface.
-
-    fine: size of the elements below it, as a share of its radius. Raises InputError where no equilibrium is found.
-    """
+    """Press the ball to each of the rising depths of its lowest point below the rest surface. fine: size of the
+    elements below it, as a share of its radius. Raises InputError if no equilibrium is found."""
     if not (radius_m > 0.0 and len(depths_m) and min(np.diff([0.0, *depths_m])) > 0.0 and depths_m[-1] < thickness_m):
         raise InputError(
             "depths that rise from 0 and end above the table", f"{list(depths_m)}, {thickness_m:g} m thick"

@@ -1,4 +1,4 @@
-"""Scene of the bench's doubles: a block of foam that a stick presses now and then, the same for all of them."""
+"""Scene of the bench's doubles: a block of foam that a stick presses from time to time, the same for all doubles."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLATE_RGB = (95, 98, 110)
 
 
 def pressed(time_s: float) -> float:
-    """How far the stick has gone, 0 to 1: up and down for 1.5 s out of every 4."""
+    """How far the stick is down, 0 to 1: it moves down and up for 1.5 s out of every 4 s."""
     phase = time_s % PRESS_PERIOD_S / PRESS_S
     return math.sin(math.pi * phase) ** 2 if phase < 1.0 else 0.0
 
@@ -55,7 +55,7 @@ def distances(time_s: float) -> FloatArray:
 
 
 def picture(time_s: float) -> Picture:
-    """(480, 640, 3) the same in colour, RGB."""
+    """(480, 640, 3) colour picture of the scene, RGB."""
     return _picture(pressed(time_s))
 
 

@@ -3,12 +3,12 @@
     world = slab_world(built_in("buried", seed=3))      # `SlabWorld` where nothing is buried
     world.press(tip, center_m)                          # as any
 
-The contact at the tip's own scale needs elements of 1.5 mm, which a mesh as wide and as deep as an inclusion's effect
-cannot have. So the surface's compliance is that of the patch without the ball (`slab_world`), plus the ball's change of
-it. The change is the difference of two solutions of the whole slab on one mesh, with and without the ball, of elements
-of 5 mm around the ball, wider elsewhere. That difference is smooth, since the ball lies a centimetre deep or more, and
+A contact at the tip's scale needs elements of 1.5 mm, which are too small for a mesh as large as an inclusion's effect.
+So the surface's compliance is that of the patch without the ball (`slab_world`), plus the ball's change of it. The
+change is the difference of two solutions of the whole slab on one mesh, with and without the ball. Its elements are 5
+mm around the ball, and wider elsewhere. That difference is smooth, since the ball lies a centimetre deep or more, and
 its mesh's errors at the surface are the same in both. The two are factorised once for a slab; a press then costs no
-more than without a ball. `tests/lab/test_buried_world.py` compares with one fine mesh of all.
+more than without a ball. `tests/lab/test_buried_world.py` compares with one fine mesh of slab and ball.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ ELEMENT_M, AROUND, GROWTH = 0.005, 1.5, 1.5
 UPPER_M = 0.0025
 """Thickness of the uppermost two layers of elements."""
 SAMPLES = 4
-"""Along each side of an element, of the modulus in it."""
+"""Samples of the modulus along each side of an element."""
 
 
 def slab_world(scene: Scene) -> SlabWorld:
-    """A scene's foam, to be pressed anywhere."""
+    """A scene's foam, which can be pressed anywhere."""
     if scene.buried is not None:
         return BuriedWorld(scene, scene.buried)
     return PlateauWorld(scene) if any(piece.plateau_exponent for piece in scene.pieces) else SlabWorld(scene)
@@ -53,7 +53,8 @@ class BuriedWorld(SlabWorld):
         return patch
 
     def displaced_m(self, contact: Contact, xy_m: FloatArray) -> FloatArray:
-        """(..., 3) for places (..., 2) [m], as `SlabWorld.displaced_m`; of what the ball changes, up and down alone."""
+        """(..., 3) displacements at places (..., 2) [m], as in `SlabWorld.displaced_m`; the ball's change is vertical
+        only."""
         moved = super().displaced_m(contact, xy_m)
         if len(contact.node):
             inside = ((xy_m >= 0.0) & (xy_m <= self.scene.size_m)).all(axis=-1)
@@ -63,10 +64,10 @@ class BuriedWorld(SlabWorld):
 
 
 class BallCompliance:
-    """By how much more the surface of a slab gives for a ball in it: below 0 where that is stiff.
+    """How much more compliant a ball makes the surface of a slab: below 0 for a stiff ball.
 
-    x_m, y_m: (n,), (m,) x and y of the mesh; change: (n m, n m) how much farther down each of its nodes goes for a unit
-    push down on each, y fastest [m/N]
+    x_m, y_m: (n,), (m,) x and y of the mesh; change: (n m, n m) additional displacement down of each of its nodes for a
+    unit push down on each, y fastest [m/N]
     """
 
     def __init__(self, scene: Scene, ball: BuriedBall) -> None:
@@ -85,7 +86,7 @@ class BallCompliance:
         )
 
     def between(self, there_m: FloatArray, pushed_m: FloatArray) -> FloatArray:
-        """(n, m) at places (n, 2), for pushes on places (m, 2), all on the slab [m/N]."""
+        """(n, m) compliance at places (n, 2) for pushes on places (m, 2), all on the slab [m/N]."""
         shape = len(self.x_m), len(self.y_m)
         axes = (self.x_m, self.y_m)
         along = RegularGridInterpolator(axes, self.change.reshape(*shape, -1))(there_m)

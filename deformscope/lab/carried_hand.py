@@ -44,12 +44,12 @@ from deformscope_drivers.memory import MemoryTransport
 from deformscope_drivers.sdh.double import Port
 
 T_ARM_HAND: Final = transform(np.eye(3), (0.0, 0.0, 0.02))
-"""Hand to the arm's end: on a plate of 2 cm."""
+"""Pose of the hand on the arm's end: on a plate of 2 cm."""
 T_BASE_TABLE: Final = {
     "jaco": transform(Rotation.from_euler("z", 210.0, degrees=True).as_matrix(), (-0.20, -0.50, 0.0)),
     "kuka": transform(np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), (0.82, 0.0, 0.0)),
 }
-"""The table's frame where each arm reaches it well; a Jaco's wrist does not reach straight ahead."""
+"""Pose of the table at which each arm reaches it well; a Jaco's wrist does not reach straight ahead."""
 READY_M: Final = (0.0, -0.12, 0.32)
 """First position of the middle between the pads, with the hand level and pointing away from the arm, table's frame."""
 SPREAD_M, TURNED_DEG = 0.08, 20.0
@@ -57,14 +57,15 @@ SPREAD_M, TURNED_DEG = 0.08, 20.0
 side roughly towards the arm."""
 CAMERA: Final = DepthViewConfig(distance_m=1.0)
 T_TABLE_CAMERA: Final = looking_at(np.array([0.0, 0.0, 0.08]), 1.0, 35.0, 65.0)
-"""It looks from beyond the container towards the arm, and from the side: the hand comes from behind the container."""
+"""The camera looks from the far side of the container towards the arm, slightly from the side: the hand comes from
+behind."""
 ARM_POLL_NS, ALL_POLL_NS = 2_000_000, 10_000_000
 
 
 class StandingContainer(SqueezedContainer):
     """body: the arm; T_table_container: (4, 4) present pose of the container; toppled
 
-    blind: the camera gives no depth; injected_n: (3,) something presses the pads of each finger with [N]
+    blind: the camera gives no depth; injected_n: (3,) additional force on the pads of each finger [N]
     """
 
     def __init__(self, arm: ArmInLab, T_base_table: FloatArray, case: ContainerCase, clock: Clock) -> None:
@@ -82,7 +83,7 @@ class StandingContainer(SqueezedContainer):
 
     @property
     def T_table_hand(self) -> FloatArray:
-        """(4, 4) of the hand now [m]."""
+        """(4, 4) present pose of the hand [m]."""
         return np.asarray(self._T_table_base @ self.body.T_base_end_effector @ T_ARM_HAND)
 
     @property
@@ -92,11 +93,11 @@ class StandingContainer(SqueezedContainer):
         return np.asarray(self._gripped @ self.world.T_hand_container)
 
     def place(self, T_table_container: FloatArray, *, toppled: bool = False) -> None:
-        """A person puts it there."""
+        """A person places the container there."""
         self._stood, self._gripped, self.toppled = np.asarray(T_table_container), None, toppled
 
     def shift(self, x_m: float, y_m: float, turn_deg: float = 0.0) -> None:
-        """A person pushes it aside, and turns it about its own axis."""
+        """A person pushes the container aside, and turns it about its axis."""
         pose = self.T_table_container.copy()
         pose[:3, :3] = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix() @ pose[:3, :3]
         pose[:2, 3] += x_m, y_m
@@ -131,7 +132,8 @@ class StandingContainer(SqueezedContainer):
         return View(np.where(flat | self.blind, np.nan, exact.depth_m), exact.color)
 
     def meet(self) -> None:
-        """In each of the arm's cycles with motion: objects that it hits are pushed aside, or topple if hit high."""
+        """Called in each of the arm's cycles with motion: objects that the arm hits are pushed aside, or topple if hit
+        high."""
         links = self.body.T_base_links
         if self._links is not None and np.array_equal(links, self._links):
             return
@@ -156,7 +158,7 @@ class StandingContainer(SqueezedContainer):
     def reach_deg(
         self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
     ) -> Sequence[float]:
-        """As of `SqueezedContainer`, around the container at the hand; nothing is pressed elsewhere."""
+        """As in `SqueezedContainer`, around the container at the hand; nothing is pressed elsewhere."""
         hand = self.T_table_hand
         away = np.linalg.inv(hand) @ self.T_table_container
         middle = np.array(finger_capsules(np.array(position_deg))[1].end_m)
@@ -195,10 +197,8 @@ def _aligned(T_hand_container: FloatArray, shape: ContainerShape) -> FloatArray:
 
 
 class _Wire(MemoryTransport):
-    """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened.
-
-    passes: until a moment [ns]
-    """
+    """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened. passes:
+    until a moment [ns]"""
 
     passes: Callable[[int], None]
 
@@ -250,7 +250,7 @@ class CarriedHandLab(SqueezeLab):
         return RigSource([*members(*self._three), arm], clock=self.clock, opener=self.open)
 
     def schedule(self, moment_ns: int, action: Any) -> None:
-        """Do something at a moment of the clock."""
+        """Call a function at a time of the clock."""
         self.scheduled.append((moment_ns, action))
         self.scheduled.sort(key=lambda one: one[0])
 
@@ -272,7 +272,7 @@ class CarriedHandLab(SqueezeLab):
 
 
 def chain_of_arm(arm: str) -> Chain:
-    """Kinematic chain of the laboratory's arm of a kind. Raises InputError for another."""
+    """Kinematic chain of the laboratory's arm of a kind. Raises InputError for another kind."""
     if arm not in T_BASE_TABLE:
         raise InputError("an arm of the laboratory: jaco or kuka", repr(arm))
     return J2N6S300 if arm == "jaco" else KUKA[KukaConfig().model]

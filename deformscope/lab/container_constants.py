@@ -1,7 +1,7 @@
 """Constants of the laboratory's containers, contents, fingertips and sensors, each with its source.
 
-They were fixed before any classifier ran on data of this laboratory, and are not to be tuned to classifiers' results.
-"Assumed" marks a value for which no measurement was at hand; its size is plausible and its effect is described.
+The constants were fixed before any classifier ran on data of this laboratory, and must not be tuned to classifiers'
+results. "Assumed" marks a value without an available measurement; its size is plausible and its effect is described.
 
 Sources:
   CRC       Handbook of Chemistry and Physics (water, air at 20 degC and 101.3 kPa)
@@ -39,8 +39,8 @@ ROOM_K: Final = 293.15
 class Content:
     """Content of a container, as `container_filling` uses it. Zeros mean that there is no such resistance.
 
-    density_kg_m3: in bulk; solid_share: share of solid of the filled volume that is no gas; lateral_ratio: horizontal
-    over vertical stress at rest
+    density_kg_m3: bulk density; solid_share: share of solid of the filled volume that is no gas; lateral_ratio:
+    horizontal over vertical stress at rest
     friction_deg, cohesion_pa: friction and cohesion of Coulomb's law, for granular contents
     load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for granular contents
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
@@ -100,15 +100,15 @@ RICE: Final = Content(
 )
 
 CONTENTS: Final = {"empty": EMPTY, "water": WATER, "yogurt": YOGURT, "flour": FLOUR, "rice": RICE}
-"""By the names that data sets use."""
+"""Contents by the names that data sets use."""
 
 BEARING_FACTOR: Final = 5.14
-"""2 + pi (Prandtl 1920): pressure that a weightless medium bears over its yield in shear."""
+"""2 + pi (Prandtl 1920): pressure that a weightless medium carries, over its yield stress in shear."""
 
 FILL: Final = 0.9
 """Thesis 5.1: "the same amount of content that is about 90 % of the container"."""
 FILL_SD: Final = 0.01
-"""Assumed: a centilitre a litre."""
+"""Assumed: a centilitre for each litre."""
 
 # Containers ---------------------------------------------------------------------------------------------------------
 
@@ -162,17 +162,17 @@ TABLE_FRICTION: Final = 0.35
 # Fingertips and hand ------------------------------------------------------------------------------------------------
 
 PAD_OFFSET_M: Final = 0.011
-"""From the axis of the distal link to the surface of its pad; assumed: half of a link of 22 mm."""
+"""Distance from the axis of the distal link to the surface of its pad; assumed: half of a link of 22 mm."""
 PAD_CURVATURE_M: Final = 0.060
 """Radius of the pad across the finger; assumed: nearly flat, with rounded edges."""
 PAD_LENGTH_CURVATURE_M: Final = 0.100
-"""Radius of the whole pad along the finger; assumed: slightly convex, so that it does not press by its ends."""
+"""Radius of the whole pad along the finger; Assumed: slightly convex, so that its ends do not carry the load."""
 TIP_CURVATURE_M: Final = 0.030
-"""Radius along the finger by which the rows towards the tip fall back besides; assumed: a rounded tip."""
+"""Additional radius along the finger, by which the rows towards the tip are set back; assumed: a rounded tip."""
 TIP_ROWS: Final = 5
 """How many rows towards the tip are curved; assumed."""
 TIP_MARGIN_M: Final = 0.006
-"""From the end of the distal link's axis back to the middle of the first row; assumed."""
+"""Distance from the end of the distal link's axis back to the middle of the first row; assumed."""
 PAD_STIFFNESS_PA_M: Final = 4.0e8
 """Pressure over compression of the pad's foam cover: 1 MPa over 2.5 mm; assumed for a closed-cell rubber."""
 
@@ -180,23 +180,24 @@ TORQUE_NM_PER_A: Final = (0.0, 2.1, 1.4, 2.1, 1.4, 2.1, 1.4)
 """Torque of each axis at the limit of its current, by axis; ROBWORK's limits over the 1 A that Schunk's library allows.
 The base axis carries no load here."""
 GEAR_LOSS: Final = 0.15
-"""Share of the torque that friction in motor and gear takes, in the mean; assumed."""
+"""Mean share of the torque that is lost by friction in motor and gear; assumed."""
 GEAR_LOSS_SD: Final = 0.02
-"""From squeeze to squeeze; assumed: grease and position of the gear."""
+"""Variation from squeeze to squeeze; assumed: grease and position of the gear."""
 GEAR_LOSS_PER_K: Final = -0.002
 """Per kelvin of the motor above 24 degC: warm grease is thinner; assumed."""
 
 PA_PER_COUNT: Final = 250e3 / 3500.0
-"""ROS. Schunk's own "for now" (0.8 Pa a count) would saturate under the lightest touch."""
+"""ROS. Schunk's preliminary value (0.8 Pa per count) would saturate at the lightest touch."""
 TEXEL_GAIN_SD: Final = 0.08
-"""Between texels, fixed for a hand; assumed for a resistive polymer that was not calibrated by texel."""
+"""Variation between texels, fixed for a hand; assumed for a resistive polymer without calibration of each texel."""
 PAD_DRIFT_PER_K: Final = -0.01
 """Change of the gain per kelvin; assumed for carbon-filled polymer."""
 NOISE_COUNTS: Final = 4.0
-"""Standard deviation of a texel; as the DSA double assumes it."""
+"""Standard deviation of a texel, as in the DSA double."""
 
 TEMPERATURE_SD_K: Final = 2.0
-"""Variation of the room's temperature between sessions, and of a container since it was closed; assumed."""
+"""Deviation of the room's temperature between sessions, and of a container's temperature since it was closed;
+assumed."""
 
 # Grasp --------------------------------------------------------------------------------------------------------------
 

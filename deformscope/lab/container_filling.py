@@ -13,9 +13,9 @@ elastic (q_e = k (w - w_p)) until it yields, and then flows or fails, with a vis
   (Rankine), so that failure needs more at depth, and flour's cohesion adds to it. Unloading follows k: hysteresis. For
   flour the softer first loading is its compaction.
 - yogurt: k = 3 G / l (incompressible), q_1 = N tau_y at once (a = 0), then Herschel-Bulkley's K and n.
-- water: no yield, n = 1: its viscosity alone, which is as good as nothing at this speed (about 1e-3 Pa).
+- water: no yield, n = 1: only its viscosity, which is negligible at this speed (about 1e-3 Pa).
 Here l is half the container's width along the squeeze, N = 2 + pi bears on shear (Prandtl), s the stress half way to
-q_1. Unloading beyond rest is limited by the active pressure: nothing pulls at a wall.
+q_1. Unloading beyond rest is limited by the active pressure, so that no content pulls at a wall.
 
 Not modelled: waves and inertia (rho v^2 is 1 Pa), flow of a granular filling along the container, settling between
 squeezes, the shape of grains.
@@ -37,13 +37,13 @@ LEAST_PA = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Gas:
-    """The air in a closed container. volume_m3: volume of it; warming_k: since it was closed"""
+    """The air in a closed container. volume_m3: volume of it; warming_k: warming since it was closed"""
 
     volume_m3: float
     warming_k: float = 0.0
 
     def pressure_pa(self, squeezed_m3: float) -> tuple[float, float]:
-        """Over the outside, when the walls took a volume away, and its slope [Pa/m3]."""
+        """Pressure above the outside's after the walls reduced the volume, and its slope [Pa/m3]."""
         left = max(self.volume_m3 - squeezed_m3, 0.05 * self.volume_m3)
         inside = AIR_PRESSURE_PA * (1.0 + self.warming_k / ROOM_K) * self.volume_m3 / left
         return inside - AIR_PRESSURE_PA, inside / left

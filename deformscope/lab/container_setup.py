@@ -1,4 +1,4 @@
-"""lab:containers as a setup to squeeze with, and the container that a rig's doubles squeeze. Its requested properties
+"""The setup of lab:containers, and the container that a rig's doubles squeeze. Its requested properties
 are set, the rest is drawn from the seed."""
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from deformscope.robot.squeeze_setup import (
 from deformscope_drivers.arm.kinematics import transform
 
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
-"""In words, by the form of a container."""
+"""Kinds of containers in words, by form."""
 CAMERA_HZ = 30.0
 OPEN_DEG, DISTAL_DEG = -24.0, 32.0
 """Angle of the proximal axes: the open fingertips are a centimetre or more from the containers of this laboratory.
@@ -45,7 +45,7 @@ are the feature. Upright ones would press with the middle of their pads."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContainerLab:
-    """A setup, not opened, its container, and the laboratory behind it, which has the truth."""
+    """A setup that is not opened, its container, and its laboratory, which has the truth."""
 
     setup: SqueezeSetup
     content: str
@@ -63,9 +63,9 @@ def container_lab(
     alike: bool = False,
     arm: str = "",
 ) -> ContainerLab:
-    """content, container: empty = drawn; session: its number is that of the room's temperature
+    """content, container: their names, empty = drawn; session: its number is that of the room's temperature
 
-    camera_hz, alike: as for `SqueezeLab`, `ContainerCase`; arm: `jaco` or `kuka`, which places the hand; empty = none
+    camera_hz, alike: as for `SqueezeLab`, `ContainerCase`; arm: `jaco` or `kuka`, which places the hand; empty = none.
     Raises InputError for a content or a container that is not known.
     """
     content, container = _drawn(content, container, "box", seed)
@@ -145,9 +145,9 @@ class RigContainer:
 
 
 def rig_container(parts: SqueezeParts, content: str, container: str, session: str, seed: int) -> RigContainer:
-    """The container that the doubles of a rig file squeeze, on the host's clock; as for `container_lab`.
+    """The container that the doubles of a rig file squeeze, on the host's clock; arguments as in `container_lab`.
 
-    Raises InputError for a content that is not known, and a container that is not the one of `[container]`.
+    Raises InputError for an unknown content, and for a container other than that of `[container]`.
     """
     from deformscope.lab.live_squeeze_lab import PICTURES_HZ, LiveSqueezeLab
 

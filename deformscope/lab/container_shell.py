@@ -1,11 +1,12 @@
-"""The walls of a container: a finite element shell, factorised once a kind of container, with a compliance for loads.
+"""The walls of a container: a finite element shell, factorised once for each kind of container, and its compliance for
+loads.
 
 Coordinates: s runs around the container (0 in the middle of the side at +x, growing towards +y), z upwards from the
 bottom [m]. The container's own frame has its origin in the middle of the body, x along the squeeze, z upwards.
 
 Elements are rectangles of class C1 (Bogner-Fox-Schmit), as products of one-dimensional cubic Hermite elements of
-scikit-fem. So every integral over the wall is a product of two integrals over lines. With w outwards, v along s and u
-along z, the energy is Donnell's for shallow shells:
+scikit-fem. Therefore every integral over the wall is a product of two integrals over lines. With w outwards, v along s
+and u along z, the energy is Donnell's for shallow shells:
 
     1/2 int  D11 w_ss^2 + 2 D12 w_ss w_zz + D22 w_zz^2 + 4 D66 w_sz^2
            + A11 e_s^2 + 2 A12 e_s e_z + A22 e_z^2 + A66 g^2,     e_s = v_s + w / R, e_z = u_z, g = u_s + v_z
@@ -40,14 +41,14 @@ FINE_M, COARSE_M = 0.0075, 0.010
 FINE_HALF_M = 0.030
 """Range of the fingers' heights around the middle."""
 PATCHES = (4, 4)
-"""Number of patches along s and z of each pressed side that the filling acts on."""
+"""Number of patches along s and z on each pressed side, on which the filling acts."""
 PATCH_HALF_M = 0.048
-"""Patches reach so far from the middle of the height."""
+"""Distance that patches reach from the middle of the height."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContainerShape:
-    """A container's outer form, undeformed, in its own frame.
+    """A container's undeformed outer form, in its frame.
 
     kind; half_m: half its size along x, y, z [m] (a cylinder's radius twice); wall
     """
@@ -99,13 +100,13 @@ class ContainerShape:
         return np.stack([place_x, place_y, up], axis=-1), np.stack([normal_x, normal_y, none], axis=-1)
 
     def depth_m(self, points_m: FloatArray, side: int) -> FloatArray:
-        """(n,) how deep points (n, 3) lie within the undeformed wall of one pressed side. side: 1 at +x, -1 at -x"""
+        """(n,) depth of points (n, 3) inside of the undeformed wall of one pressed side. side: 1 at +x, -1 at -x"""
         if self.kind == "cylinder":
             return np.asarray(self.half_m[0] - np.hypot(points_m[:, 0], points_m[:, 1]))
         return np.asarray(self.half_m[0] - side * points_m[:, 0])
 
     def under(self, points_m: FloatArray, side: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        """Where points (n, 3) press on one side: s and z; outward normals (n, 3); whether there is any wall."""
+        """For points (n, 3) that press on one side: s and z, outward normals (n, 3), and whether there is a wall."""
         x_m, y_m, half_z = self.half_m
         z_m = points_m[:, 2] + half_z
         on_wall = (z_m > 0.0) & (z_m < self.height_m)
@@ -125,11 +126,8 @@ SHAPES = {"box": BOX, "cylinder": CYLINDER}
 
 
 class Shell:
-    """The elastic wall of a shape. Displacements are counted inwards, loads too.
-
-    s_m, z_m: nodes of its mesh; patch_area_m2: (p,) and patch_z_m: (p,) of the patches that a filling acts on, those
-    of the side at +x first
-    """
+    """The elastic wall of a shape. Displacements and loads are positive inwards. s_m, z_m: nodes of its mesh;
+    patch_area_m2: (p,) and patch_z_m: (p,) of the patches that a filling acts on, those of the side at +x first"""
 
     def __init__(self, shape: ContainerShape) -> None:
         self.shape = shape

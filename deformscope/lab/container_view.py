@@ -32,7 +32,7 @@ from deformscope.lab.ray_camera import (
 from deformscope_drivers.sdh.kinematics import FINGERS, finger_points
 
 CAMERA = DepthViewConfig(distance_m=1.0, elevation_deg=20.0, azimuth_deg=-20.0)
-"""Around the container's own axes, in its unturned pose in the hand."""
+"""Pose of the camera relative to the container's axes, in its unturned pose in the hand."""
 PALM_RADIUS_M, PALM_BACK_M = 0.045, 0.10
 PALM = Capsule(np.array([0.0, 0.0, -PALM_BACK_M]), np.array([0.0, 0.0, -PALM_RADIUS_M]), PALM_RADIUS_M)
 TABLE_M = 0.8
@@ -48,10 +48,7 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 
 
 class ContainerView(RayCamera):
-    """A camera in front of a container in the hand.
-
-    shape: shape of the container
-    """
+    """A camera in front of a container in the hand. shape: shape of the container"""
 
     def __init__(
         self,
@@ -103,11 +100,8 @@ class ContainerView(RayCamera):
         position_deg: npt.NDArray[np.float64],
         robot: Sequence[Capsule] | None = None,
     ) -> Rendered:
-        """The exact picture.
-
-        inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) position of the hand
-        robot: all that is seen of it, None = the fingers of a hand in whose frame this is
-        """
+        """The exact picture. inward_m: (nodes along s, along z) displacement of the wall; position_deg: (7,) position
+        of the hand; robot: visible parts of the robot, None = the fingers of a hand, in the hand's frame"""
         still = self._still
         depth, seen, facing = still.depth_m.copy(), still.seen.copy(), still.facing.copy()
         vertex, triangle = self.mesh(inward_m)

@@ -56,22 +56,22 @@ LOADED = tuple(axis for pair in AXES for axis in pair)
 TEXEL_M2 = (TEXEL_PITCH_MM * 1e-3) ** 2
 TEXELS = ROWS_DISTAL * COLUMNS
 NEAR_M = 0.004
-"""A finger is near when a texel's surface is within this of where the wall bulges to at rest."""
+"""A finger is near if a texel's surface is within this distance of the bulging wall at rest."""
 TABLE_STIFFNESS_N_M = 2e4
 NEWTON_STEPS, DAMPED_FROM = 40, 8
 CLOSE_M = 1e-8
 CLOSE_N = 1e-4
 CORRECTIONS = 3
 TORQUE_CLOSE = 0.01
-"""A stalled axis has the torque of its motor within this share."""
+"""Share within which a stalled axis has the torque of its motor."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContainerDraw:
     """Variations from squeeze to squeeze and between instances.
 
-    T_hand_container: (4, 4) its first pose [m]; fill: share of the height; softness: softness of the wall over nominal
-    warming_k: since it was closed; room_k: temperature of hand and pads over their calibration
+    T_hand_container: (4, 4) first pose of the container [m]; fill: share of the height; softness: softness of the wall
+    over nominal; warming_k: warming since it was closed; room_k: temperature of hand and pads over their calibration
     gear_loss: (7,) share of each axis's torque
     """
 
@@ -86,8 +86,8 @@ class ContainerDraw:
     def draw(
         cls, shape: ContainerShape, seed: int, instance: int, session: int = 0, grasp: FloatArray | None = None
     ) -> ContainerDraw:
-        """A random one; the wall belongs to the instance, the temperature to the session, and nothing to the content.
-        grasp: (4, 4) container to hand as it was meant to be; None = that is drawn too"""
+        """A random draw: the wall depends on the instance, the temperature on the session, and nothing on the content.
+        grasp: (4, 4) planned pose of the container in the hand; None = it is drawn too"""
         own = np.random.default_rng([seed, 0x15])
         wall = np.random.default_rng([instance, 0x16])
         room = np.random.default_rng([session, 0x17])
@@ -112,8 +112,8 @@ upright fingertips touch a container of 6 cm."""
 
 
 def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArray:
-    """(4, 4) pose in the hand of a standing container that is reached for level: its middle between the pads, its z
-    along the hand's y. along_m: grasped so far above its middle; roll_deg: turned about the squeeze"""
+    """(4, 4) pose in a level hand of an upright container: its middle between the pads, its z along the hand's y.
+    along_m: height of the grasp above the container's middle; roll_deg: turn about the squeeze"""
     roll = math.radians(roll_deg)
     level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # container axes in the hand
     turn = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], [0, math.sin(roll), math.cos(roll)]])
@@ -125,7 +125,8 @@ def hand_from_container(along_m: float = 0.0, roll_deg: float = 0.0) -> FloatArr
 
 
 def misplaced(T_hand_container: FloatArray, deep_m: float, off_m: float, yaw_deg: float) -> FloatArray:
-    """(4, 4) the same, so far out of the hand, to the side of finger 0, and turned about the container's own z."""
+    """(4, 4) the pose after a displacement out of the hand, one to the side of finger 0, and a turn about the
+    container's z."""
     yaw = math.radians(yaw_deg)
     pose = T_hand_container.copy()
     pose[:3, :3] = pose[:3, :3] @ [[math.cos(yaw), -math.sin(yaw), 0], [math.sin(yaw), math.cos(yaw), 0], [0, 0, 1]]
@@ -205,10 +206,8 @@ class _Tangent:
 
 
 class ContainerWorld:
-    """A container with a content, and its response to the fingers.
-
-    shape, content, trial: as given; mass_kg: mass of all of it
-    """
+    """A container with a content, and its response to the fingers. shape, content, trial: as given; mass_kg: mass of
+    all of it"""
 
     def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial
@@ -245,31 +244,31 @@ class ContainerWorld:
 
     @property
     def T_hand_container(self) -> FloatArray:
-        """(4, 4) where it is now [m]."""
+        """(4, 4) present pose [m]."""
         pose = self.trial.T_hand_container.copy()
         pose[:3, 3] += pose[:3, 0] * self._state.slid_m
         return pose
 
     @property
     def force_n(self) -> FloatArray:
-        """(2,) of the fingers of `SQUEEZING` on the wall."""
+        """(2,) forces of the fingers of `SQUEEZING` on the wall."""
         return np.asarray(self._state.force_n.reshape(2, TEXELS).sum(axis=1))
 
     @property
     def pressure_pa(self) -> FloatArray:
-        """(2, 13, 6) on the texels of their distal pads."""
+        """(2, 13, 6) pressures on the texels of their distal pads."""
         return self._state.force_n.reshape(2, ROWS_DISTAL, COLUMNS) / TEXEL_M2
 
     @property
     def torque_nm(self) -> FloatArray:
-        """(7,) of the contact about each axis, against growing angles."""
+        """(7,) torques of the contact about each axis, against growing angles."""
         torque = np.zeros(7)
         torque[list(LOADED)] = self._state.torque_nm
         return torque
 
     @property
     def nodes_m(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) along s and (m,) along z [m], of `inward_m`."""
+        """Coordinates (n,) along s and (m,) along z [m] of `inward_m`."""
         return self._shell.s_m, self._shell.z_m
 
     def inward_m(self) -> FloatArray:
@@ -278,7 +277,7 @@ class ContainerWorld:
 
     @property
     def dent_m(self) -> FloatArray:
-        """(2,) the most that the wall has moved inwards since rest under a pressed texel of each finger."""
+        """(2,) largest inward displacement of the wall since rest, under a pressed texel of each finger."""
         moved = np.where(self._state.force_n > 0.0, self._state.y[: 2 * TEXELS], 0.0)
         return np.asarray(moved.reshape(2, TEXELS).max(axis=1))
 

@@ -1,4 +1,4 @@
-"""A slab that creeps: `SlabWorld` with a memory, in which every modulus relaxes alike.
+"""A slab that creeps: `SlabWorld` with a memory, in which all moduli relax by the same share.
 
     world = CreepingWorld(scene, Relaxation((0.3,), (1.0,)))
     world.at(0.01); world.press(tip, center_m)         # from rest, at a time [s]
@@ -10,15 +10,15 @@ Then a touch depends only on the elastic stiffness K of the nodes that a tip may
     f = (1 - sum g_i) K u + sum_i q_i,      dq_i/dt = g_i K du/dt - q_i / t_i
 
 holds for them exactly, those outside the tip included (their f is 0, and their dent recovers slowly). Over a step in
-which u moves evenly this is f = A K u + h with a number A and a known h. So each step is the same complementarity
-problem as an elastic press, of compliance C / A.
+which u moves evenly this is f = A K u + h with a number A and a known h. Therefore each step is the complementarity
+problem of an elastic press with compliance C / A.
 
 Foam with a permanent share of every dent is pressed not from its rest but from its set: f = A K (u - u_p) + h, with u_p
-at each node the same share of its greatest depth. On the approach that is a foam of a modulus lower by that share; on
-the retract it has its full stiffness, and the tip leaves it at u_p.
+at each node the same share of its greatest depth. On the approach the foam has a modulus that is lower by that share.
+On the retract it has its full stiffness, and the tip leaves it at u_p.
 
 Not modelled: foams of different relaxation within the reach of one touch (each touch creeps as the foam below the tip's
-middle). Nor is the memory of a place from which the tip slides further than its mesh allows.
+middle). The memory of a place is lost if the tip slides further than its mesh allows.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from deformscope.lab.slab_world import Contact, Patch, SlabWorld
 @dataclass(frozen=True, slots=True)
 class Relaxation:
     """How a foam's modulus relaxes. shares: shares of the instantaneous modulus, by branch, together below 1; times_s:
-    each branch's relaxation time; keeps: share of each dent that stays for good"""
+    each branch's relaxation time; keeps: share of each dent that is permanent"""
 
     shares: tuple[float, ...] = ()
     times_s: tuple[float, ...] = ()
@@ -54,7 +54,7 @@ class Relaxation:
 
     @property
     def share(self) -> float:
-        """Share of the modulus that relaxes, all branches together."""
+        """Share of the modulus that relaxes, in all branches together."""
         return sum(self.shares)
 
 
@@ -70,7 +70,7 @@ class CreepingWorld(SlabWorld):
         self._memory: _Memory | None = None
 
     def at(self, time_s: float) -> None:
-        """The next press is at this time [s]. The last of several presses at one time counts. Without a press since the
+        """Set the time of the next press [s]. The last of several presses at one time counts. Without a press since the
         last time, nothing touched the foam."""
         if time_s < self._now_s:
             raise InputError("a time not before the last", f"{time_s:g} s after {self._now_s:g} s")
@@ -81,7 +81,7 @@ class CreepingWorld(SlabWorld):
             self._now_s = time_s
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """As `SlabWorld.press`, center_m: (3,) [m]; a tip that has left the foam sees its dent recover."""
+        """As `SlabWorld.press`, center_m: (3,) [m]; the dent recovers when the tip has left the foam."""
         contact = super().press(tip, center_m)
         if contact.mesh_m is None and self._memory is not None:
             patch = self._memory.patch

@@ -34,7 +34,7 @@ from deformscope.lab.scenes import Scene
 from deformscope.solid import PosedSolid
 
 SPACING_M = 0.003
-"""Between the vertices of the foam's surface."""
+"""Distance between the vertices of the foam's surface."""
 
 STILL_M = 1e-5
 """Least motion for which rays are cast again."""
@@ -47,10 +47,8 @@ TABLE_M = 0.6
 
 
 class DepthView(RayCamera):
-    """A camera in front of a scene.
-
-    places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
-    """
+    """A camera in front of a scene. places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes
+    displacements [m]"""
 
     def __init__(
         self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None
@@ -70,7 +68,7 @@ class DepthView(RayCamera):
 
     @property
     def surface_from_camera(self) -> FloatArray:
-        """(4, 4) its pose: x right, y down, z along the view."""
+        """(4, 4) pose of the camera: x right, y down, z along the view."""
         return self.T_world_camera
 
     def render(
@@ -79,11 +77,8 @@ class DepthView(RayCamera):
         capsules: Sequence[Capsule] = (),
         solids: Sequence[PosedSolid] = (),
     ) -> Rendered:
-        """The exact picture.
-
-        displaced_m: (n, 3) how the surface has moved at `places_m` [m], None at rest
-        capsules, solids: the robot, surface frame
-        """
+        """The exact picture. displaced_m: (n, 3) displacement of the surface at `places_m` [m], None at rest; capsules,
+        solids: the robot, surface frame"""
         if displaced_m is not None and np.shape(displaced_m) != self._rest.shape:
             raise InputError(f"displacements of shape {self._rest.shape}", str(np.shape(displaced_m)), "places_m")
         picture = self._still if displaced_m is None else self._dented(displaced_m)

@@ -1,4 +1,4 @@
-"""Doubles in the place of devices, for a rig file with `double = true`."""
+"""Doubles that replace devices, for a rig file with `double = true`."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ _numbers = itertools.count(1)
 
 @contextlib.contextmanager
 def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
-    """A device of this driver, not opened, that a running double is behind; it runs until the end of the context.
+    """A device of this driver, not opened, whose other end is a double that runs until the end of the context.
 
-    config: as for the real device; the double has the address that it gives, and no hardware or CAN of the kernel's is
-    needed
+    config: as for the real device; the double has the address in it, and needs neither hardware nor a CAN interface of
+    the kernel
     """
     if driver in WIRED and config_bus(config):  # python-can's virtual buses are within a process
         with wire_of(driver, config, f"virtual:double-{next(_numbers)}") as wire:
@@ -61,8 +61,8 @@ def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
 
 @contextlib.contextmanager
 def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
-    """A running double of a byte-stream device: behind a CAN bus or a socket if the configuration names one, else a
-    pseudo terminal.
+    """A running double of a byte-stream device, connected by a CAN bus or a socket if the configuration names one, else
+    by a pseudo terminal.
 
     bus: replacement of the CAN bus that the configuration names
     """
@@ -98,7 +98,7 @@ def serve(pipe: Connection, driver: str, config: object) -> None:
 
 
 def reaching(config: object, port: str, *, is_bus: bool = False) -> Any:
-    """The configuration, for the double at the other end of a wire."""
+    """The configuration with the address of the double at the other end of a wire."""
     links = {"port": port}
     if hasattr(config, "bus"):
         links = {"port": "", "bus": port} if is_bus else {"port": port, "bus": ""}
@@ -179,7 +179,7 @@ def _depth_camera(config: DepthCameraConfig) -> Iterator[Device[Any]]:
 
 
 WIRED: dict[str, Callable[[Any], Double]] = {"optoforce": _optoforce, "dsa": _dsa, "sdh": _sdh}
-"""Byte-exact doubles, by driver: they go behind any wire."""
+"""Byte-exact doubles by driver: they work with any wire."""
 
 _IN_PROCESS: dict[str, Callable[[Any], contextlib.AbstractContextManager[Device[Any]]]] = {
     "jaco": _jaco,

@@ -39,7 +39,7 @@ MOST_FACTORISED = 40_000
 conjugate gradients are faster: 100 000 unknowns of a slab take 3 s at nu = 0.3 and 8 s at 0.49, against 18 s."""
 
 LEAF = 50
-"""Nodes that nested dissection divides no further."""
+"""Number of nodes that nested dissection does not divide further."""
 
 SOLVED_TO = 1e-10
 """Residual at which conjugate gradients stop, as a share of the right-hand side."""
@@ -48,7 +48,7 @@ SOLVED_TO = 1e-10
 @dataclass(frozen=True, slots=True)
 class Solved:
     """A static state. displacement: (N, 3) displacement of every node [m]; force: (N, 3) force of the support on each
-    node [N], zero at free nodes Several displacements solved at once have a leading axis."""
+    node [N], zero at free nodes. Several displacements solved at once have a leading axis."""
 
     displacement: FloatArray
     force: FloatArray
@@ -62,8 +62,8 @@ class ElasticBox:
     element: "serendipity" (20 nodes) and "quadratic" (27) do not lock when nearly incompressible, "trilinear" (8) does
 
     nodes: (N, 3) positions at rest of corners, and of the middles of edges, faces and elements where the element has
-    nodes there [m]; corners: (nx ny nz,) those on the axes alone, last axis fastest; centres: (E, 3) centres of the
-    elements
+    nodes there [m]; corners: (nx ny nz,) nodes at corners, without those between them, last axis fastest; centres: (E,
+    3) centres of the elements
     """
 
     def __init__(
@@ -104,14 +104,13 @@ class ElasticBox:
         return np.asarray(np.abs(self.nodes[:, axis] - value) <= self.tolerance)
 
     def hold(self, held: BoolArray) -> HeldBox:
-        """The box with the displacements named by `held` (N, 3) prescribed, to be solved for any values of them."""
+        """The box with prescribed displacements where `held` (N, 3) is true; it can be solved for any values of
+        them."""
         return HeldBox(self, held)
 
     def sample(self, displacement: FloatArray, points: FloatArray) -> FloatArray:
-        """Displacement of material points inside, by the elements' own shape functions.
-
-        displacement: (N, 3) or (B, N, 3) [m]; points: (n, 3) at rest [m]; gives (n, 3) or (B, n, 3)
-        """
+        """Displacement of material points inside, by the elements' shape functions. displacement: (N, 3) or (B, N, 3)
+        [m]; points: (n, 3) at rest [m]; gives (n, 3) or (B, n, 3)"""
         points = np.asarray(points, dtype=np.float64)
         cell = self._cell[self._cell_index(points)]
         zero = np.zeros((3, 1))
@@ -167,10 +166,8 @@ class HeldBox:
             self._factors = splu(self._own.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0, options=options)
 
     def solve(self, displacement: FloatArray, load: FloatArray | None = None) -> Solved:
-        """The static state.
-
-        displacement: (N, 3) or (B, N, 3) [m], read where `held`; load: (N, 3) forces on the nodes that are free [N]
-        """
+        """The static state. displacement: (N, 3) or (B, N, 3) [m], read where `held`; load: (N, 3) forces on the nodes
+        that are free [N]"""
         displacement = np.asarray(displacement, dtype=np.float64)
         single = displacement.ndim == 2
         every = displacement.reshape(-1, self.held.size)
@@ -206,11 +203,8 @@ class HeldBox:
 
 
 def stiffness_of(basis: Basis, young: FloatArray, poisson: FloatArray) -> csr_array:
-    """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'.
-
-    basis: scalar elements with N nodes; young, poisson: (E,) Young's modulus and Poisson's ratio of each element, [Pa]
-    and a ratio
-    """
+    """K of 3 N unknowns, node by node: the integral of lambda tr(e) tr(e') + 2 mu e : e'. basis: scalar elements with N
+    nodes; young, poisson: (E,) Young's modulus and Poisson's ratio of each element, [Pa] and a ratio"""
     lame = (young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)))[:, None, None, None, None]
     shear = (0.5 * young / (1.0 + poisson))[:, None, None, None, None]
     weight = basis.dx
@@ -242,8 +236,8 @@ def _rigid_motions(nodes: FloatArray) -> FloatArray:
 def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     """An order of unknowns with little fill-in: nested dissection by planes of the mesh (George 1973).
 
-    nodes: (n, 3) node of each unknown. Elements do not reach over a plane of corners, so that each side of one depends
-    on the other side through the plane alone.
+    nodes: (n, 3) node of each unknown. Elements do not cross a plane of corners, so that both sides of a plane depend
+    on each other only through its nodes.
     """
     spacing = np.array([float(np.diff(axis).mean()) for axis in axes])
     tolerance = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)

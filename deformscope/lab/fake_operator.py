@@ -1,4 +1,4 @@
-"""Another operator of the robot: doubles that move without a command of our drivers."""
+"""Another operator of the robot: doubles that move without a command of deformscope."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SWINGS = ((12.0, 9.0), (8.0, 7.0), (-9.0, 6.0), (6.0, 5.0), (-8.0, 4.0), (14.0, 
 @contextlib.contextmanager
 def moved_by_hand(arm: JacoDouble) -> Iterator[Callable[[], None]]:
     """Swing the arm's joints to and fro until the end of the context, as a joystick would: one point every 10 ms.
-    Yields the reason for its end before."""
+    Yields the reason if the motion ended earlier."""
     ended = threading.Event()
 
     def move() -> None:

@@ -38,7 +38,7 @@ class Injected(StrEnum):
 
     @property
     def word(self) -> str:
-        """The fault as it is named on the command line: force-silent."""
+        """The fault's name on the command line: force-silent."""
         return self.name.lower().replace("_", "-")
 
 
@@ -47,12 +47,12 @@ FORCE, ARM, CAMERA = _EVERY[:7], _EVERY[7:14], _EVERY[14:]
 """By the device that they strike, in the order above."""
 
 WITHIN_S = {Phase.TRAVEL: 1.0, Phase.APPROACH: 2.0, Phase.PRESS: 0.3, Phase.DWELL: 0.4, Phase.RETREAT: 1.5}
-"""Latest time of a fault after the begin of such a phase; none of them is much shorter."""
+"""Latest time of a fault after the beginning of such a phase; no such phase is much shorter."""
 CAMERA_WITHIN_S = 0.3
 
 
 def inject(lab: TouchLab, injected: Injected, random: np.random.Generator) -> None:
-    """Let it go wrong now. random: draws how badly, where there is more than one."""
+    """Inject the fault now. random: draws the fault's size, if it has one."""
     assert lab.camera is not None
     match injected:
         case Injected.FORCE_SILENT:
@@ -127,7 +127,7 @@ class FaultsToCome:
     """Injects faults during touches: each at a moment drawn from the seed, within its touch.
 
     A fault of force sensor or arm strikes in any phase; one of the camera while it dwells, when its pictures matter.
-    struck: which have struck, and when on the laboratory's clock [ns]
+    struck: faults that have occurred, and when on the laboratory's clock [ns]
     """
 
     def __init__(self, lab: TouchLab, faults: Sequence[FaultAt], seed: int) -> None:
@@ -144,7 +144,7 @@ class FaultsToCome:
             self._waiting.append((fault, phase, round(random.uniform(0.0, within_s) * 1e9), random))
 
     def phase_began(self, phase: Phase, touch: int) -> None:
-        """Called by the touching code, as each phase begins. touch: from 1"""
+        """Called when a phase of a touch begins. touch: its number, from 1"""
         for one in list(self._waiting):
             fault, waited_for, delay_ns, random = one
             if (fault.touch, waited_for) == (touch, phase):
@@ -153,7 +153,7 @@ class FaultsToCome:
 
     @property
     def waiting(self) -> tuple[FaultAt, ...]:
-        """The faults whose moment has not come."""
+        """The faults that have not been injected yet."""
         return tuple(fault for fault, *_ in self._waiting)
 
     def _strike(self, fault: FaultAt, random: np.random.Generator) -> None:

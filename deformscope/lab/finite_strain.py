@@ -1,9 +1,9 @@
 """A foam block under a flat clamp by finite elements at large strain, in the plane.
 
 Nine-node quadrilaterals (quadratic: they do not lock), plane strain, Newton's method with a line search on the energy,
-load steps that halve where it fails. The block is bonded to the ground; the clamp moves straight down and the foam
-under it does not slip; the rest of the surface and both sides are free. Left and right mirror each other, so the right
-half is computed.
+and load steps that are halved if it fails. The block is bonded to the ground; the clamp moves straight down and the
+foam under it does not slip; the rest of the surface and both sides are free. Left and right mirror each other, so the
+right half is computed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from deformscope.errors import InputError
 from deformscope.lab.ogden import OgdenFoam, stress_and_tangent
 
 RESIDUAL = 1e-9
-"""Newton ends when the free nodes' forces are this small relative to the clamp's."""
+"""Forces on free nodes, relative to that on the clamp, at which Newton's method ends."""
 
 ITERATIONS = 20
 SHORTEST_STEP = 2.0**-6
@@ -43,7 +43,7 @@ class Block:
 class PressedBlock:
     """The block at one depth of the clamp.
 
-    force_n: with which the clamp pushes down [N]; ground_n: with which the ground pushes up
+    force_n: force with which the clamp pushes down [N]; ground_n: force with which the ground pushes up
     nodes: (n, 2) rest positions [m] of the right half's nodes, x from the middle, y from the ground;
     displacement: (n, 2) [m]
     """
@@ -69,10 +69,8 @@ def press(
     depths_m: Sequence[float],
     element_m: float = 0.005,
 ) -> list[PressedBlock]:
-    """The block at each of the rising depths of a clamp that is `clamp_m` wide and sits on its middle.
-
-    element_m: size of the elements below the clamp; further off they grow to twice that
-    """
+    """Press the block to each of the rising depths of a clamp that is `clamp_m` wide and on its middle. element_m: size
+    of the elements below the clamp; far from it they are twice as large"""
     if not (0.0 < clamp_m <= block.width_m and len(depths_m) and min(np.diff([0.0, *depths_m])) > 0.0):
         raise InputError("a clamp no wider than the block, and depths that rise from 0", f"{clamp_m:g} m, {depths_m}")
     half = _Half(law, block, clamp_m, element_m)
@@ -86,10 +84,8 @@ def press(
 
 
 class LargeStrain(ABC):
-    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method.
-
-    prescribed, free: (n,) degrees of freedom that are held, and all others
-    """
+    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method. prescribed, free:
+    (n,) degrees of freedom that are held, and all others"""
 
     prescribed: IntArray
     free: IntArray

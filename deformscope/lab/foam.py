@@ -1,4 +1,4 @@
-"""Five virtual foams in the place of those of Thesis table 3.3, each a law of two terms (`deformscope.lab.ogden`).
+"""Five virtual foams that represent those of Thesis table 3.3, each with a law of two terms (`deformscope.lab.ogden`).
 
 A maker states density and hardness. Consequences of these, and remaining choices:
 
@@ -7,14 +7,14 @@ A maker states density and hardness. Consequences of these, and remaining choice
   makes every law somewhat too stiff.
 - **Density sets densification.** Past its plateau the stress of open-cell foam grows as 1 / (e_D - e) with e_D = 1 -
   1.4 density / 1200 kg/m3 (of solid polyurethane; Gibson and Ashby 1997, chapter 5). A first term alone grows as 1 / (1
-  - e): foam that weighs nothing. The second, of exponent -4, makes up the difference at a strain of 65 %.
+  - e): foam that weighs nothing. The second term, with exponent -4, adds the difference at a strain of 65 %.
 - **The plateau is chosen.** Exponent a of the first term puts the plateau near Young's modulus over a: 20 is the 5 % of
   conventional foam (Gibson and Ashby), 6 an almost linear high-resilience one. Makers do not state it. Foams that are
-  hard for their density (28/150, 39/200) get the strong plateau, those that are soft for it a weak one.
+hard for their density (28/150, 39/200) have a strong plateau, those that are soft for their density a weak one.
 - **Poisson's ratio is chosen**, within the 0 to 0.3 that flexible foam shows at small strain. Makers do not state it.
 
-Neither choice rises or falls with hardness (rank correlations over the five: 0.1 and 0), so that it introduces no trend
-of beta.
+Neither parameter rises or falls with hardness (rank correlations over the five foams: 0.1 and 0), so that they
+introduce no trend of beta.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PLATE_M2 = 0.0324
 
 HARDNESS_STRAIN = 0.4
 SOLID_KG_M3 = 1200.0
-"""Density of the polyurethane that the cells are made of."""
+"""Density of the cells' polyurethane."""
 
 DENSIFYING_EXPONENT, DENSIFIED_STRAIN = -4.0, 0.65
 
@@ -80,4 +80,4 @@ FOAMS = (
     Foam(39.0, 200.0, 16.0, 0.0),
     Foam(50.0, 230.0, 9.0, 0.20),
 )
-"""In the thesis's order, from its softest to its firmest."""
+"""Foams in the thesis's order, from the softest to the firmest."""

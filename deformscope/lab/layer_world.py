@@ -1,4 +1,4 @@
-"""A scene in closed form: quick enough for the host's clock, where finite elements would be waited for.
+"""A scene in closed form: quick enough for the host's clock, where finite elements would cause delays.
 
 For trying robots and rigs, not for studies: linear elasticity on an axis, without finite elements' shapes of a contact.
 """
@@ -22,13 +22,13 @@ so thin that the law ends."""
 
 
 class LayerWorld:
-    """A ball on a scene's layers, each place with the mean log modulus around it.
+    """A ball on a scene's layers; each place has the mean log modulus of its surroundings.
 
     A half-space below Hertz's ball (Johnson 1985, eq. 4.22) sinks by its own depth's displacement. The displacement at
     the depth of the table, which does not move, is subtracted (Steinbrenner 1934; on the axis of a point load, Johnson
     1985, eq. 3.18).
 
-    pressed: (3,) where the ball is and how deep: x, y, depth [m]
+    pressed: (3,) place and depth of the ball: x, y, depth [m]
     """
 
     def __init__(self, scene: Scene, radius_m: float) -> None:
@@ -47,7 +47,7 @@ class LayerWorld:
         self.pressed: FloatArray = np.zeros(3)
 
     def press(self, center_m: FloatArray) -> FloatArray:
-        """Force (3,) [N] on a ball whose middle (3,) [m] is here, surface frame."""
+        """Force (3,) [N] on a ball with this middle (3,) [m], surface frame."""
         scene, center = self.scene, np.asarray(center_m, dtype=np.float64)
         normal = scene.normal(center[:2])
         foot = np.append(center[:2], scene.foam_height_m(center[:2]))
@@ -75,7 +75,7 @@ class LayerWorld:
         return float(hertz * alone_m**1.5)
 
     def displaced_m(self, places_m: npt.NDArray[np.floating]) -> FloatArray:
-        """(n, 3) how the surface at places (n, 2) has moved [m], as a half-space below Hertz's pressure would (Johnson
+        """(n, 3) displacement of the surface at places (n, 2) [m], that of a half-space below Hertz's pressure (Johnson
         1985, eq. 3.42)."""
         middle, depth = self.pressed[:2], float(self.pressed[2])
         moved = np.zeros((len(places_m), 3))

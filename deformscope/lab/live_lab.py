@@ -1,8 +1,8 @@
-"""A simulated table for devices on their own clock: the host's, each device with its own thread.
+"""A simulated table for devices on the host's clock, each with its own thread.
 
-The simulated table of a rig file with `double = true` and `[surface] scene`; the code that moves a real arm then moves
-a simulated one. The table lives in processes of its own, as a real one does not wait for this program's threads.
-`touch_lab` is the laboratory for studies: its clock is simulated, and every run of it the same.
+It is the table of a rig file with `double = true` and `[surface] scene`: the code that moves a real arm then moves a
+simulated one. The table is simulated in separate processes, because a real one does not wait for this program's
+threads. `touch_lab` is the laboratory for studies: its clock is simulated, and its runs are repeatable.
 """
 
 from __future__ import annotations
@@ -110,10 +110,8 @@ class _Shared:
 
 
 class LiveLab:
-    """The table, the arm over it, and their state (`robot.setup.SimulatedTable`).
-
-    view: the camera; arm: the simulated one, and who places it
-    """
+    """The table, the arm over it, and their state (`robot.setup.SimulatedTable`). view: the camera; arm: the simulated
+    arm, and the person who places it"""
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 
@@ -167,7 +165,7 @@ class LiveLab:
 
     @contextlib.contextmanager
     def devices(self, entries: Sequence[RigDevice]) -> Iterator[dict[str, Device[Any]]]:
-        """Devices of drivers over the doubles, not opened, by name; the table lives until the end of the context."""
+        """Devices of drivers over the doubles, not opened, by name; the table exists until the end of the context."""
         made: dict[str, Device[Any]] = {}
         with contextlib.ExitStack() as stack:
             stack.enter_context(until_done("simulated arm", self._move))
@@ -214,7 +212,7 @@ class LiveLab:
 
 
 def start_places_m(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """(3,) where the tip's centre is at the beginning, and where it touches below that [m]."""
+    """Initial place (3,) of the tip's centre, and its place at a touch below that [m]."""
     parked = np.array([scene.size_m[0] / 2, scene.size_m[1] / 2, PARKED_M])
     return parked, np.array([*parked[:2], scene.thickness_m])
 
@@ -300,7 +298,7 @@ def first_message(pipe: Connection, what: str) -> Any:
 
 
 def pass_pictures(pipe: Connection, camera: SyntheticDepthCamera, over: Callable[[], bool]) -> None:
-    """Pictures that another process has drawn, to the camera, until it is over."""
+    """Pass pictures that another process has drawn to the camera, until the end."""
     while not over():
         try:
             if not pipe.poll(0.1):
@@ -314,7 +312,7 @@ def pass_pictures(pipe: Connection, camera: SyntheticDepthCamera, over: Callable
 
 @contextlib.contextmanager
 def until_done(name: str, work: Callable[[], None]) -> Iterator[None]:
-    """A thread that ends on its own, which is joined at the end of the context."""
+    """Run a thread that ends without a request, and join it at the end of the context."""
     thread = threading.Thread(target=work, name=name, daemon=True)
     thread.start()
     try:

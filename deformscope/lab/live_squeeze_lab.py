@@ -1,7 +1,7 @@
-"""A simulated container for devices on their own clock: the host's, each device with its own thread.
+"""A simulated container for devices on the host's clock, each with its own thread.
 
 The same doubles as in `squeeze_lab`, behind pseudo terminals, in a child process: a real hand does not wait for this
-program's threads either. Pictures come from that process ready made. Motions may be waited for here.
+program's threads either. That process also draws the pictures. Here a call may wait for a motion.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ PICTURES_HZ = 10.0
 
 
 class LiveSqueezeLab:
-    """`with LiveSqueezeLab(case) as lab:` and its devices are there, not opened; `lab.source()` opens them.
+    """`with LiveSqueezeLab(case) as lab:` makes its devices, which are not opened; `lab.source()` opens them.
 
-    hand, pads, camera: the real drivers' devices; clock, wait_until: the host's
-    `devices` makes them those of a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)
+    hand, pads, camera: the real drivers' devices; clock, wait_until: those of the host. `devices` makes the devices of
+    a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)
     """
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
@@ -89,7 +89,7 @@ class LiveSqueezeLab:
             yield {entry.name: made[entry.driver.kind] for entry in entries}
 
     def truth(self) -> ContainerTruth:
-        """The simulated truth, up to now, on the host's clock. Raises InputError where its process has ended."""
+        """The simulated truth, up to now, on the host's clock. Raises InputError if its process has ended."""
         try:
             self._questions.send(None)
             answer = self._questions.recv()

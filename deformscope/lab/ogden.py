@@ -1,4 +1,4 @@
-"""Ogden's law of compressible solids (1972), in the form that suits flexible foam.
+"""Ogden's law of compressible solids (1972), in a form for flexible foam.
 
 In Seth and Hill's strains e_i(x) = (x^a_i - 1) / a_i of the principal stretches l and of the volume J = l_1 l_2 l_3,
 the principal Kirchhoff stresses are those of linear elasticity:
@@ -26,10 +26,8 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class OgdenFoam:
-    """One foam.
-
-    shear: mu_i [Pa], > 0; exponent: a_i, not 0, one for each; poisson: nu of small strains, 0 to below 1/2
-    """
+    """One foam. shear: mu_i [Pa], > 0; exponent: a_i, not 0, one for each; poisson: nu of small strains, 0 to below
+    1/2"""
 
     shear: tuple[float, ...]
     exponent: tuple[float, ...]

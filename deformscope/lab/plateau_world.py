@@ -1,8 +1,8 @@
-"""A slab whose foam yields: `SlabWorld` whose forces are those of Ogden's foam at large strain.
+"""A slab whose foam yields: a `SlabWorld` with the forces of Ogden's foam at large strain.
 
-Foam with a plateau answers a light touch with its modulus, and a deep one with far less, as its cells' walls buckle.
+Foam with a plateau resists a light touch with its modulus, and a deep one with far less, as its cells' walls buckle.
 The reduction is computed once for a foam, a ball and a thickness, around the ball's axis (`axisymmetric_contact`),
-relative to the same ball on linear foam. At each depth a touch's force is that share of the linear one's. On foam of
+relative to the same ball on linear foam. At each depth a touch's force is the linear force times that share. On foam of
 one kind, far from its edges, force over depth is therefore that of the large-strain solution.
 
 Not modelled: near a border or an edge, the share is that of the foam below the tip's middle on a level layer of the
@@ -26,17 +26,17 @@ from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import Contact, SlabWorld
 
 DEPTHS_M = (0.25e-3, 0.5e-3, 1e-3, 1.5e-3, 2e-3, 3e-3, 4e-3, 6e-3, 8e-3, 10e-3, 12e-3, 15e-3)
-"""At which the share is found: those that are less than half the layer; beyond, it stays."""
+"""Depths at which the share is computed, below half the layer's thickness; beyond the last it is constant."""
 THICKNESS_STEP_M = 0.005
 MODULUS_PA = 1e5
-"""Any: forces of both laws are in proportion to it."""
+"""Any value would do: forces of both laws are in proportion to it."""
 
 
 class PlateauWorld(SlabWorld):
-    """A scene some of whose foams yield (`Piece.plateau_exponent`)."""
+    """A scene in which some foams yield (`Piece.plateau_exponent`)."""
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """As `SlabWorld.press`, of a ball with its middle at (3,) [m]."""
+        """As `SlabWorld.press`, for a ball with its middle at (3,) [m]."""
         contact = super().press(tip, center_m)
         label = int(self.scene.label(contact.center_m[:2]))
         plateau_exponent = self.scene.pieces[label].plateau_exponent if label >= 0 else 0
@@ -53,9 +53,7 @@ def force_share(
     plateau_exponent: int, poisson: float, radius_m: float, thickness_m: float, depth_m: FloatArray
 ) -> FloatArray:
     """(n,) force of foam that yields over that of linear foam of the same modulus, at depths (n,) [m] of a ball.
-
-    plateau_exponent: Ogden's exponent: the plateau is near the modulus over this
-    """
+    plateau_exponent: Ogden's exponent: the plateau is near the modulus over this"""
     linear = SlabWorld(Scene("level", 0, (Piece("", MODULUS_PA),), {}, thickness_m=thickness_m, poisson=poisson))
     middle, tip = 0.5 * np.asarray(linear.scene.size_m), RigidTip(radius=radius_m)
     stays_n = [

@@ -42,8 +42,8 @@ TAP_N, TAP_S = 4.0, 0.04
 class RandomizedRig:
     """True poses of things.
 
-    placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: as the
-    sensor gives them over true ones
+    placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: the
+    sensor's forces over the true forces
     T_surface_camera, T_ee_board: (4, 4) camera to surface frame, board to the arm's end
     """
 
@@ -55,7 +55,7 @@ class RandomizedRig:
 
     @classmethod
     def draw(cls, number: int, tool: Tool, size_m: tuple[float, float], thickness_m: float) -> RandomizedRig:
-        """The rig of a number. tool: whose radii are measured with a caliper, and true"""
+        """The rig that belongs to a seed. tool: the tool, whose radii are measured with a caliper and are exact"""
         random = np.random.default_rng([number, 0x81D])
         T = np.array(T_BASE_SURFACE)
         T[:3, :3] = Rotation.from_euler("zyx", random.uniform(-1, 1, 3) * (4.0, 0.7, 0.7), degrees=True).as_matrix()
@@ -88,7 +88,7 @@ class RandomizedRig:
 
 
 class BoardPicture:
-    """The board, printed: a picture that is put into the camera's."""
+    """A picture of the printed board, which is inserted into the camera's pictures."""
 
     def __init__(self) -> None:
         markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -102,7 +102,7 @@ class BoardPicture:
         )
 
     def put_into(self, color: npt.NDArray[np.uint8], lens: Intrinsics, T_camera_board: FloatArray) -> None:
-        """Draw the board over a picture (H, W, 3), before everything else."""
+        """Draw the board over a picture (H, W, 3), in front of everything else."""
         if T_camera_board[2, 3] <= 0.1 or T_camera_board[2, 2] <= 0.1:  # behind the camera, or seen from behind
             return
         camera = np.array([[lens.fx_px, 0.0, lens.cx_px], [0.0, lens.fy_px, lens.cy_px], [0.0, 0.0, 1.0]])
@@ -123,7 +123,7 @@ class BoardPicture:
 
 
 class HandledTable(Protocol):
-    """A simulated table with a person at it. body: the arm, which they move by hand"""
+    """A simulated table with a person at it. body: the arm, which the person moves by hand"""
 
     @property
     def body(self) -> ArmBody: ...
@@ -136,7 +136,7 @@ class HandledTable(Protocol):
 
 
 class SimulatedHand:
-    """Carries out requests at a table, by their kind (`experiments.rig_calibration`); never exactly.
+    """Carries out requests at a table, by their kind (`experiments.rig_calibration`), with small errors.
 
     Raises InputError if the arm does not reach the requested pose.
     """
@@ -147,7 +147,7 @@ class SimulatedHand:
         self._parked = table.body.T_base_end_effector
 
     def do(self, kind: str, number: int, axis: tuple[float, float, float] | None) -> None:
-        """Carry out a request to the operator at once: a pose of the arm or of the board."""
+        """Carry out a request to the operator immediately: a pose of the arm or of the board."""
         self._table.push_tip(np.zeros(3))
         self._table.show_board(kind == "view")
         match kind:
@@ -177,7 +177,7 @@ class SimulatedHand:
                 self._park()
 
     def tap(self) -> None:
-        """One tap begins."""
+        """Begin one tap."""
         self._table.push_tip(np.array([0.0, 0.0, TAP_N * self._random.uniform(0.7, 1.3)]))
 
     def let_go(self) -> None:
@@ -185,7 +185,7 @@ class SimulatedHand:
         self._table.push_tip(np.zeros(3))
 
     def leave(self) -> None:
-        """The arm back where it was parked, the board off."""
+        """Put the arm back at its first place, and take the board off."""
         self._table.show_board(False)
         self._table.push_tip(np.zeros(3))
         self._park()

@@ -1,6 +1,6 @@
-"""A simulated depth camera: rays cast into triangles and capsules, and the errors of such a camera.
+"""A simulated depth camera: rays cast into triangles and capsules, and the errors of a real camera.
 
-It is a PrimeSense by its figures: 640x480 pixels, 570 px of focal length.
+It has the figures of a PrimeSense: 640x480 pixels, 570 px of focal length.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NOTHING, TABLE, FOAM, ROBOT, CONTAINER = 0, 1, 2, 3, 4
 """Surface that a pixel's ray hit."""
 
 NEAREST_M = 0.01
-"""Corners nearer than this to the plane of the camera are sought in all of its picture."""
+"""Distance from the plane of the camera below which triangles are searched in the whole picture."""
 COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 152, 110]], dtype=np.float64)
 """Colour of each material, lit along the view; all foams look alike."""
 
@@ -29,12 +29,12 @@ COLOR = np.array([[0, 0, 0], [92, 84, 76], [206, 196, 150], [70, 74, 82], [186, 
 class DepthViewConfig:
     """A camera, its pose, and its errors.
 
-    width, height: [px]; focal_px: at 640 pixels of width; smaller images see as much
-    distance_m: from the middle of its view; elevation_deg: elevation of the camera above the table, as seen from there
+    width, height: [px]; focal_px: focal length at 640 pixels of width; smaller images show the same view; distance_m:
+    distance from the middle of its view; elevation_deg: elevation of the camera above the table, as seen from there
     azimuth_deg: its direction around that, from the x axis towards y
-    noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's,
-    which has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
-    missing: share of pixels without depth; grazing_deg: surfaces seen flatter than that have none
+    noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's, which
+    has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
+    missing: share of pixels without depth; grazing_deg: surfaces seen at a smaller angle than this have no depth
     unit_m: step of depth; far_m: farthest depth that is measured
     """
 
@@ -70,7 +70,7 @@ class Rendered:
 
 
 class RayCamera:
-    """A camera somewhere in a world.
+    """A camera at a pose in a world.
 
     config; intrinsics: its projection; T_world_camera: (4, 4) its pose: x right, y down, z along the view
     """
@@ -89,7 +89,7 @@ class RayCamera:
         self._cast = np.concatenate([eye, ray], axis=-1).astype(np.float32)
 
     def observe(self, exact: Rendered, random: np.random.Generator) -> npt.NDArray[np.uint16]:
-        """(H, W) the depth that the camera reports, in units of `unit_m`, 0 for missing points: noise along the view,
+        """Depth (H, W) that the camera reports, in units of `unit_m`, 0 for missing points: noise along the view,
         steps, and points missing at random and at grazing angles."""
         config = self.config
         depth = np.nan_to_num(exact.depth_m, nan=0.0)
@@ -128,8 +128,8 @@ class RayCamera:
         return depth, facing, hit["geometry_ids"].numpy().astype(np.int64)
 
     def cover(self, capsule: Capsule, depth: FloatArray, seen: npt.NDArray[np.uint8], facing: FloatArray) -> None:
-        """Draw a capsule of the robot into a picture (h, w), changed in place, where it is nearer. depth: along the
-        view [m]; seen: index of each pixel's surface; facing: cosine between ray and surface normal"""
+        """Draw a capsule of the robot into a picture (h, w), changed in place, where it is nearer. depth: depth along
+        the view [m]; seen: index of each pixel's surface; facing: cosine between ray and surface normal"""
         part = self.window(capsule)
         ray, length = self.ray[part], self._length[part]
         entered, normal = _enter(capsule, self.T_world_camera[:3, 3], ray, length)

@@ -1,7 +1,7 @@
 """The robot that the laboratory's camera sees: a URDF of meshes, with a gripper, a stick and a cable.
 
-It follows its description as a real robot does: its fingers are closed by a few degrees more or less, and its cable
-hangs and sways, where the description has lines and a radius around them.
+Like a real robot it differs from its description: its fingers are closed by a few degrees more or less. Its cable hangs
+and sways, while the description has lines with a radius.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ URDF = "j2n6s300-stick.urdf"
 CLOSED = 0.62
 """How far the fingers are closed on the stick's neck."""
 CLOSED_OFF = 0.03
-"""Deviation of that: 2.6 degrees."""
+"""Deviation of the fingers' closing: 2.6 degrees."""
 CABLE_M = (
     (0.010, -0.004, 0.062),
     (0.048, -0.018, 0.052),
@@ -42,7 +42,7 @@ CABLE_PIECES = 20
 
 
 def described_robot(removal: Removal | None = None) -> RobotDescription:
-    """A careful user's [shape] for this robot: the cable's radius covers sag and sway."""
+    """The [shape] that a careful user would write for this robot: the cable's radius includes sag and sway."""
     cable = CableSection(CABLE_M, CABLE_RADIUS_M + SAG_M + 2.0 * SWAY_M)
     return describe(ShapeSection(removal, URDF, closed=CLOSED, cables=(cable,)), J2N6S300, FOLDER)
 
@@ -59,10 +59,10 @@ class RobotBody:
     def seen(
         self, placement: Placement, T_base_links: FloatArray, center_m: FloatArray
     ) -> tuple[tuple[Capsule, ...], tuple[PosedSolid, ...]]:
-        """A camera's view of it, surface frame: stick, ball and cable; all else.
+        """What a camera sees of the robot, surface frame: first stick, ball and cable, then all other parts.
 
-        T_base_links: (k, 4, 4) poses of joints and end; center_m: (3,) centre of the tip, which a push moves off the
-        chain's own
+        T_base_links: (k, 4, 4) poses of joints and end; center_m: (3,) measured centre of the tip, which a push moves
+        away from that of the chain
         """
         stick = arm_shape(placement, T_base_links, center_m, description=self._truth)
         return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)

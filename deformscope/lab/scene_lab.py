@@ -40,15 +40,15 @@ CAMERA_HZ = 10.0
 CREEP_S = 1.0
 """Time constant of foam that creeps."""
 CAMERA_AZIMUTH_DEG = -90.0
-"""The camera looks across the long edge at y = 0: the arm is beyond the other, and hides what is behind it."""
+"""The camera looks across the long edge at y = 0. The arm is beyond the opposite edge."""
 BOX_LOW_M, BOX_HIGH_M = (-0.40, -0.66, 0.0), (0.45, 0.10, 0.75)
 """Range of the tip, in the base frame: above the table, and to the arm's parking place."""
 UPRIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class SceneLab:
-    """The laboratory with a scene in it, not opened. lab: its devices and faults; setup: to explore it; drawn: errors
-    that the seed drew, hidden from the exploration"""
+    """The laboratory with a scene in it, not opened. lab: its devices and faults; setup: setup with which it is
+    explored; drawn: errors that the seed drew, hidden from the exploration"""
 
     def __init__(
         self,
@@ -109,7 +109,7 @@ class SceneLab:
 
     @property
     def setup(self) -> Setup:
-        """The arm's compliance is as a calibration on a rigid block would give it."""
+        """The setup; its arm has the compliance that a calibration on a rigid block would give."""
         intrinsics = self.view.intrinsics
         return Setup(
             size_m=self.scene.size_m,
@@ -145,8 +145,8 @@ class SceneLab:
         return Relaxation((relaxes,), (CREEP_S,), keeps) if relaxes else Relaxation(keeps=keeps)
 
     def press(self, center_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) the slab's force [N] on a tip at (3,) [m], in the surface frame: the interface of a world of
-        `TouchLab`."""
+        """Force (3,) [N] of the slab on a tip at (3,) [m], in the surface frame: the interface of `TouchLab` to a
+        world."""
         if isinstance(self._world, CreepingWorld):
             self._world.at(1e-9 * self.clock())
         self._contact = self._world.press(self._tip, center_m)

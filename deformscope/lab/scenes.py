@@ -7,10 +7,10 @@
 Everything is in the *surface frame*: x and y along the table's edges, z up, the table's top at z = 0, the slab's corner
 at the origin. `robot.setup.T_BASE_SURFACE` is the arm's pose. Pieces reach from top to bottom, with sharp borders.
 
-**Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip of 3 N strains
-foam less than that, below its plateau, so that it measures the *initial* modulus. The plate's stress at 40 % is assumed
-to be the plateau's, and the plateau 5 % of the initial modulus (Gibson and Ashby 1997, chapter 5). 60, 110 and 150 N
-are then 37, 68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 N sink by more than 17 mm.)
+**Hardness** is the force that presses a plate of 324 cm2 into the foam by 40 % (ISO 2439). A fingertip at 3 N strains
+foam less, below its plateau, so that it measures the *initial* modulus. The plate's stress at 40 % is assumed to be the
+plateau's, and the plateau 5 % of the initial modulus (Gibson and Ashby 1997, chapter 5). 60, 110 and 150 N are then 37,
+68 and 93 kPa. (The secant modulus, 4.6, 8.5 and 11.6 kPa, would let 3 N sink by more than 17 mm.)
 **Rigid** pieces have RIGID_PA, 1000 times the foam of 60 N. **Poisson's ratio** is 0.2 everywhere.
 
 `DRAWN` has the random quantities of each scene, each uniform between two values. Other hardnesses come by name:
@@ -159,9 +159,9 @@ Labels = Callable[[FloatArray], IntArray]
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One material. name: hardness in N, or "rigid"; modulus_pa: its Young's modulus [Pa], before it relaxes; relaxes:
-    share of it that does; keeps: share of each dent that stays; plateau_exponent: Ogden's exponent, about modulus over
-    plateau, 0 = it stays linear"""
+    """One material. name: hardness in N, or "rigid"; modulus_pa: its Young's modulus [Pa] before it relaxes; relaxes:
+    share of the modulus that relaxes; keeps: share of each dent that stays; plateau_exponent: Ogden's exponent, about
+    modulus over plateau, 0 = it stays linear"""
 
     name: str
     modulus_pa: float
@@ -187,8 +187,8 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class BuriedBall:
-    """A ball of another material, glued into a slab. centre_m: (x, y) [m]; depth_m: from the surface to its uppermost
-    point; modulus_pa: Young's modulus [Pa]"""
+    """A ball of another material, glued into a slab. centre_m: (x, y) [m]; depth_m: depth of its uppermost point below
+    the surface; modulus_pa: Young's modulus [Pa]"""
 
     centre_m: tuple[float, float]
     radius_m: float
@@ -202,8 +202,8 @@ class Scene:
 
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
     size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
-    drawn: the seed's values, by name; buried: the part in the foam below the surface. Its label is that of the places
-    above it, and no modulus of a place has it
+    drawn: the seed's values, by name; buried: the ball inside the foam. The places above it have its
+    label; the modulus of a place is without it
     """
 
     name: str
@@ -229,7 +229,7 @@ class Scene:
         return tuple(label for label, piece in enumerate(self.pieces) if piece.rigid)
 
     def label(self, xy_m: FloatArray) -> IntArray:
-        """(...,) the region of each place (..., 2); -1 outside the slab, and everywhere without regions."""
+        """Region (...,) of each place (..., 2); -1 outside the slab, and everywhere without regions."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         beside = ((xy_m < 0.0) | (xy_m > self.size_m)).any(axis=-1)
         if not self.pieces:
@@ -251,7 +251,7 @@ class Scene:
         return np.where(beside, 0.0, self.foam_height_m(xy_m))
 
     def foam_height_m(self, xy_m: FloatArray) -> FloatArray:
-        """(...,) as `height_m` of places (..., 2) [m], but with the slab continued beyond its edges."""
+        """Height (...,) at places (..., 2) [m] as `height_m`, with the slab continued beyond its edges."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         bumps = 0.0 if self._bumps is None else self._bumps(xy_m)
         return np.broadcast_to(self.thickness_m + bumps, xy_m.shape[:-1])

@@ -21,7 +21,7 @@ from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import Scene
 
 TOUCHES_S = 100.0
-"""In which ten touches are made."""
+"""Time in which ten touches are made."""
 HERTZ = 1.5
 """Log modulus for log stiffness at a set force, under a ball: the stiffness scatters."""
 WAVES = 96
@@ -34,8 +34,8 @@ class LabErrors:
 
     arm: deviation of the arm's compliance as a share of its calibrated value; gain: deviation of the force sensor's;
     drift: deviation of its change in TOUCHES_S
-    scatter: between which the deviation of log stiffness within one material lies, drawn evenly in logarithms;
-    scatter_length_m: over which it changes
+    scatter: range of the deviation of log stiffness within one material, drawn evenly in logarithms;
+    scatter_length_m: length over which it changes
     thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the
     stop, uniform from 0; friction: friction of the tip on the surface, evenly from 0
     """
@@ -116,7 +116,7 @@ class SessionErrors:
         return np.asarray(self.gain_at(time_s) * felt)
 
     def slab(self, scene: Scene) -> Scene:
-        """With the true thickness: source of the map's truth."""
+        """The slab with its true thickness, from which the true map is computed."""
         return dataclasses.replace(scene, thickness_m=scene.thickness_m * self.thickness)
 
     def foam(self, scene: Scene) -> Scene:

@@ -26,10 +26,8 @@ MOST_CONTACT_ROUNDS = 30
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """A slab with its corner at the origin, up is +z.
-
-    size: (x, y, thickness) [m]; young: [Pa], a number or a function of places (n, 3); poisson: Poisson's ratio
-    """
+    """A slab with its corner at the origin, up is +z. size: (x, y, thickness) [m]; young: [Pa], a number or a function
+    of places (n, 3); poisson: Poisson's ratio"""
 
     size: tuple[float, float, float]
     young: float | Callable[[FloatArray], FloatArray]
@@ -58,7 +56,7 @@ class RigidTip:
 @dataclass(frozen=True, slots=True)
 class Dent:
     """A slab under a tip. displaced: (n, 3) displacements of the requested points (n, 3) [m]; depth: depth of the tip
-    [m]; force: on it [N]; touched: (n,) points under the tip"""
+    [m]; force: force on the tip [N]; touched: (n,) points under the tip"""
 
     displaced: FloatArray
     depth: float

@@ -6,13 +6,13 @@
     contact.force_n, contact.depth_m           # on the tip, and how far it has sunk
     world.displaced_m(contact, xy_m)           # how the surface has moved there, for the camera
 
-Only the neighbourhood of a touch is solved: a mesh around the touch, of 1.5 mm under a tip of 2 cm and coarser with
-distance, glued to the table, with the true foams and heights. Its equations are factorised once (0.6 s), with the nodes
-that a tip may touch last; the remaining block of the factors is their dense stiffness. A press is then a
+Only the neighbourhood of a touch is solved, with the true foams and heights. Its mesh has elements of 1.5 mm under a
+tip of 2 cm, is coarser with distance, and is glued to the table. Its equations are factorised once (0.6 s), with the
+nodes that a tip may touch last; the remaining block of the factors is their dense stiffness. A press is then a
 complementarity problem of about 200 nodes (0.5 ms).
 
 A ball of 2 cm on 5 cm of foam: force within 2 % of the closed form for a bonded layer from 0.5 to 7 mm, within 3 % of
-finer meshes, also near a border. At much smaller depths a single node carries all of it.
+finer meshes, also near a border. At much smaller depths a single node carries the whole force.
 
 Not modelled: friction, speed (`creeping_world`), large strain, and the lateral motion of a deep dent's wall (the gap is
 closed along the rest surface's normal). `tests/lab/test_slab_world.py` compares with Hertz and with finer meshes.
@@ -59,7 +59,7 @@ CLEAR_M = 2e-4
 """Farther from the surface than that, a tip needs no mesh."""
 
 SAMPLES = 5
-"""Along each side of an element, of the modulus in it."""
+"""Samples of the modulus along each side of an element."""
 
 FOOT_ROUNDS = 3
 MOST_ROUNDS = 30
@@ -71,14 +71,14 @@ MOST_PATCHES = 3
 class Contact:
     """A tip at one place, and the foam's response.
 
-    center_m: (3,) where the tip is (middle of a ball, of a flat tip's face); normal: (3,) normal of the rest surface
+    center_m: (3,) place of the tip (middle of a ball, or of a flat tip's face); normal: (3,) normal of the rest surface
     below it; depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
-    gap_m: from tip to foam, along the normal; 0 in contact [m]
-    force_n: (3,) on the tip [N]: opposite to the sum of the nodes' forces, plus the table's
+    gap_m: distance from tip to foam along the normal; 0 in contact [m]
+    force_n: (3,) force on the tip [N]: opposite to the sum of the nodes' forces, plus that of the table
     place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each, along the normal [N]: its contact
     force, on foam without a memory
     tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
-    node: (n,) the nodes' numbers in it
+    node: (n,) numbers of the nodes in contact
     """
 
     center_m: FloatArray
@@ -101,10 +101,10 @@ class Contact:
 class Patch:
     """The foam around one place, its equations factorised: for tips of one kind there.
 
-    xy_m: (2,) the place [m]; reach_m: (2,) farthest from it, along x and y, that a tip's edge may come [m]
+    xy_m: (2,) the place [m]; reach_m: (2,) largest distance along x and y at which a tip's edge may be [m]
     fine_m: (2,) size of the elements there [m]
     normal: (3,) normal of the rest surface at the place; candidate_m: (n, 3) nodes that a tip may touch, at rest [m]
-    compliance: (n, n) how far each moves down along the normal, for a unit push on each down along it [m/N]
+    compliance: (n, n) displacement of each node against the normal for a unit push on each in that direction [m/N]
     """
 
     def __init__(self, scene: Scene, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> None:
@@ -193,11 +193,8 @@ class SlabWorld:
         return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """The force on a tip at a place, at rest.
-
-        center_m: (3,) the middle of a ball, or of a flat tip's face, in the surface frame [m]. A flat tip lies
-        along the rest surface below it.
-        """
+        """The force on a tip at a place, at rest. center_m: (3,) the middle of a ball, or of a flat tip's face, in the
+        surface frame [m]. A flat tip lies along the rest surface below it."""
         center = np.asarray(center_m, dtype=np.float64)
         if center.shape != (3,) or not np.isfinite(center).all():
             raise InputError("a place of three finite numbers", str(center_m))

@@ -1,11 +1,11 @@
 """A camera's view of a pressed foam: speckles that move as the finite elements say.
 
 The image is made backwards: for each pixel, the rest position of its point (Newton's method on the true motion, a
-bicubic spline of the finite element displacement). The speckles there, also a spline, are averaged over the pixel. So
-the rendering displaces nothing, which would appear as motion.
+bicubic spline of the finite element displacement). The speckles there, also a spline, are averaged over the pixel.
+Therefore the rendering adds no displacement, which would appear as motion.
 
-Where the foam bulges around the clamp it would go about a millimetre behind the clamp's side: the finite elements have
-no contact there, and the clamp is drawn in front.
+Foam that bulges around the clamp would overlap the clamp's side by about a millimetre, as the finite elements have no
+contact there. The clamp is drawn in front.
 
 Image axes: x to the right, y down, a whole number at a pixel's middle [px].
 """
@@ -107,11 +107,8 @@ class SpeckleMotion:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A push as a camera takes it.
-
-    mask: (H, W) True where the foam is in the first image; motions: the true one at each image
-    images: makes each (H, W) uint8 image on demand
-    """
+    """A push as a camera takes it. mask: (H, W) True where the foam is in the first image; motions: the true one at
+    each image; images: makes each (H, W) uint8 image on demand"""
 
     mask: BoolArray
     motions: tuple[SpeckleMotion, ...]

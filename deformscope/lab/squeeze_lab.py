@@ -75,8 +75,8 @@ class ContainerTruth:
     """The simulated truth, up to now.
 
     content, container: their names; fill: share of the height; mass_kg: mass of all that is squeezed
-    contact_ns: when a finger first pressed the wall; steady_ns: from when on the pressing joints turned less than
-    `STILL_DEG_S` until they were opened again, or until now; None where there was none (yet)
+    contact_ns: when a finger first pressed the wall; steady_ns: when the pressing joints began to turn less than
+    `STILL_DEG_S` until they were opened again, or until now; None without such a time
     T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force and dent of finger 0 and finger 2: how hard
     they press, and the most that the wall moved inwards
     inward_m: (nodes along s, along z) depth of the wall within the undeformed container; a content bulges it also
@@ -103,7 +103,7 @@ class ContainerCase:
     container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
     seed: seed of grasp, fill, temperatures and noise; session: session of the room's temperature
     grasp: (4, 4) container to hand as planned, from which the true pose differs a little; None = a random one
-    alike: every content has the physics of water, under any name
+    alike: every content has the physics of water, whatever its name
     """
 
     content: str
@@ -116,10 +116,8 @@ class ContainerCase:
 
 
 class SqueezedContainer:
-    """A container between the fingers of a simulated hand, in a camera's view: the world of the doubles.
-
-    hand, pads: the doubles; shape, world, view: the container's form, the pressed body, the camera
-    """
+    """A container between the fingers of a simulated hand, in a camera's view: the world of the doubles. hand, pads:
+    the doubles; shape, world, view: the container's form, the pressed body, the camera"""
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
         """clock: that the hand's double runs on; port: the hand's port"""
@@ -202,10 +200,8 @@ class SqueezedContainer:
 
 
 class SqueezeLab:
-    """The laboratory with one container in it, closed.
-
-    hand, pads, camera: the real drivers' devices, to be opened by `open`; simulated: the world behind them
-    """
+    """The laboratory with one container in it, closed. hand, pads, camera: the real drivers' devices, to be opened by
+    `open`; simulated: the world behind them"""
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)

@@ -35,17 +35,17 @@ from deformscope_drivers.optoforce.double import OMD_20_SE_40N, OptoforceDouble,
 from deformscope_drivers.optoforce.protocol import Decoder, Reading, encode
 
 READY_NEAR_DEG = (270.0, 200.0, 100.0, 200.0, 90.0, 90.0)
-"""First joint angles of the arm above that table, in the configuration that reaches all of it."""
+"""First joint angles of the arm above the table, in the configuration that reaches the whole table."""
 READY_M = (0.3, 0.2, 0.2)
 POLL_NS = 2_000_000
 
 
 class TouchLab:
-    """The doubles of a laboratory, closed devices over them, and their faults.
+    """The doubles of a laboratory, devices for them that are not opened, and their faults.
 
     arm, force, camera: the real drivers' devices, to be opened by `open`; body: body of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
-    arm_late_s: its driver comes to its turn this seldom, as on a host that is busy
+    arm_late_s: the arm's driver runs only this often, as on a busy host
     """
 
     def __init__(

@@ -1,6 +1,7 @@
 """A controller's record of a tip that comes down on the foam and stops: for statistics over many touches.
 
-No wires, no control loop: the foam's force against depth is found once, and read where the arm is at each sample.
+Touches without wires or a control loop: the foam's force over depth is computed once, and read at the arm's place at
+each sample.
 """
 
 from __future__ import annotations
@@ -45,10 +46,10 @@ class Sensing:
 class Approach:
     """A touch as recorded, and its truth.
 
-    time_s: (n,) from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
-    force_n: (n, 3) on the tip, as measured; all in the surface frame
+    time_s: (n,) time from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
+    force_n: (n, 3) measured force on the tip; all in the surface frame
     true_depth_m: (n,) how far the tip had sunk along the normal, negative above; true_force_n: (n,) along the normal
-    level_n: the force that it was to stop at last; reached: it did, rather than stop at the depth
+    level_n: the force that it was to stop at last; reached: the set force was reached, not only the largest depth
     """
 
     time_s: FloatArray
@@ -78,8 +79,8 @@ def approach(
     """Come down on a place (2,) along the surface's normal (3,) until the force is reached, or the depth.
 
     If the dent at the set force is shallower than `shallow_m`, the arm continues to the second force. It starts
-    `clearance_m` above the surface, and stays `dwell_s` where it stopped. The last sample before that is at the stop
-    itself, in less than a period from the one before.
+    `clearance_m` above the surface, and stays `dwell_s` where it stopped. The last sample before the stay is at the
+    stop itself, less than a period after the one before.
     """
     sensing = sensing or Sensing()
     if not 0.0 < set_force_n <= second_force_n:

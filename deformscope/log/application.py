@@ -14,8 +14,8 @@ PictureLayout = Literal["images", "flow", "pair", "pair-3d"]
 class Application:
     """rerun's application: a viewer keeps one set of views for each.
 
-    name: rerun's id of it; over_picture: the views of results over a picture, once the picture is known, None = the
-    views come with their results
+    name: rerun's id of the application; over_picture: the views of results over a picture, once the picture is known,
+    None = the views come with their results
     devices: whether devices are recorded; robot_moves: whether a robot moves meanwhile, whose run reports its state on
     a page. A recording without its results is useless
     """
@@ -26,7 +26,7 @@ class Application:
     robot_moves: bool = False
 
     def variant(self, name: str) -> Application:
-        """The same with views of its own; without a name the same."""
+        """The application with separate views under this name; without a name the application itself."""
         return dataclasses.replace(self, name=f"{self.name}-{name}") if name else self
 
 

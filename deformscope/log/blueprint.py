@@ -18,7 +18,7 @@ NAMES = {
 CHART = "Error and posterior over the parameter"
 
 PAPER = [232, 235, 240]
-"""Behind particles without an image: every colour of theirs is seen on it."""
+"""Background of particles without an image: all their colours are visible on it."""
 FLAT_CLOSER = 0.82
 """A flat body fills a view from nearer by."""
 WIDE_FROM = 3.0

@@ -23,9 +23,9 @@ COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
 class Canvas:
     """The picture that results are drawn upon.
 
-    low, high: (d,) its corners, d = 2 or 3: pixels of the image, or the pair's own unit
-    spacing: between neighbouring particles, in the same unit; 0 = not known yet
-    particles: (K, 2) where the particles are now [px], so that nothing is drawn where the thing is not; None = anywhere
+    low, high: (d,) its corners, d = 2 or 3, in pixels of the image or in the pair's unit
+    spacing: distance between neighbouring particles, in the same unit; 0 = not yet known; particles: (K, 2) present
+    places of the particles [px], so that nothing is drawn outside of the body; None = draw anywhere
     image: the path of the image under the results; empty = none
     origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of the
     drawing
@@ -57,7 +57,7 @@ class Canvas:
         return self.height > SIDE_LEGEND_FROM * self.width
 
     def around(self, position: FloatArray) -> Canvas:
-        """This canvas, knowing where the particles are. position: (K, d), NaN where unknown."""
+        """This canvas with the present places of the particles. position: (K, d), NaN where unknown."""
         finite = position[np.isfinite(position).all(axis=1)]
         if not len(finite):
             return self

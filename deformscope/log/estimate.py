@@ -231,9 +231,9 @@ def _heights(canvas: Canvas) -> str:
 
 
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
-    """The error curve as a chart and as numbers, the verdict as text, and every field of it.
+    """Log the error curve as a chart and as numbers, the verdict as text, and every field of the estimate.
 
-    An estimate over a sequence belongs to the whole of it, hence to no moment; a pair's is at the pair's frame.
+    An estimate over a sequence is logged without a time; that of a pair is at the pair's frame.
     """
     whole = bool(canvas.image)
     curve = estimate.curve

@@ -40,7 +40,7 @@ ACROSS = 3
 
 
 def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint | None = None) -> None:
-    """Pictures, bodies, the tables as Markdown for reading and as JSON for programs, and the views of all. below: views
+    """Log pictures, bodies, the tables as Markdown for people and as JSON for programs, and their views. below: views
     that there are already"""
     for number, figure in enumerate(found.figures):
         rec.log(f"found/picture/{number}", rr.EncodedImage(contents=figure.png, media_type="image/png"))

@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RecordingLayout(ABC):
-    """How a session with devices is recorded and shown. To make one does not import rerun.
-
-    streams: streams of the devices
-    by_touch: whether device items are on the timelines of an exploration (`deformscope.log.rig.Place`)
-    """
+    """How a session with devices is recorded and shown. Creating a layout does not import rerun. streams: streams of
+    the devices; by_touch: whether device items are on the timelines of an exploration (`deformscope.log.rig.Place`)"""
 
     streams: tuple[Stream, ...]
 
@@ -30,7 +27,7 @@ class RecordingLayout(ABC):
 
     @abstractmethod
     def blueprint(self, *, on_page: bool = False) -> rr.blueprint.Blueprint:
-        """The views. on_page: those of a page"""
+        """The views. on_page: the views of a page"""
 
     @abstractmethod
     def log_start(self, rec: rr.RecordingStream) -> None:
@@ -45,7 +42,7 @@ class RecordingLayout(ABC):
     ) -> Batch:
         """Make results ready, those of one moment: items of a robot that touches, unless a layout takes others.
 
-        session_ns: when, since the recording's start [ns]; place: on the timelines of an exploration
+        session_ns: when, since the recording's start [ns]; place: place on the timelines of an exploration
         cell_m: cell size of maps that do not say it themselves [m]; failed: receives errors of views
         """
         from deformscope.log.exploration.results import prepare_results

@@ -16,7 +16,7 @@ REST_RADIUS, OBSERVED_RADIUS, SIMULATED_RADIUS, CROSS = 0.10, 0.22, 0.12, 0.2
 
 
 def log_grid(rec: rr.RecordingStream, grid: ParticleGrid, canvas: Canvas, path: str = "particles") -> None:
-    """The particles at rest. They do not move, but belong to the timeline from the first frame on."""
+    """The particles at rest. Log the lattice. It does not move, but is on the timeline from the first frame on."""
     log_rest(rec, grid.rest_px, canvas, path)
 
 

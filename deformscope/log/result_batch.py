@@ -19,18 +19,18 @@ P = ParamSpec("P")
 
 
 class ResultBatch:
-    """A batch, and the place on the timelines of all that is logged to it."""
+    """A batch, and the place on the timelines at which its rows are logged."""
 
     def __init__(self, batch: Batch, session_ns: int) -> None:
         self._batch = batch
         self._times = moments([session_ns], 0)
 
     def show(self, path: str, entity: rr.AsComponents) -> None:
-        """One row of an entity."""
+        """Log one row of an entity."""
         self._batch.show(path, self._times, entity)
 
     def show_series(self, path: str, host_ns: IntArray, columns: Columns) -> None:
-        """Rows of an entity at moments of their own, on the host's clock."""
+        """Log rows of an entity, each at its time on the host's clock."""
         self._batch.send_series(path, host_ns, columns)
 
     def log_static(self, path: str, entity: rr.AsComponents) -> None:
@@ -58,8 +58,8 @@ class ResultBatch:
         self.show(path, rr.TextLog(text, level=level))
 
     def show_phase(self, phase: Any, known: Mapping[str, Rgb]) -> None:
-        """On a lane over time. known: colours logged before; the phase of a stop, whose name says why, is none of
-        them"""
+        """Log a phase, shown on a lane over time. known: phases whose colour was logged before; the phase of a stop,
+        whose name states why, is never among them"""
         path = ENTITIES[type(phase)]
         if phase.name not in known:
             self.log_static(path, states({**known, phase.name: BAD}))
@@ -68,7 +68,7 @@ class ResultBatch:
     def show_points(
         self, path: str, points: npt.ArrayLike, colors: npt.ArrayLike, radius: float, labels: list[str] | None = None
     ) -> None:
-        """points: (n, 3); colors: one, or (n, 3)"""
+        """points: (n, 3); colors: one colour, or (n, 3)"""
         named: dict[str, Any] = {} if labels is None else {"labels": labels, "show_labels": True}
         self.show(path, rr.Points3D(np.asarray(points, np.float32), colors=colors, radii=radius, **named))
 

@@ -29,11 +29,8 @@ def range_of(image: ImageArray) -> tuple[float, float]:
 
 
 def prepare_image(frame: ColorFrame, start_ns: int, limits: tuple[float, float], *, lossless: bool) -> Batch:
-    """Make one image ready, as it is recorded or, not lossless, as a live view gets it.
-
-    start_ns: host time at which `session` is 0 [ns]; limits: spread over 8 bits where the image has 16, as viewers do
-    not show it otherwise
-    """
+    """Make one image ready, as it is recorded or, not lossless, as a live view gets it. start_ns: host time at which
+    `session` is 0 [ns]; limits: spread over 8 bits where the image has 16, as viewers do not show it otherwise"""
     batch = Batch()
     eight = frame.image.dtype == np.uint8
     if eight or lossless:

@@ -18,8 +18,8 @@ SOMETIMES = "sometimes"
 class ShownStage:
     """A stage of computation: its name, and where recordings store its results.
 
-    name: as its costs are named; chapter: chapter of the thesis, 0 = records of the run itself; gives: its result in
-    words; entity: place of its rows, with entities below it, "" = that of its type of result
+    name: its name, also that of its costs; chapter: chapter of the thesis, 0 = records of the run itself; gives: its
+    result in words; entity: place of its rows, with entities below it, "" = that of its type of result
     field: field of the result, without which a row holds nothing of the stage, "" = each does
     costs: names of other stages that are computed for it
     when: the setting of a recording that requests it, as `explore.hold_s`, or with one of its values, as
@@ -49,7 +49,7 @@ def _holds(when: str, settings: Mapping[str, Any]) -> bool:
 
 
 Views: TypeAlias = Mapping[type, Sequence[ShownStage | View[SinkT]]]
-"""For each type of result its stages, at least one, and its views; no view if it is recorded and not shown."""
+"""For each type of result its stages, at least one, and its view; None if it is recorded and not shown."""
 
 
 def views_of(kind: type, views: Views[SinkT]) -> Sequence[View[SinkT]]:

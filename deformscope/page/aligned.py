@@ -27,8 +27,8 @@ FREE_NS = -1_200_000_000, -200_000_000
 
 
 def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[float, float]]:
-    """Serve the measurements of the devices of two recordings, to play; its address is printed. Also when the first
-    contact of each was, since its start [s].
+    """Serve the measurements of the devices of two recordings, to play; its address is printed. Also returns when each
+    recording's first contact was, from its start [s].
 
     Raises InputError for a recording without a contact in a force sensor or a tactile array.
     """

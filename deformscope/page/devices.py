@@ -21,10 +21,8 @@ UNTOUCHED = ("look", "plan", "travel", "tare", "done")
 
 
 class ShownDevices:
-    """Shows on a page the health of devices, by all their items, and a robot's use of them.
-
-    touching: whether something may touch a force sensor, whose drift is then not known
-    """
+    """Shows on a page the health of devices, computed from all their items, and the robot's use of them. touching:
+    whether something may touch a force sensor, whose drift is then not known"""
 
     def __init__(self, session: PageSession, streams: Sequence[Stream]) -> None:
         self.touching = False
@@ -41,7 +39,7 @@ class ShownDevices:
             self._session.show(reason=doing)
 
     def on_items(self, items: Sequence[object]) -> None:
-        """All that came, in order."""
+        """Receives all items, in order."""
         for item in items:
             if isinstance(item, HealthReport):
                 self._session.show(devices=tuple(self._state(name, health) for name, health in item.devices))

@@ -1,8 +1,8 @@
 """A fit whose settings are made on a page, in its own process: changes are simulated immediately, and the newest change
 wins.
 
-Images of a followed camera are in no file. A picture that is held, also by a whole fit, is written together with the
-one at rest, and the command line names both.
+Images of a followed camera are in no file. A picture that is held, by a person or by a whole fit, is written together
+with the picture at rest, and the command line names both.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class PageFit:
 
     config: config of the command, with which it begins; subject: source of the fit
     send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
-    camera: that is followed: each of its pictures becomes the subject, until one is held
+    camera: the camera that is followed: each of its pictures becomes the subject, until one is held
     keeps_last: the final picture is held
     """
 
@@ -360,12 +360,12 @@ class PageFit:
 
 
 def format_error(problem: Exception) -> str:
-    """In a line, for the page."""
+    """An error in one line, for the page."""
     return " ".join(str(problem).split()) or type(problem).__name__
 
 
 def found_of(estimate: Estimate, command: str) -> FitResult:
-    """A whole fit as a page says it. command: that gives it"""
+    """A whole fit as a page says it. command: command that gives this result"""
     low, high = estimate.interval
     words = estimate.verdict_text()
     return FitResult(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
@@ -396,7 +396,8 @@ def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
 def run_fit(
     config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
 ) -> None:
-    """Go on until a `StopRun` comes, or the pipe ends. next_folder: for pictures of a camera, None = a fit of files
+    """Go on until a `StopRun` comes, or the pipe ends. next_folder: makes a folder for pictures of a camera, None = a
+    fit of files
 
     The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given the messages of a
     `PageFit`, ("note", a step before it), and ("end", the last options if keeps_last, or an error).

@@ -93,7 +93,7 @@ def _set(
 
 
 def follow(entry: RigDevice, fit: FitProcess, session: PageSession) -> None:
-    """Open a camera of a rig, nothing else of it, and hand its pictures to a fit until one of them has ended. session:
+    """Open only a rig's camera, and give its pictures to a fit until the camera or the fit ends. session:
     receives remarks on the camera. Raises InputError where it gives no picture."""
     came = ended = False
     with member_of(entry) as member, RigSource((member,), raw=False) as source:

@@ -20,10 +20,10 @@ from deformscope.page.server.page_server import PageServer
 
 
 class FitPanel:
-    """`PageRun` of a page, besides that of the main session. Nothing begins before a page asks for it.
+    """`PageRun` of a page, besides that of the main session. No fit begins before a page requests it.
 
-    rig: as a command line names it; folder: where held pictures go; name: theirs begin so
-    images: options that a fit begins with; their camera is the one that it begins with, None = the first
+    rig: the rig's name on a command line; folder: where held pictures go; name: theirs begin so
+    images: options with which a fit begins; their camera is followed first, None = the first camera
     """
 
     def __init__(self, rig: str, folder: Path, name: str, images: ImageOptions | None = None) -> None:
@@ -34,7 +34,7 @@ class FitPanel:
         self._reported: set[FitResult] = set()
 
     def bind(self, page: PageServer, streams: Sequence[Stream], found: Callable[[str], None]) -> None:
-        """From now on a page can open it, where there is a camera. found: is given each whole fit once, in words"""
+        """From now on a page can open the panel, if there is a camera. found: is given each whole fit once, in words"""
         self._page, self._found = page, found
         self._cameras = tuple(one.device for kind in ("color", "depth") for one in streams if one.kind == kind)
         if self._cameras:
@@ -42,7 +42,7 @@ class FitPanel:
             page.session.show_secondary(("open-fit",))
 
     def on_items(self, items: Sequence[object]) -> None:
-        """The devices' items. From the thread that takes it, which does not wait."""
+        """The devices' items. Called by the thread that receives the items, which does not wait."""
         fit = self._fit
         if fit is not None:
             camera = fit.state.camera

@@ -29,14 +29,14 @@ MOST_CHANGES = 1000
 
 
 class FitProcess:
-    """`PageRun` of a fit. Its process requests a camera's newest picture when it is ready for one. The device loop
-    passes it on without waiting, and passes none while no page shows the fit.
+    """`PageRun` of a fit. The process of a fit, which requests a camera's newest picture when it is ready for one. The
+    device loop passes it on without waiting, and passes none while no page shows the fit.
 
-    config: with which it begins; state: as it was shown last, at first as given; commands: that are possible then
-    changed: is called with it after every change, in the thread that listens to the process
-    next_folder: for pictures of a camera that are held, None = it is a fit of files
+    config: the command's options, with which it begins; state: the state that was shown last; commands: commands that
+    are possible then; changed: is called with it after every change, in the thread that listens to the process
+    next_folder: makes a folder for held pictures of a camera, None = it is a fit of files
     keeps_last: the final picture is held
-    drawn_ms: from a change on the page until the page has drawn it [ms]
+    drawn_ms: time from a change on the page until the page has drawn it [ms]
     """
 
     def __init__(
@@ -68,7 +68,8 @@ class FitProcess:
         return self
 
     def on_picture(self, image: ImageArray) -> None:
-        """A camera's newest picture (H, W[, 3]). From the thread that takes it, which does not wait."""
+        """A camera's newest picture (H, W[, 3]). Called by the thread that receives the picture, which does not
+        wait."""
         self._newest = image
         self._pass_picture()
 
@@ -92,7 +93,7 @@ class FitProcess:
         return self.outcome
 
     def end(self) -> None:
-        """From any thread, at once; `thread` then comes to its end. The command of the numbers is printed at the
+        """End the fit immediately, from any thread; `thread` then ends. The command of the numbers is printed at the
         terminal."""
         if not self.ending:
             # What has not begun yet handles no command: it ends once its pipe does.

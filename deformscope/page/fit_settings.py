@@ -10,7 +10,7 @@ from deformscope.file_io import ending_of
 from deformscope.page.server.fit_messages import FitSettings
 
 IN_PICTURE = ("roi", "grid", "spacing_px", "outline", "contact", "held")
-"""Settings of it."""
+"""Settings of the picture's fit."""
 
 
 def images_with(images: ImageOptions, asked: FitSettings) -> ImageOptions:

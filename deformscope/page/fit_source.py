@@ -30,7 +30,7 @@ from deformscope_drivers.clock import Stamp
 WIDTH_PX, RIM_PX = 800.0, 40.0
 """Width and margin of the picture of a pair."""
 EYE = np.array([[0.87, 0.0], [0.42, -0.3], [0.0, -1.0]])
-"""From x, y, z of a body in space to a picture of it: from the front, a little from the right and above."""
+"""Projection of a body in space to a picture: from the front, slightly from the right and above."""
 
 
 class ImagesSubject:
@@ -105,7 +105,7 @@ class FollowedCamera:
     name: name of the camera; first: its first picture, which shows the thing at rest; method: method of the flow
     flow: computes it in a process, whose OpenCV nothing else uses meanwhile: the same pictures give the same to the
     last bit
-    next_folder: for pictures to store; want: asks for the next picture
+    next_folder: makes a folder for pictures to store; want: asks for the next picture
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class FollowedCamera:
 
     def request(self, call: Callable[[], None]) -> None:
         """Have the motion computed from rest to the newest picture, unless it is shown already, or another is being
-        computed; meanwhile the next picture arrives. call: once it is there, in any thread"""
+        computed; meanwhile the next picture arrives. call: called when the picture is there, in any thread"""
         if not self._wants:
             self._wants = True
             self._want()
@@ -188,7 +188,7 @@ class FollowedCamera:
 
 
 def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> CachedFlow:
-    """From one picture (H, W[, 3]) to the other, as with two files. threads: number of threads of OpenCV. Raises
+    """Motion from one picture (H, W[, 3]) to the other, as with two files. threads: number of threads of OpenCV. Raises
     InputError where the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"

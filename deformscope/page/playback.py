@@ -24,7 +24,8 @@ STEP_NS = 100_000_000
 
 
 def play_on_page(path: Path) -> PageServer:
-    """Serve a recording to play; its address is printed. Until `close`, or the end of the process."""
+    """Serve a recording to play; its address is printed. Play a recording on a page until `close`, or the end of the
+    process."""
     page = PageServer(path.name, path)
     page.session.show(playback=playback_of(path))
     page.open()
@@ -40,8 +41,8 @@ def show_comparison(
     size_m: tuple[float, float],
     name: str,
 ) -> None:
-    """Show other settings' results for a recorded exploration as a layer over it. recorded: its results; again: those
-    that the settings give; size_m: size of the surface; name: name of the settings"""
+    """Show other settings' results for a recorded exploration as a layer over it. recorded: its results; again: results
+    with other settings; size_m: size of the surface; name: name of the settings"""
     from deformscope.log.exploration.compare import comparison_rrd
 
     streams = read_streams(recording.path, trust=True)
@@ -61,7 +62,7 @@ def playback_of(path: Path) -> Playback:
 
 
 def chapters_of(rows: list[Row], until_ns: int) -> list[Chapter]:
-    """In order of time. rows: notes and phases"""
+    """Chapters of the recording, in order of time. rows: notes and phases"""
     found = []
     touches = [row for row in rows if isinstance(row.item, PhaseStart)]
     begun = [row for row in touches if row.item.name in ("look", "travel") or row.item.name.startswith("stopped")]

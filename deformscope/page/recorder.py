@@ -54,10 +54,8 @@ class _FileTake:
     def write(
         self, items: object, source: RigSource | None, streams: tuple[Stream, ...], lossless: Sequence[str]
     ) -> None:
-        """Record the device items of this source; a file that begins meanwhile begins with the first of them.
-
-        streams: streams of the devices as they were opened; one that reconnects may have no kind
-        """
+        """Record the device items of this source; a file that begins meanwhile begins with the first of them. streams:
+        streams of the devices as they were opened; one that reconnects may have no kind"""
         if isinstance(items, Sequence):
             if not self.begun and items:
                 assert source is not None
@@ -99,7 +97,7 @@ class EpisodeNotes:
         return label
 
     def enter_file(self) -> None:
-        """Nothing of the following has begun in the file yet."""
+        """A new file: no episode has begun in it."""
         self._last_episode = ""
 
     def lose_file(self) -> None:
@@ -107,7 +105,7 @@ class EpisodeNotes:
         self.episode = ""
 
     def discard(self, command: DiscardPart) -> tuple[Outcome, str]:
-        """Mark the recording, or the last episode in it."""
+        """Mark the recording, or its last episode, as not to be used."""
         if command.what == "recording":
             self.note("discard-recording", command.reason)
             return "done", "the recording is marked as discarded; it continues"
@@ -154,9 +152,9 @@ class MakeRecorder(Protocol):
 class PageRecorder:
     """A session's recorder whose file is begun and ended from a page, and which carries out the page's other commands.
 
-    file: to begin with, None = no file yet; next_file: a name for each that follows
+    file: the first file, None = none yet; next_file: a name for each that follows
     ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
-    fit: that can be set meanwhile; at_end: a file for items that are held at the end
+    fit: fit that can be set during the recording; at_end: a file for items that are held at the end
     """
 
     def __init__(

@@ -13,10 +13,7 @@ from deformscope.page.server.page_session import PageSession
 
 
 class RobotPage(ABC):
-    """`PageRun` of a robot's page.
-
-    robot: the moving part, as text; button: a page's button for a motion
-    """
+    """`PageRun` of a robot's page. robot: the moving part, as text; button: a page's button for a motion"""
 
     robot = button = ""
 
@@ -43,7 +40,8 @@ class RobotPage(ABC):
         return self._agreed
 
     def reason_to_stand(self) -> str:
-        """In each control period: why it must stop, if the page that confirmed the motion is not present."""
+        """Called in each control period: why the robot must stop, if the page that confirmed the motion is not
+        present."""
         return self.session.absent() if self._by_hand else ""
 
     def show(self, doing: str) -> None:
@@ -52,7 +50,7 @@ class RobotPage(ABC):
             self._shown(doing)
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.handle`; a stop comes first, and waits for no lock."""
+        """As `PageRun.handle`; a stop is handled first, and waits for no lock."""
         if isinstance(command, StopRun):
             self._ended.by = "from the page"
             self._ended.set()

@@ -1,7 +1,7 @@
 """An exploration that a page steers: paused and continued, and with touches at places that a person picks.
 
-It starts no motion: the loop of `deformscope.experiments.explore` queries it before each touch. Its robot checks in
-each control period whether the page that confirmed the touch is still present.
+The page starts no motion: the loop of `deformscope.experiments.explore` queries it before each touch. Its robot checks
+in each control period whether the page that confirmed the touch is still present.
 """
 
 from __future__ import annotations
@@ -41,17 +41,14 @@ from deformscope.stages.map.exploration import (
 )
 
 SURFACE_ENTITIES = ("surface", "observed", "asked", "target", "contacts", "table")
-"""Entities on the surface in the view, below `SCENE`: a pick on them gives a place of it."""
+"""Entities on the surface in the view, below `SCENE`: a click on them selects a place of the surface."""
 SCENE = "/display/scene/"
 CURVE_POINTS = 60
 
 
 class PageSteering(RobotPage):
-    """`Steering` of an exploration, and `PageRun` of its page.
-
-    arm: its name; set_force_n: set force of a touch; budget: touches at most where it explores
-    paused: begin so, and touch only where the page says
-    """
+    """`Steering` of an exploration, and `PageRun` of its page. arm: its name; set_force_n: set force of a touch;
+    budget: touches at most where it explores; paused: begin so, and touch only where the page says"""
 
     robot, button = "arm", "Explore"
 
@@ -243,7 +240,7 @@ def is_surface(entity: str) -> bool:
 
 
 def curve_of(forecast: TouchForecast) -> ForceCurve:
-    """As a page draws it."""
+    """The force curve in the form that a page draws."""
     known = f"{forecast.touches} touches" if forecast.touches else "the prior of surfaces: no touch was made yet"
     x_m, y_m = _floats(forecast.xyz_m[:2])
     depth, low, high = (

@@ -26,10 +26,8 @@ THIN = 0.3
 
 @dataclass(frozen=True, slots=True)
 class CloseUp:
-    """The part of a body that is worth showing.
-
-    low, high: (3,) its corners [unit]; heights: how many times z is drawn out; surface: a layer seen from above
-    """
+    """The part of a body that is worth showing. low, high: (3,) its corners [unit]; heights: how many times z is drawn
+    out; surface: a layer seen from above"""
 
     low: FloatArray
     high: FloatArray
@@ -49,7 +47,7 @@ class CloseUp:
 
 
 def close_up(comparison: Comparison) -> CloseUp:
-    """All of a volume; of a surface, the surroundings of the moved part, with magnified heights."""
+    """The whole of a volume; for a surface, the surroundings of the moved part, with magnified heights."""
     rest = comparison.rest
     every = np.concatenate([rest, comparison.observed[comparison.seen], comparison.simulated])
     every = every[np.isfinite(every).all(axis=1)]

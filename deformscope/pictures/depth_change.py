@@ -17,10 +17,8 @@ INK: tuple[int, int, int] = (235, 235, 235)
 
 
 def depth_change_png(change_m: FloatArray, width_m: float, missing: float) -> bytes:
-    """(n, n) data minus model [m], NaN grey; red is farther from the camera (a dent), blue nearer.
-
-    width_m: width of the patch on the container; missing: share of NaN
-    """
+    """(n, n) data minus model [m], NaN grey; red is farther from the camera (a dent), blue nearer. width_m: width of
+    the patch on the container; missing: share of NaN"""
     share = np.clip(np.nan_to_num(change_m) / RANGE_M, -1.0, 1.0)
     picture = np.repeat(np.repeat(_diverging(share, np.isfinite(change_m)), ENLARGED, axis=0), ENLARGED, axis=1)
     width = picture.shape[1]

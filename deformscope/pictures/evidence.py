@@ -35,8 +35,8 @@ VERDICT_COLORS = {"identified": "#177a2b", "weak": "#a86400"}
 OTHER_VERDICT = "#b01818"
 
 APART = 0.02
-"""Largest distance of a posterior's peak from the estimate, as a share of the range, for which it has no mark of its
-own; a peak outside of the interval has none either."""
+"""Largest distance of a posterior's peak from the estimate, as a share of the range, at which the peak has no mark. A
+peak outside of the interval has no mark either."""
 NARROW = 0.05
 """An interval below this share of the range is drawn once more, enlarged."""
 

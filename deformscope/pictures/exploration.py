@@ -48,20 +48,20 @@ P = ParamSpec("P")
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
 """Colours of the recorded result and of other settings' results; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
-"""From the softest; distinct to colour-blind readers too (Okabe and Ito 2008)."""
+"""Colours of regions from the softest; colour-blind readers can distinguish them (Okabe and Ito 2008)."""
 STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT, LOSS = "viridis", "plasma", "magma", "cividis", "viridis", "YlGnBu"
 """Colours of each quantity, everywhere the same."""
 TARGET = "#e8112d"
 EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
 """Cells that may not be touched: grey, striped, cells from stripe to stripe."""
 BETA_STEP = 0.2
-"""Where a scale of beta may begin and end."""
+"""Ends of a scale of beta are multiples of this."""
 LEAST_RANGE_MM = 4.0
 """Smallest range of a scale of heights."""
 LEAST = 1e-9
 """Stiffness [N/mm] below which there is none."""
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
-"""Where a scale of stiffness may begin and end, so that it stays put from touch to touch."""
+"""Possible ends of a scale of stiffness, so that it stays the same from touch to touch."""
 
 BEFORE_MM, SECTION_CM, RING_CM = 2.0, 6.0, 0.35
 """Shown of a touch: how far before contact its force is, and how far around it the dent, in rings."""
@@ -77,13 +77,13 @@ UNIT_LETTERS = 8
 NEAR_EDGE = 0.12
 """Share of a map's side from its far edge on in which a touch's number is written on the other side of the touch."""
 LEAST_SURE = 0.25
-"""Probability of a label at which its colour is as pale as it gets."""
+"""Probability of a label at and below which its colour is palest."""
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnMap:
-    """A map as a picture. values: (rows, columns) as its colour bar has them; colors: (rows, columns, 3) colours of
-    each cell, from 0 to 255; both empty where there is no field to draw"""
+    """A map as a picture. values: (rows, columns) values in the units of the colour bar; colors: (rows, columns, 3)
+    colours of each cell, from 0 to 255; both empty where there is no field to draw"""
 
     png: bytes
     values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -91,7 +91,7 @@ class DrawnMap:
 
 
 def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
-    """One of `MAP_DRAWINGS`."""
+    """Draw one of `MAP_DRAWINGS`."""
     images: list[Any] = []
 
     def draw(axes: Axes) -> None:
@@ -107,7 +107,7 @@ def draw_map(quantity: str, maps: MapEstimate) -> DrawnMap:
 
 def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | None = None) -> bytes:
     """The whole result in one picture: both fields with their deviations, the regions, and the truth if known. In a
-    search for inclusions, these and the detection limit replace beta."""
+    search for inclusions, the inclusions and the detection limit replace beta."""
     figure = canvas(3 * WIDE, 2 * HIGH + 0.5)
     second: tuple[Callable[[Axes, MapEstimate], None], ...] = (draw_beta, draw_beta_deviation)
     if found is not None:
@@ -711,7 +711,7 @@ section_png = _picture(draw_section, (0.17, 0.155, 0.79, 0.62))
 height_png = _picture(draw_height)
 """The surface as in its Gaussian process: height, and lines of equal standard deviation [mm]."""
 region_comparison_png = _picture(draw_region_comparison, (0.12, 0.12, 0.84, 0.62))
-"""Where the regions end: of a recorded map, and of the one that other settings, which are named, give."""
+"""Borders of the regions in a recorded map, and in the map with other settings, which are named."""
 touch_comparison_png = _picture(draw_touch_comparison, (0.16, 0.14, 0.8, 0.62))
 """Result of each touch, with its interval: as recorded, and with other settings, which are named."""
 inclusions_png = _picture(draw_inclusions)

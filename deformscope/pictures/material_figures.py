@@ -146,7 +146,7 @@ def yield_png(found: YieldEstimate, motion: Motion) -> bytes:
 
 
 def recovery_png(found: RecoveryEstimate) -> bytes:
-    """How far it was pressed over time, and the recovery that was fitted after the release."""
+    """Displacement of the surface over time, and the recovery that was fitted after the release."""
     figure = canvas(7.2, 4.2, layout="constrained")
     axis = figure.subplots()
     axis.plot(found.time, found.observed, ".", color="tab:blue", label="observed")

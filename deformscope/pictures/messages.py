@@ -27,7 +27,7 @@ def format_regions(maps: MapEstimate) -> str:
 
 
 def format_claim(probability: float | None) -> str:
-    """How sure a verdict is; None: it comes from a rule that has no probability."""
+    """How sure a verdict is; None: the rule that decided gives no probability."""
     return "the thesis's rule gives no probability" if probability is None else f"probability {probability:.2f}"
 
 
@@ -52,7 +52,7 @@ def stiffness_kind(maps: MapEstimate) -> str:
 
 
 def format_travel(travel_m: float) -> str:
-    """How far the tip has moved over the surface, in words."""
+    """Travel of the tip over the surface, in words."""
     return f"travel {travel_m:.2f} m over the surface"
 
 

@@ -1,4 +1,4 @@
-"""Pictures drawn in a process of their own while a robot is held.
+"""Pictures drawn in a separate process while a robot is held.
 
 Drawing needs Python's lock for a tenth of a second per picture, and the robot's control waits for that lock.
 """
@@ -32,7 +32,8 @@ def render_process() -> Iterator[None]:
 
 
 def render(draw: Callable[P, Drawn], *given: P.args, **named: P.kwargs) -> Drawn:
-    """Result of `draw`, a function of a module; drawn here without a process for it, or after its end."""
+    """Result of `draw`, a function of a module; without a process for it, or after the end of that, it is drawn
+    here."""
     if (process := _process) is not None:
         with contextlib.suppress(BrokenProcessPool, CancelledError, RuntimeError):
             return process.submit(draw, *given, **named).result()

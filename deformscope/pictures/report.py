@@ -43,7 +43,8 @@ class ReportVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A cell that leads to a file or a page. to: as in a URL, relative to the page; png: shown above the text"""
+    """A cell that leads to a file or a page. to: address as in a URL, relative to the page; png: shown above the
+    text"""
 
     text: str
     to: str
@@ -79,12 +80,12 @@ class Code:
 
 
 Part = str | ReportVerdict | Table | Figure | Code | tuple[Figure, ...]
-"""A part of a section; figures in a tuple are side by side if there is room."""
+"""A part of a section; figures in a tuple are placed next to each other if there is room."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """parts: in order, a str being a paragraph; title: empty = none"""
+    """parts: parts in order; a str is a paragraph; title: empty = none"""
 
     title: str
     parts: Sequence[Part]

@@ -62,7 +62,7 @@ class DeviceEncoder:
             self._write(self._portions.add(items, self._touch, size))
 
     def write_step(self, step: Step, size: int) -> None:
-        """Results of stages with device items; those of a moment at it; others at their frame."""
+        """Write results of stages with device items: a result with a time at that time, others at their frame."""
         if step.moment is not None:
             self._write_at(step.moment, step.results, size)
             for cost in step.costs:

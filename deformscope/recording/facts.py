@@ -30,11 +30,11 @@ MEMORY, BEGIN_BYTES = Path("/dev/shm"), 32 << 20
 class Facts:
     """The readable part of a recording, up to its damage.
 
-    application, recording: rerun's ids; outcome: as the run left it at its end, empty without one
-    losses: by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
+    application, recording: rerun's ids; outcome: what the run recorded at its end, empty if it was interrupted
+    losses: numbers of losses by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
     until_s: session time of the last row [s], None without one; damage: reason for the end of reading, empty = none
     discarded: its discarded parts (`deformscope.recording.discards`)
-    absent: devices that it names and of which no frame was read
+    absent: devices that the recording names and of which no frame was read
     """
 
     application: str = ""
@@ -69,7 +69,8 @@ def is_recoverable(path: Path) -> bool:
 
 
 def read_facts(path: Path, *, brief: bool = False) -> Facts:
-    """Read them in a child process; whatever happens to it becomes `damage`. brief: no more than that there are some"""
+    """Read them in a child process; whatever happens to it becomes `damage`. brief: report only whether there are
+    any"""
     done = _run([sys.executable, "-m", __name__, str(path), *(["brief"] if brief else [])])
     if isinstance(done, str):
         return Facts(damage=done)

@@ -37,7 +37,8 @@ class Chunked(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """An object and when it came. session_ns: since the recording's start [ns]; touch: its place on that timeline"""
+    """An object and when it came. session_ns: time since the recording's start [ns]; touch: its place on the timeline
+    `touch`"""
 
     session_ns: int
     touch: int
@@ -63,11 +64,11 @@ def read_rows(
 ) -> Iterator[Row]:
     """The objects of these kinds in order of time; of one moment in the order in which they were recorded.
 
-    Portions of a recording may lie in any order, and hold parts of the same rows. Their times are read first; then a
-    row waits only until nothing before it can come any more, so that memory never holds a whole long recording. JPEG
-    images are decoded as in a viewer; all others are equal to the recorded ones. A row that lacks a part is left out,
-    with a warning. read_image: replacement of an encoded image, which the second argument identifies
-    device: only items of this one
+    Portions of a recording may lie in any order, and hold parts of the same rows. The times of rows are read first.
+    Then a row waits only until no earlier one can follow, so that memory never holds a long recording. JPEG images are
+    decoded as in a viewer; all others are equal to the recorded ones. A row that lacks a part is left out, with a
+    warning. read_image: replacement of an encoded image, which the second argument identifies
+    device: read only items of this device
     """
     starts = Starts((_earliest(chunk), str(chunk.id)) for chunk, _, _ in portions(replay, kinds, device))
     parts: dict[bytes, _Part] = {}
@@ -101,7 +102,7 @@ class Starts:
         self._done: set[str] = set()
 
     def after(self, chunk: Chunk) -> int | None:
-        """Once this portion has come: nothing that follows is earlier [ns]; None = nothing follows."""
+        """Time before which no item follows after this portion [ns]; None = no item follows."""
         self._done.add(str(chunk.id))
         while self._coming and self._coming[0][1] in self._done:
             self._done.remove(heapq.heappop(self._coming)[1])
@@ -171,7 +172,7 @@ def _cells(column: ListArray) -> list[Any]:
 
 
 def entity_parts(path: str) -> list[str]:
-    """The parts of an entity's path, with devices' names as they were before they became part of it."""
+    """The parts of an entity's path, with the original names of devices."""
     return [_unescaped(part) for part in _PART.findall(path)]
 
 

@@ -1,4 +1,4 @@
-"""Existing items in the form of a rig: in order of time, in limited numbers so that memory is bounded."""
+"""Existing items in the form of a rig, in order of time and in limited portions, so that memory is bounded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class ItemSource:
     """`session.run(ItemSource(items, streams), ...)`: `take` gives about a fifth of a second at a time.
 
     streams: streams of the devices; start_ns: start of the session, None = the first item's; now_ns: now time of the
-    newest that was taken; ended: nothing is left; until_ns: nothing later is given
+    newest that was taken; ended: no item is left; until_ns: no later item is given
     """
 
     failures: Mapping[str, str] = {}
@@ -55,7 +55,7 @@ class ItemSource:
         return self._health
 
     def rest(self) -> list[Item]:
-        """Nothing is held back."""
+        """All items that are left."""
         return []
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ def read_items(path: Path, *, trust: bool = False, kinds: Sequence[type] = ITEMS
 
 
 def read_results(path: Path, kinds: Sequence[type] = (), *, trust: bool = False) -> Iterator[Row]:
-    """The results of a recorded exploration, or those of some kinds, as they came: equal to the last bit."""
+    """The results of a recorded exploration, or those of some types, in their order and equal to the last bit."""
     every = [kind for kind, entity in ENTITIES.items() if entity.startswith("exploration/")]
     return read_rows(Replay(path, trust=trust), kinds or every)
 
@@ -92,10 +92,8 @@ KINDS: tuple[type, ...] = (
 
 
 def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
-    """The results in the order of the frames that they belong to, equal to the recorded ones.
-
-    trust: skip the comparison with the ledger
-    """
+    """The results in the order of the frames that they belong to, equal to the recorded ones. trust: skip the
+    comparison with the ledger"""
     found: list[StageResult] = []
     for chunk in Replay(path, trust=trust).chunks("/stage/**"):
         if chunk.is_static:

@@ -16,7 +16,7 @@ FREE_BYTES = 64 << 20
 RESERVE_S, MOST_RESERVE_BYTES = 5.0, 1 << 30
 """A recording is ended while the disk still has room for this time, at its filling rate, or for this amount."""
 ANNOUNCED_S = (60.0, 300.0, 1200.0)
-"""It is said once when the disk will be full within each of these."""
+"""Times until the disk is full at which a remark is made, once each."""
 WINDOW_S = 10.0
 """Time over which the rate of a filling disk is measured."""
 WAITED, BUSY = 0.5, 0.8
@@ -37,7 +37,7 @@ def check_room(path: Path, reserve: int = 0) -> None:
 
 
 class DiskForecast:
-    """When the disk will be full, by the rate at which its free room has become less, whatever fills it."""
+    """Forecast of when the disk will be full, from the rate at which its free space shrinks, whatever fills it."""
 
     def __init__(self) -> None:
         self._since: tuple[float, int] | None = None
@@ -83,10 +83,8 @@ def _waits(task: Path) -> bool:
 
 
 class Lateness:
-    """Looked at with every job that is handed over, while more than `late_bytes` wait.
-
-    thread_id: the system's, of the thread that encodes
-    """
+    """Looked at with every job that is handed over, while more than `late_bytes` wait. thread_id: the system's, of the
+    thread that encodes"""
 
     def __init__(self, late_bytes: int, thread_id: int | None) -> None:
         self._late_bytes, self._task = late_bytes, TASKS / str(thread_id)

@@ -1,10 +1,10 @@
 """The ledger of a recording: checksums of its bytes, so that a flipped bit is detected and located.
 
-A recording has no checksum of its own, and most single bit flips in one are read without complaint. The ledger is
-text: a line with its format, then a line per block. It is JSON (bytes, their SHA-256, the streams and the session time
-that they hold) and a SHA-256 of that JSON and of the line before, which chains the lines. It grows with the file: a
-line at each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that a
-truncation before it is detected: size and SHA-256 of the whole, recorded and lost items. Without it, the run was
+A recording has no checksum, and most single bit flips in it are read without an error. The ledger is
+text: a line with its format, then a line per block. A line is JSON (bytes, their SHA-256, the streams and the session
+time in them) and a SHA-256 of that JSON and of the line before, which chains the lines. The ledger grows with the file:
+a line at each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that a
+truncation before it is detected: size and SHA-256 of the whole, recorded and lost items. Without that line, the run was
 interrupted.
 """
 
@@ -31,7 +31,7 @@ SEVERAL = 4
 
 
 def ledger_path(recording: Path) -> Path:
-    """`run.rrd` has the ledger `run.rrd.ledger`; a link without one has that of what it leads to."""
+    """`run.rrd` has the ledger `run.rrd.ledger`; a link without a ledger has that of its target."""
     beside = recording.with_name(recording.name + ".ledger")
     if recording.is_symlink() and not beside.exists():
         target = Path(os.path.realpath(recording))
@@ -63,7 +63,7 @@ class LedgerBlock:
 
 @dataclass(slots=True)
 class Ledger:
-    """What a ledger says. ended: its last line; None = of a run that was cut short; problems: what is wrong with it"""
+    """What a ledger says. ended: its last line; None = the run was cut short; problems: errors in it"""
 
     blocks: list[LedgerBlock] = field(default_factory=list)
     ended: dict[str, Any] | None = None
@@ -119,7 +119,7 @@ class LedgerWriter:
         self.add({"ended": told})
 
     def add(self, content: Mapping[str, Any]) -> None:
-        """Write a line, whole or not at all. Raises OSError."""
+        """Write a line, completely or not at all. Raises OSError."""
         text, link = _chained(content, self._chain)
         end, data = self._file.seek(0, os.SEEK_END), text.encode()
         try:
@@ -143,7 +143,8 @@ def write_ledger(
     *,
     discarded: Sequence[Mapping[str, object]] = (),
 ) -> Path:
-    """Answer for a finished recording: a block a portion, by its own index, or those of the ledger that grew with it.
+    """Write the ledger of a finished recording: a block for each portion of its index, or the blocks of the ledger that
+    grew with it.
 
     counts: what was recorded, by kind; losses: what was not; discarded: see `add_discard`
     """
@@ -166,7 +167,7 @@ def write_ledger(
 
 
 def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
-    """Write down that the recording, or a part of it, is not to be used; all else stays."""
+    """Add to the ledger that the recording, or a part of it, is not to be used; the recording is unchanged."""
     path = ledger_path(recording)
     with one_at_a_time(path.parent):  # each line continues the one before
         ledger = read_ledger(recording)
@@ -236,7 +237,7 @@ def check_recording(recording: Path) -> LedgerCheck:
 
 
 def read_ledger(recording: Path) -> Ledger:
-    """What the ledger says, and what is wrong with it. Raises FileNotFoundError where there is none."""
+    """The content of the ledger, and its errors. Raises FileNotFoundError without a ledger."""
     content = ledger_path(recording).read_bytes()
     if content[:1] == b"{":
         return _read_old(content)

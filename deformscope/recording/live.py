@@ -1,4 +1,4 @@
-"""The live view: a viewer of its own, fed by a thread of its own, which nothing ever waits for."""
+"""The live view: a separate viewer and a thread that sends data to it; nothing else waits for them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class ViewerStream(Protocol):
     """The feed's interface of a stream to a viewer."""
 
     def flush(self, *, timeout_sec: float) -> None:
-        """Return once the viewer has all that was given. Raises TimeoutError where that takes longer, another error
+        """Return when the viewer has received all data. Raises TimeoutError where that takes longer, another error
         where the viewer is gone."""
 
     def disconnect(self) -> None: ...
@@ -56,10 +56,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A window that was started.
-
-    pid: its process; messages: descriptor of a file with its standard error
-    """
+    """A window that was started. pid: its process; messages: descriptor of a file with its standard error"""
 
     pid: int
     messages: int
@@ -68,21 +65,21 @@ class Viewer:
 
     @property
     def output(self) -> str:
-        """The beginning of it."""
+        """The beginning of the viewer's output."""
         return os.pread(self.messages, 10_000, 0).decode(errors="replace")
 
     @property
     def url(self) -> str:
-        """Where recordings stream to, empty before it listens.
+        """The address to which recordings stream, empty before the viewer listens.
 
-        It chooses the port, and says which: on one that is chosen for it another user could listen first.
+        The viewer chooses the port and reports it: on a port chosen here, another user could listen first.
         """
         found = re.search(rf"rerun\+http://{LOOPBACK}:\d+/proxy", self.output)
         return found[0] if found else ""
 
 
 def start_viewer() -> Viewer:
-    """Start rerun's window, which outlives this process, on loopback, and return without waiting for it.
+    """Start rerun's window on loopback and return without waiting for it; the window stays open after this process.
 
     Raises InputError where there is no display.
     """
@@ -143,7 +140,8 @@ def live_stream(
 def page_stream(
     application: str, recording_id: str, pieces: Pieces, properties: Mapping[str, object], give_up: threading.Event
 ) -> LiveStream:
-    """To pages, which take their pieces when they like: lasting data apart from passing ones."""
+    """A stream for pages, which fetch their pieces when they are ready; lasting data are separate from transient
+    data."""
     import rerun as rr
 
     from deformscope.log.live_stream import LiveStream
@@ -207,7 +205,7 @@ def _has_display() -> bool:
 
 
 class LiveFeed(Generic[StreamT]):
-    """Passes jobs on to a live stream from a thread of its own; drops the oldest when the viewer cannot follow.
+    """Passes jobs to a live stream from a separate thread; drops the oldest when the viewer is too slow.
 
     connect: opens the stream, in the feed's thread; gives up once the event that it is given is set
     period_s: shortest period of passing jobs on together; a function is polled until it has passed
@@ -247,10 +245,8 @@ class LiveFeed(Generic[StreamT]):
         self._thread.start()
 
     def put(self, job: Callable[[StreamT], None], size: int, *, lasting: bool = False) -> None:
-        """Hand a job over; returns at once.
-
-        size: bytes that it keeps alive; lasting: later jobs depend on it, so that it is dropped last
-        """
+        """Hand a job over; returns at once. size: bytes that it keeps alive; lasting: later jobs depend on this job, so
+        that it is dropped last"""
         with self._ready:
             self._given += 1
             if self._left.is_set() or self._closing.is_set():

@@ -1,4 +1,4 @@
-"""Which recording is being written: a lock on its file, held as long as the run lives, however that ends."""
+"""Which recording is being written: a lock on its file, held until the run ends, in whatever way."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 
 def create_locked(path: Path) -> BinaryIO:
-    """A new, empty file that is locked until the returned one is closed, or the process ends. Raises FileExistsError
+    """A new, empty file that is locked until the returned file is closed, or the process ends. Raises FileExistsError
     and other OSErrors."""
     file = path.open("xb")
     # Waits for whoever probes it at this moment; a file system without locks is used without.

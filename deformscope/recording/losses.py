@@ -17,7 +17,7 @@ WORDS = {
     "skipped_bytes": "bytes skipped",
     "reconnects": "reconnects",
 }
-"""Each count that is a loss, and how it is called; the order is that in which it matters."""
+"""Each count that is a loss, and its name in messages, the most important first."""
 
 COUNTS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects", "lost_by_time", "silent_s")
 """Counts of `Health` from a device's opening on."""
@@ -26,8 +26,8 @@ COUNTS = ("received", "lost", "dropped", "skipped_bytes", "resyncs", "reconnects
 def lost_by(health: Health) -> dict[str, float]:
     """A device's losses above 0; empty = none.
 
-    readings: that should have come, of these readings_by_time where only the time shows it; silent_s: the time without
-    readings [s]; dropped, raw_dropped: readings and pieces of bytes that came and were not taken in time
+    readings: readings that should have come; readings_by_time: those of them that only the time shows; silent_s: the
+    time without readings [s]; dropped, raw_dropped: readings and pieces of bytes that came and were not taken in time
     """
     found: dict[str, float] = {
         "readings": health.lost,
@@ -89,5 +89,5 @@ def named(losses: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def without_frames(devices: Sequence[str]) -> dict[str, str]:
-    """The loss of each device that a recording names, and of which no frame was read."""
+    """The loss of each device that a recording names and of which no frame was read."""
     return dict.fromkeys(devices, "all frames: the recording names it, and holds none")

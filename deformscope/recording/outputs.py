@@ -1,4 +1,4 @@
-"""Where a recording goes: its file, a live view, both or neither."""
+"""The outputs of a recording: its file, a live view, both or neither."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Outputs:
         self._costs: list[tuple[int, int | None, StageCost]] = []
 
     def log(self, job: Callable[[rr.RecordingStream], None], size: int = 0) -> None:
-        """To the file, and to the live view when it comes to it. size: bytes that the job keeps alive"""
+        """Log to the file, and to the live view when it is ready. size: bytes that the job keeps alive"""
         if self.file is not None:
             self.file.log(job)
         self.show(lambda live: job(live.rec), size, lasting=True)
@@ -53,7 +53,7 @@ class Outputs:
     ) -> None:
         """Gather a stage's cost for the file: many in one portion, which alone takes a kilobyte.
 
-        session_ns, frame: session time and frame of its result; behind_ns: from there to the newest frame; None if
+        session_ns, frame: session time and frame of its result; behind_ns: time from there to the newest frame; None if
         frames wait, or continue
         """
         if self.file is not None:
@@ -71,7 +71,7 @@ class Outputs:
             self._costs = []
 
     def show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
-        """To the live view alone. lasting: dropped last where the viewer cannot follow"""
+        """Log to the live view only. lasting: dropped last where the viewer cannot follow"""
         if self.feed is not None:
             self.feed.put(job, size, lasting=lasting)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class PictureEncoder:
-    """An `Encoder`. layout: which views are sent as soon as the picture is known that they show, None = none"""
+    """An `Encoder`. layout: views that are sent as soon as the picture that they show is known, None = none"""
 
     def __init__(self, outputs: Outputs, layout: PictureLayout | None) -> None:
         self._outputs, self._layout = outputs, layout
@@ -49,7 +49,7 @@ class PictureEncoder:
             self._outputs.show(partial(_send, prepare), size)
 
     def write_step(self, step: Step, size: int) -> None:
-        """At its frame; each result over the picture that is known with it."""
+        """Write results at their frame, each over the picture that belongs to it."""
         from deformscope.log.canvas import Canvas
         from deformscope.log.over_picture import canvas_after, log_over_picture, picture_views
         from deformscope.log.views import stages_of

@@ -35,7 +35,7 @@ class Portions:
         return len(self._items)
 
     def add(self, items: Sequence[Item], touch: int, size: int) -> Iterator[tuple[list[Item], int]]:
-        """Portions that are complete with these: items, and their touch."""
+        """Portions that these items complete: items, and their touch."""
         if touch != self._touch:
             yield from self.rest()
             self._touch = touch

@@ -55,7 +55,8 @@ def machine() -> str:
 
 
 def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, object]:
-    """All of it, as text that any tool can read. brief: without differences between two runs of one input"""
+    """The whole provenance, as text that any tool can read. brief: leave out what differs between two runs of one
+    input"""
     found: dict[str, object] = {"format": FORMAT, "settings": json.dumps(settings, sort_keys=True, default=str)}
     seed = settings.get("seed")
     if isinstance(seed, int):

@@ -56,10 +56,8 @@ def check_magic(path: Path) -> None:
 
 
 class Replay:
-    """Content of a recording, read on demand.
-
-    trust: skip the comparison with the ledger; has_ledger: there is one, which its bytes can be compared with
-    """
+    """Content of a recording, read on demand. trust: skip the comparison with the ledger; has_ledger: there is a
+    ledger, with which its bytes can be compared"""
 
     def __init__(self, path: Path, *, trust: bool = False) -> None:
         self.path = Path(path)
@@ -142,7 +140,7 @@ class Replay:
 
     @property
     def mask(self) -> ImageArray | None:
-        """The recorded mask image (h, w); None where there is none."""
+        """The recorded mask image (h, w); None if it has none."""
         found = self.read_inputs().get("mask")
         return None if found is None else decode_image(found, self.path)
 
@@ -163,7 +161,7 @@ class Replay:
         """The recorded colour images in their order, with their recorded stamps.
 
         pace: "fast" as they can be read; "real" as they were taken; "step" each after `wait` (called with the frame
-        that comes next) returns; camera: by its name, needed where several were recorded
+        that comes next) returns; camera: name of the camera, needed if several were recorded
         """
         if pace == "step" and wait is None:
             raise ValueError('a pace of "step" needs something to wait for')

@@ -1,7 +1,7 @@
-"""The newest seconds of a rig, in memory, so that recent events can still be recorded.
+"""The newest seconds of a rig, held in memory, so that recent events can still be recorded.
 
-Its recording is like any other. It begins with the devices' health, and counts their losses from that on: neither
-readings nor losses of an earlier time are in it.
+Its recording is like any other. Such a recording begins with the devices' health, and counts their losses from then: it
+has neither readings nor losses of an earlier time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from deformscope.recording.recorder import Recorder, RecordingSummary
 _logger = logging.getLogger(__name__)
 
 MOST_BYTES = 256 << 20
-"""Default limits: pictures are stored as they came, about 30 MB a second of each camera."""
+"""Default limits: pictures are stored as received, about 30 MB for each second and camera."""
 
 
 @dataclass(slots=True)
@@ -86,10 +86,8 @@ class RecentItems:
 
 
 class WatchedRecorder:
-    """A session's recorder whose view continues where its file cannot; the file's error is raised in the end.
-
-    watch: shows it; kept: records
-    """
+    """A session's recorder whose view continues where its file cannot; the file's error is raised in the end. watch:
+    shows it; kept: records"""
 
     def __init__(self, watch: Recorder, kept: Recorder) -> None:
         self._watch, self._kept = watch, kept
@@ -141,10 +139,8 @@ class WatchedRecorder:
 
 
 class LastRecorder(WatchedRecorder):
-    """A session's recorder that records the last seconds before its end, and shows all of it.
-
-    kept: may wait: all of it comes at once
-    """
+    """A session's recorder that shows the whole session and records its last seconds. kept: may wait: all of it comes
+    at once"""
 
     def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
         super().__init__(watch, kept)

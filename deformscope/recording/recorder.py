@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 BACKLOG_JOBS, BACKLOG_BYTES = 1 << 20, 512 << 20
 """Limit of waiting data of devices, which continue on their own clock."""
 LATE = 8
-"""Share of it, as 1 in this number, whose wait means a late recording."""
+"""The recording counts as late if 1 / this of its capacity waits."""
 AHEAD_JOBS, AHEAD_BYTES = 16, 64 << 20
 """The same of sources that can wait for their recording."""
 TICK_S = 0.1
@@ -73,17 +73,17 @@ class RecordingSummary:
 class Recorder:
     """`with Recorder(file, "none", settings) as recorder: run(source, experiment, recorder)`.
 
-    file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer
-    it does nothing, and rerun is not even imported.
+    file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer it
+    does nothing and does not import rerun.
     settings: everything that decides the results, JSON-able; application: kind of its recording
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal. It leaves out
     differences between runs (start time, command line, versions, git state) and writes in larger portions
-    real_time: its source continues on its own clock, as devices do: a disk that stays too slow for it ends the
-    recording with a RecordingError. Otherwise whoever writes waits, once the disk is far behind
+    real_time: its source does not wait, as devices do not: a disk that stays too slow ends the recording with a
+    RecordingError. Otherwise whoever writes waits, once the disk is far behind
     whole_or_nothing: an error leaves no unfinished file: its source can be read again
 
-    Nothing is encoded, and no disk waited for, in the thread that calls `write`: a thread of the recorder does that in
-    order, so items must not be changed after the call. An error there is raised by the next call, or in the end.
+    The thread that calls `write` neither encodes nor waits for a disk. A thread of the recorder does that in order, so
+    items must not be changed after the call. An error there is raised by the next call, or in the end.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Recorder:
 
     @property
     def not_shown(self) -> tuple[StageFailure, ...]:
-        """Results that were recorded, but could not be shown; waits until all so far were drawn."""
+        """Results that were recorded, but could not be shown; waits until all results so far are drawn."""
         if self._writer is not None:
             self._writer.settle(SETTLE_TIMEOUT_S)
         return tuple(self._not_shown)
@@ -159,11 +159,8 @@ class Recorder:
     # What is handed over ---------------------------------------------------------------------------------------------
 
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
-        """From here on devices are recorded, and results computed from them.
-
-        layout: how, from the experiment; start_ns: the host's clock at session time 0
-        lossless: devices whose colour images are stored without loss
-        """
+        """From now on devices, and results computed from them, are recorded. layout: how, from the experiment;
+        start_ns: the host's clock at session time 0; lossless: devices whose colour images are stored without loss"""
         if not self.active:
             return
         from deformscope.log.rig import log_streams
@@ -200,11 +197,11 @@ class Recorder:
                     self._take_input(one)
 
     def stopped_because(self, reason: str) -> None:
-        """The recorded run ended early, and the recording with it: complete, with the reason."""
+        """End the recording of a run that ended early: it is complete, and holds the reason."""
         self._stopped = reason
 
     def summary(self) -> RecordingSummary:
-        """The recording so far, or in the end."""
+        """Summary of the recording so far, or at its end."""
         if self._finished is not None:
             return self._finished
         part = None if self._target is None else self._target.part

@@ -39,7 +39,7 @@ BEAT_FRAMES = 32
 BEAT_BYTES = 16 << 20
 """Data since the last flush: rerun's pending writes are not missing on the disk when its room is checked."""
 FULL_BYTES = 1 << 20
-"""With less room than this a file cannot even be ended."""
+"""Free space below which a file cannot be completed."""
 BEATS_MERGED = 200
 """Beats from one flush of the merged file to the next: each ends the portions that rerun is gathering."""
 FLUSH_TIMEOUT_S = 20.0
@@ -101,7 +101,7 @@ class RecordingFile:
             raise
 
     def log(self, job: Callable[[rr.RecordingStream], None]) -> None:
-        """Any call on a stream, sometimes with a check of the disk before."""
+        """Call a method of the stream, sometimes after a check of the disk."""
         self.beat()
         self._log(job)
 
@@ -143,7 +143,7 @@ class RecordingFile:
         self.flush_last()
 
     def flush_last(self) -> None:
-        """Have the disk take the written data: the remaining room is for this."""
+        """Write the last data to the disk: the reserved space is for this."""
         try:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
             self._commit()
@@ -158,7 +158,7 @@ class RecordingFile:
         self._beat_at = time.monotonic()
 
     def close(self) -> Path:
-        """End both files, within a time; where the recording is: in one of its own, or at `path`.
+        """Complete both files, within a time limit; returns where the recording is: in a separate file, or at `path`.
 
         Raises nothing; `broken` where neither could be ended.
         """
@@ -278,7 +278,7 @@ def _stream(
 
 
 def write_outcome(path: Path, application: str, recording_id: str, outcome: Mapping[str, object]) -> None:
-    """How a run ended, as a part of its recording, to be merged with the rest."""
+    """Write how a run ended as a part of its recording, to be merged with the rest."""
     import rerun as rr
 
     rec = rr.RecordingStream(application, recording_id=recording_id, send_properties=False)

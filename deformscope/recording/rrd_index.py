@@ -1,4 +1,4 @@
-"""Where the portions of a finished recording lie in its file, by the index that rerun writes at its end.
+"""Places of a finished recording's portions in its file, from the index that rerun writes at the end.
 
 The last 32 bytes are offset and length of the footer (uint64), its checksum (uint32), `RRF2FOOT` and a count. The
 footer is a protobuf message of manifests (field 1), one for each store. Field 4 of each holds its table of portions
@@ -20,7 +20,8 @@ MANIFEST, TABLE, PAYLOAD, PLAIN_BYTES = 1, 4, 2, 4
 
 @dataclass(frozen=True, slots=True)
 class Portion:
-    """Bytes of a recording that belong together. end: after the last of them; entity: without the slash at its begin
+    """Bytes of a recording that belong together. end: place after the last byte; entity: its path without the leading
+    slash
 
     from_s, to_s: session time of its rows [s]; None where they have none
     """

@@ -37,7 +37,7 @@ class RecordedStage:
 
     timelines: timelines of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms:
     median delay of its results behind the newest frame; live: whether that is soon; None where it was not recorded
-    missing: rows were to be expected, by the recording's settings, and there are none; when: they are to be expected
+    missing: the recording's settings require rows, and there are none; when: the case in which rows are expected
     """
 
     name: str
@@ -68,7 +68,7 @@ def registries() -> dict[str, Views[Any]]:
 
 
 def recorded_stages(path: Path) -> list[RecordedStage]:
-    """All stages that are registered for recordings of its kind, or for the kind that this is a variant of, by chapter,
+    """All stages that are registered for recordings of this kind, or of the kind that it is a variant of, by chapter,
     existing or missing."""
     replay = Replay(path, trust=True)
     every, counted = registries(), _Counted(json.loads(replay.properties.get("settings", "{}")))

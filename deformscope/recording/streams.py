@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 SCHEMA_VERSION = 1
-"""Version of every export: which streams, columns and messages it has. Any change that a reader would misread makes the
-next number."""
+"""Version of every export: which streams, columns and messages it has. Version of the schema: a change that a reader
+would misread increases it."""
 
 UNITS = {
     "m": "m",
@@ -75,7 +75,7 @@ UNITS = {
     "ticks": "ticks of the device's clock",
     "counts": "counts of the device",
 }
-"""By the end of a column's name."""
+"""Units by the end of a column's name."""
 CARTESIAN = ("x", "y", "z")
 XYZ = {"force_n", "torque_nm", "position_m", "rotation_rad", "xyz_m", "normal", "tare_n", "xy_m"}
 """Vectors along x, y, z; a sensor of several channels has one each."""
@@ -276,14 +276,14 @@ class RecordedStream:
 
 
 class RecordingTables:
-    """The streams of a recording. anonymous: without what may name a person, a machine or a path"""
+    """The streams of a recording. anonymous: leave out whatever may name a person, a machine or a path"""
 
     def __init__(self, replay: Replay, *, anonymous: bool = False) -> None:
         self._replay, self.anonymous = replay, anonymous
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """Everything that decided the recorded results; empty where there are none."""
+        """All settings that determined the recorded results; empty if there are none."""
         return self._replay.settings if "settings" in self._replay.properties else {}
 
     @cached_property
@@ -293,7 +293,7 @@ class RecordingTables:
 
     @cached_property
     def start_ns(self) -> int | None:
-        """Host time at which `session` is 0 [ns]; None where it is not known."""
+        """Host time at which `session` is 0 [ns]; None if unknown."""
         return self._found[1]
 
     @cached_property
@@ -339,8 +339,8 @@ class RecordingTables:
         return found
 
     def select(self, names: Sequence[str] = ()) -> dict[str, RecordedStream]:
-        """Those of these entities, or below them, or of these devices; without a name all. Raises InputError for one
-        that is not there."""
+        """The streams of these entities, of those below them, or of these devices; without a name all streams. Raises
+        InputError for one that is not there."""
         found: dict[str, RecordedStream] = {}
         for name in names:
             own = {
@@ -362,8 +362,8 @@ class RecordingTables:
     def batches(
         self, streams: Collection[str], *, gather: bool = True
     ) -> Iterator[tuple[RecordedStream, pa.RecordBatch]]:
-        """Their rows, those of one stream in order of time, the streams as they come. Only what may still be out of
-        order is held, and with `gather` what a batch lacks."""
+        """Rows of the streams: those of one stream in order of time, the streams in any order. Memory holds only rows
+        that may still be out of order, and with `gather` those of a batch that is not full."""
         starts = {entity: Starts(self.streams[entity]._starts) for entity in streams}
         waiting: dict[str, list[pa.Table]] = {entity: [] for entity in streams}
         ready: dict[str, list[pa.RecordBatch]] = {entity: [] for entity in streams}
@@ -389,8 +389,8 @@ class RecordingTables:
                 yield self.streams[entity], pa.concat_batches(own)
 
     def table(self, name: str) -> pa.Table:
-        """A stream as one table: by its entity, or as DEVICE/QUANTITY its times and the columns of this quantity alone.
-        Raises InputError for what is not there."""
+        """A stream as one table: by its entity, or by DEVICE/QUANTITY with only its times and the columns of this
+        quantity. Raises InputError for a stream that is not there."""
         device, _, quantity = name.strip("/").rpartition("/")
         entities, prefix = [name.strip("/")] if name.strip("/") in self.streams else [], ""
         if not entities:
@@ -578,8 +578,7 @@ def _axes(column: str, width: int) -> list[str]:
 
 
 def columns_of(name: str, columns: Iterable[str]) -> list[str]:
-    """Those of these columns that hold a frame's field of this name: its own column, or one for each of its values, in
-    the order of the values."""
+    """The columns that hold a frame's field of this name: one column, or one for each of its values, in order."""
     base, unit = split_unit(name)
     each = re.compile(rf"{re.escape(base)}_(\d+_)?([xyz]|\d+){unit and f'_{unit}'}")
     found = (one for one in columns if one == name or each.fullmatch(one))

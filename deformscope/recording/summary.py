@@ -1,4 +1,4 @@
-"""One recording as a row of a catalog: its command, its end, its results, by the names of the JSON."""
+"""One recording as a row of a catalog: its command, its end and its results, under the names of the JSON."""
 
 from __future__ import annotations
 

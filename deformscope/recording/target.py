@@ -41,7 +41,7 @@ class RecordingTarget:
             raise
 
     def give_up(self) -> None:
-        """Nothing is recorded."""
+        """End without a recording."""
         self.part.unlink(missing_ok=True)
         ledger_path(self.part).unlink(missing_ok=True)
         self.release()
@@ -93,7 +93,8 @@ class RecordingTarget:
 
 
 def remove_strays(folder: Path) -> None:
-    """Removes what killed runs left: the file of large portions, of no use without its end. Their recordings stay."""
+    """Removes what killed runs left: the file of large portions, of no use without its end. The recordings of these
+    runs stay."""
     for stray in folder.glob(f"*{merged_path(Path(f'.part*{SUFFIX}'))}"):
         if not is_being_written(stray.with_suffix("")):
             with suppress(OSError):  # in a folder that is only read

@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def utf8_path(path: Path) -> Path:
-    """The path, or where it is not UTF-8 a link to it, which is there as long as the process."""
+    """The path, or, if it is not UTF-8, a link to it, which exists until this process ends."""
     try:
         str(path).encode()
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""A thread that does jobs in their order, so that who hands them over never waits for a disk."""
+"""A thread that does jobs in their order, so that the caller never waits for a disk."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Writer:
     tick: called after each job and at the least every `tick_s`; the first job or tick that fails ends the thread, and
     every later `put` raises its error
     capacity_jobs, capacity_bytes: largest number and size of jobs that wait
-    overrun: makes the error if more than that waits, of the waiting bytes; None = the caller of a job then waits for
-    room, for a file or a simulation
+    overrun: makes the error, from the number of waiting bytes, if too many wait; None = the caller waits instead, as
+    for a file or a simulation
     """
 
     def __init__(

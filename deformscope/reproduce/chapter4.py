@@ -83,8 +83,8 @@ OWN = ExploreOptions(
 
 @dataclass(frozen=True, slots=True)
 class HeldBeta:
-    """beta of one dent. cluster_size: None = no clusters; error_m: mean distance from simulated to observed points at
-    it (eq. 4.6), None where it is fitted by squares"""
+    """beta of one dent. cluster_size: particles along a cluster's side, None = no clusters; error_m: mean distance from
+    simulated to observed points at it (eq. 4.6), None where it is fitted by squares"""
 
     hold: Hold
     cluster_size: int | None
@@ -94,8 +94,8 @@ class HeldBeta:
 
 @dataclass(frozen=True, slots=True)
 class FoamDent:
-    """One touch of a foam. dent: as the thesis's process sees it; betas: betas of every hold and cluster size
-    seen_m: (n, 3) points of the camera around it meanwhile; ball: the tip, None = not stored"""
+    """One touch of a foam. dent: the dent as estimated by the thesis's process; betas: betas of every hold and cluster
+    size; seen_m: (n, 3) points of the camera around it meanwhile; ball: the tip, None = not stored"""
 
     hardness_n: float
     depth_m: float
@@ -145,7 +145,7 @@ def press_foam(
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One exploration by the thesis's rules.
+    """An exploration by the thesis's rules.
 
     contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why none follows
     truth: (rows, columns) labels; hardness: hardness of each label, in words
@@ -248,7 +248,7 @@ def _exact(world: SlabWorld, at: FloatArray, middle_m: float, radius_m: float, c
 # In words ------------------------------------------------------------------------------------------------------------
 
 SAME = 0.02
-"""Betas of foams that differ by no more count as the same: two steps of the sweep (Algorithm 3)."""
+"""Largest difference at which the betas of two foams count as equal: two steps of the sweep (Algorithm 3)."""
 
 
 def to_text(foams: Sequence[FoamDent], explored: Sequence[Scenario], step: float = THESIS_STEP) -> list[str]:

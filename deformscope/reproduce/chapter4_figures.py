@@ -97,8 +97,8 @@ def draw_dents(foams: Sequence[FoamDent], path: Path) -> None:
 
 
 def draw_clouds(foam: FoamDent, path: Path) -> None:
-    """Figure 4.4: the surface before the touch and under it on the sweep's grid, by the Gaussian process. It has the
-    camera's points, the virtual ones on the ball, and the held particle."""
+    """Figure 4.4: the surface before the touch and under it on the sweep's grid, by the Gaussian process. Draw the
+    camera's points, the virtual points on the ball, and the held particle."""
     dent, ball, to_cm = foam.dent, foam.ball, np.array([1e2, 1e2, 1e3])
     low, high = 1e3 * dent.after[:, 2].min(), 1e3 * dent.before[:, 2].max()
     middle = np.append(dent.before[:, :2].mean(axis=0), 0.0)

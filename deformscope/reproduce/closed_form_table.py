@@ -36,8 +36,8 @@ RIGID_LOG = float(
 """Log stiffness [N/mm] from which a touch is a lower bound."""
 
 MOST_LOG = RIGID_LOG + 0.1
-"""Its effect is small next to softer material, where a part of the ball leans on its edge: so finite elements show it
-from 4 mm before the edge on."""
+"""Its effect is small next to softer material, where a part of the ball presses on its edge: finite elements show it up
+to 4 mm outside the edge."""
 
 
 def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:

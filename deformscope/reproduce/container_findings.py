@@ -1,6 +1,6 @@
 """The thesis's results of squeezed containers (5.3 and 5.4), compared with those of the laboratory's squeezes.
 
-Nothing of the laboratory was chosen for these: a different result is reported as such.
+The laboratory was not tuned for these findings: a different result is reported as such.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class FindingComparison:
 
 
 def compare_findings(five: Evaluation, three: Evaluation) -> list[FindingComparison]:
-    """The thesis's statements, each with ours. five: accuracy for all contents; three: for empty, liquid, granular"""
+    """The thesis's statements, each with the result of this reproduction. five: accuracy for all contents; three: for
+    empty, liquid, granular"""
     touch, vision, both = (five.score(name, "knn") for name in (TOUCH, VISION, BOTH))
     return [
         FindingComparison("Vision is most informative for water.", _better(five, touch, vision, ("water",))),

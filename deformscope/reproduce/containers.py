@@ -53,8 +53,8 @@ NEW = 100
 def squeeze_jobs(
     folder: Path, trials: int, cylinders: int, whole: int, seed: int, *, new: bool = False
 ) -> list[SqueezeJob]:
-    """All trials in the thesis's proportions, contents, boxes and sessions mixed. cylinders: as many of plastic; new:
-    other containers, sessions and seeds than otherwise"""
+    """All trials in the thesis's proportions, with contents, boxes and sessions in random order. cylinders: number of
+    trials with plastic cylinders; new: use other containers, sessions and seeds"""
     first = NEW if new else 0
     seed += 1000 * first
     contents = [content for content, count in THESIS_COUNTS.items() for _ in range(count)]
@@ -91,7 +91,8 @@ def squeeze_jobs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezedTrial:
-    """One squeeze with all that is known of it. made: the laboratory, not opened; frames: frames of the devices"""
+    """One squeeze with its features, recording and truth. made: the laboratory, not opened; frames: frames of the
+    devices"""
 
     entry: TrialEntry
     made: ContainerLab
@@ -101,7 +102,7 @@ class SqueezedTrial:
 
 
 def run_squeeze(job: SqueezeJob) -> TrialRow:
-    """One trial on its own simulated clock; in any process."""
+    """Run one trial on its own simulated clock, in any process."""
     trial = squeeze_trial(job)
     row = row_of(trial.entry, trial.found.features)
     del trial
@@ -110,7 +111,7 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
 
 
 def squeeze_trial(job: SqueezeJob, on_cycle: Callable[[ContainerLab], None] = lambda made: None) -> SqueezedTrial:
-    """The same with all that is known of it. on_cycle: called in each control period"""
+    """One trial with its features, recording and truth. on_cycle: called in each control period"""
     made = container_lab(
         job.content,
         job.container,

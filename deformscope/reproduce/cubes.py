@@ -1,8 +1,8 @@
 """Cubes of known Poisson's ratio, pressed between plates: theta estimated for each (Thesis 5.1, experiment 3.A).
 
-The thesis's cubes are made here with finite elements, or any others come from pair files. Each has the project's own
-calibration of theta for one quadratic cluster (as in the thesis), and the lowest error of a dense grid for comparison.
-It also has the lowest errors of one cluster and of overlapping ones when beta is fitted too.
+The thesis's cubes are made here with finite elements, or any others come from pair files. Each cube has this project's
+calibration of theta for one quadratic cluster (as in the thesis). For comparison it has the lowest error of a dense
+grid. It also has the lowest errors of one cluster and of overlapping clusters if beta is fitted too.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class Cube:
 @dataclass(frozen=True, slots=True)
 class ElementTime:
     """Time of the finite elements of one resolution, mean over Poisson's ratios. unknowns: unknowns of the equations
-    assemble_s, solve_s: by a direct solver [s]; cg_s: by `CG_STEPS` conjugate gradients alone, as the thesis's SOFA-CG
-    does [s]; cg_left: share of the right-hand side that these leave"""
+    assemble_s, solve_s: time to assemble, and to solve by a direct solver [s]; cg_s: time of `CG_STEPS` steps of
+    conjugate gradients, as in the thesis's SOFA-CG [s]; cg_left: share of the right-hand side that these leave"""
 
     resolution: str
     unknowns: int
@@ -97,7 +97,7 @@ class CubeResult:
     one_cluster, overlapping: lowest error with beta fitted too; None where the comparison was left out
     searches: the thesis's and ours on the same errors
     equal_share_theta: theta of the lowest error where the held particles weigh `HELD_SHARE` of the body
-    simulated: (K, d) at theta; seconds: [s] for the calibration
+    simulated: (K, d) positions at theta; seconds: duration of the calibration [s]
     """
 
     cube: Cube
@@ -119,7 +119,7 @@ class CubeResult:
 
     @property
     def ratio(self) -> float | None:
-        """Error of overlapping clusters over that of the one cluster with theta alone."""
+        """Error of overlapping clusters over that of a single cluster with theta only."""
         return None if self.overlapping is None else self.overlapping.aee / self.theta.aee
 
 
@@ -208,7 +208,7 @@ def cube_from_pair(raw: bytes, name: str) -> Cube:
 
 
 def depth_of(cube: Cube, depths: Sequence[float]) -> float:
-    """The one of `depths` that the cube's is taken as."""
+    """The one of `depths` that the cube's depth counts as."""
     return min(depths, key=lambda depth: abs(depth - cube.depth))
 
 
@@ -274,8 +274,8 @@ def dense_curve(seen: Observation, body: Msm, beta: float, count: int = DENSE_GR
 def equal_share(seen: Observation, beta: float) -> float:
     """theta of the lowest error where the held particles have `HELD_SHARE` of the body's mass.
 
-    With equal masses their share falls as a lattice grows finer (6^3: a third, 11^3: 18 %), and so does their pull
-    against a wider fit of the cluster. A smaller theta then has the same effect, and theta drifts with resolution.
+    With equal masses the share of held particles falls when a lattice is finer (6^3: a third, 11^3: 18 %), and so does
+    their effect on the cluster's fit. A smaller theta then has the same effect, and theta drifts with resolution.
     """
     count, held = len(seen.rest), len(seen.held)
     mass = np.ones(count)
@@ -290,7 +290,7 @@ def equal_share(seen: Observation, beta: float) -> float:
 
 
 def compared(cubes: Sequence[Cube], options: CubesConfig) -> list[bool]:
-    """Which cubes overlapping clusters are fitted to."""
+    """Whether overlapping clusters are fitted to this cube."""
     if options.compare != "deepest":
         return [options.compare == "all"] * len(cubes)
     deepest: dict[tuple[str, float], float] = {}
@@ -308,11 +308,8 @@ def standard_error(values: Iterable[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """theta over cubes of one Poisson's ratio.
-
-    of: other properties that they share, "" without any; count: number of cubes; sem: standard error of the mean;
-    equal_share_sem: that of `Found.equal_share_theta`
-    """
+    """theta over cubes of one Poisson's ratio. of: other properties that they share, "" without any; count: number of
+    cubes; sem: standard error of the mean; equal_share_sem: that of `Found.equal_share_theta`"""
 
     poisson: float
     of: str
@@ -341,10 +338,8 @@ def spreads(found: Sequence[CubeResult], of: Callable[[Cube], str] = lambda _: "
 
 
 def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
-    """Whether theta rises strictly with Poisson's ratio at every resolution and depth.
-
-    to_bound: where theta has reached the end of its range it need not rise any more
-    """
+    """Whether theta rises strictly with Poisson's ratio at every resolution and depth. to_bound: theta need not rise
+    any further at the end of its range"""
     depths = depths_of([one.cube for one in found])
     series: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for one in found:
@@ -358,8 +353,8 @@ def rises(found: Sequence[CubeResult], *, to_bound: bool = False) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ModelTime:
-    """Time of MSM at one resolution [s]. step: one time step of one quadratic cluster; static: its static state;
-    theta: theta with its interval, mean over cubes"""
+    """Time of MSM at one resolution [s]. step: time of one time step of one quadratic cluster; static: its static
+    state; theta: theta with its interval, mean over cubes"""
 
     resolution: str
     step: float

@@ -204,7 +204,7 @@ def _line(style: Any, colour: str, label: str, marker: str = "") -> Any:
 
 
 def cube_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
-    """One row a cube."""
+    """One row for each cube."""
     rows = []
     for one in found:
         low, high = one.theta.interval
@@ -242,7 +242,7 @@ def sem_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
 
 
 def search_rows(found: Sequence[CubeResult]) -> list[dict[str, Any]]:
-    """One row a cube and a search. theta_off: distance from that of the lowest error"""
+    """One row for each cube and search. theta_off: distance from that of the lowest error"""
     rows = []
     for one in found:
         named = {"poisson": one.cube.poisson, "resolution": one.cube.resolution, "depth_m": one.cube.depth}

@@ -2,8 +2,8 @@
 
 A flat clamp pushes five virtual foams (`deformscope.lab.foam`) by the same distance. A camera sees speckles move; dense
 flow carries 7 x 15 particles; the last pose is fitted at cluster sizes 2, 4 and 5. Each fit is made four times: from
-the flow and from the true positions, which shows the flow's error. Held are the one particle below the clamp's middle,
-as in the thesis, or all those below the clamp. The force of the push gives the model's k.
+the flow and from the true positions, which shows the flow's error. Held particles are either the one below the clamp's
+middle, as in the thesis, or all below the clamp. The force of the push gives the model's k.
 """
 
 from __future__ import annotations
@@ -51,11 +51,8 @@ VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 
 
 @dataclass(frozen=True, slots=True)
 class FoamSetup:
-    """The push and its images.
-
-    depth_m: depth of the
-    clamp at the end; images: with the one at rest; noise: noise of the camera [grey values]
-    """
+    """The push and its images. depth_m: depth of the clamp at the end; images: number of images, including that at
+    rest; noise: noise of the camera [grey values]"""
 
     foams: tuple[Foam, ...] = FOAMS
     block: Block = BLOCK
@@ -218,12 +215,12 @@ def _fits(seen: Sequence[tuple[Source, Held, Observation]], setup: FoamSetup, se
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """How beta goes with hardness over the foams, for one combination.
+    """How beta changes with hardness over the foams, for one combination.
 
     drop: beta of the softest less that of the firmest foam (Thesis: .04, .16, .21 at cluster sizes 2, 4, 5)
     rank_correlation: rank correlation of beta with hardness (Spearman), None where all are one or there are only two
-    foams; common: the betas that lie in every foam's interval; None where there are none, so that beta does differ
-    told: in words (a key of the JSON)
+    foams; common: betas in every foam's interval; None = there are none, so that beta differs between foams
+    told: the trend in words (a key of the JSON)
     """
 
     source: Source
@@ -287,9 +284,7 @@ CHANGES: dict[str, tuple[float, float]] = {
 @dataclass(frozen=True, slots=True)
 class Control:
     """The middle foam with one property changed: effect of the change on its true positions, and on beta from these.
-
-    true_px: (K, 2) where its particles are
-    """
+    true_px: (K, 2) places of its particles"""
 
     changed: str
     foam: Foam
@@ -310,7 +305,7 @@ def controls(setup: FoamSetup, seed: int = 0) -> list[FoamCase]:
 
 
 def measure_control(case: FoamCase) -> Control:
-    """No camera: the same push, the true positions, fitted in every combination."""
+    """The push without a camera: its true positions are fitted in every combination."""
     setup, box = case.setup, case.setup.particles("clamp")
     grid = seed_grid((setup.view.height, setup.view.width), box.roi_rect, setup.grid)
     pose = _push(case.foam, setup, 3)[-1]

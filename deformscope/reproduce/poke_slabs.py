@@ -77,7 +77,8 @@ class PokedSlab:
 
 
 def draw_slab(kind: SlabKind, seed: int, split: Split = "alternate") -> PokedSlab:
-    """The slab of this kind and seed. split: fitted is every other poke, as on a chess board, or any half of them"""
+    """The slab of this kind and seed. split: pokes that are fitted: every other one, as on a chess board, or a random
+    half"""
     rng = np.random.default_rng([seed, KINDS.index(kind), 16])
     axes = [np.linspace(MARGIN, side - MARGIN, count) for side, count in zip(SIZE, GRID, strict=False)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -67,7 +67,7 @@ def plan_of(drawn: PokedSlab, tips: Sequence[tuple[float, float]] = OTHER_TIPS) 
 
 
 def plans() -> tuple[PokeStudyPlan, ...]:
-    """One modulus, from a single poke; halves and a stiff disc, from 12 of 24."""
+    """The plans: one modulus, fitted to a single poke; halves and a stiff disc, fitted to 12 of 24 pokes."""
     one = PokeStudyPlan(
         "one modulus",
         Slab((0.3, 0.3, 0.05), 40e3, 0.2),
@@ -127,7 +127,7 @@ def observe(slab: Slab, one: Press, element: float | None = None) -> Observation
 
 
 def rows(studied: Sequence[Studied]) -> list[dict[str, object]]:
-    """For the table: one row a method and poke."""
+    """Rows of the table: one for each method and poke."""
     return [
         {
             "slab": one.plan.name,

@@ -16,7 +16,7 @@ STEP = 0.01  # of Algorithm 3
 
 @dataclass(frozen=True, slots=True)
 class SearchOutcome:
-    """search: how it was sought; value: found; aee_m: error there (eq. 3.18); evaluations: static states that were
+    """search: method of the search; value: found; aee_m: error there (eq. 3.18); evaluations: static states that were
     computed; seconds; stopped: why a descent ended"""
 
     search: str

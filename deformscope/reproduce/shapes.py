@@ -22,13 +22,13 @@ ENDS: dict[Basis, tuple[float, tuple[float, float]]] = {
     "linear": (0.0, (0.04, 0.02)),
     "quadratic": (np.radians(60.0), (0.03, -0.02)),
 }
-"""By how much the top of the column is turned, clockwise, and moved [m]: sheared and stretched, or bent."""
+"""How the top of the column is turned, clockwise, and moved [m]: sheared and stretched, or bent."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldLattice:
-    """A lattice of which some particles are held elsewhere, and its model. seen: its observation, in which only these
-    have moved; shape: shape of the lattice"""
+    """A lattice with some particles held at other places, and its model. seen: its observation, in which only the held
+    particles have moved; shape: shape of the lattice"""
 
     name: str
     seen: Observation
@@ -101,6 +101,6 @@ def cube(side: int = CUBE_SIDE) -> HeldLattice:
 
 
 def all_sweeps() -> tuple[StateSweep, ...]:
-    """Both columns and the sheet over beta, the cube over theta."""
+    """Sweeps of both columns and of the sheet over beta, and of the cube over theta."""
     bodies = column("linear"), column("quadratic"), sheet(), cube()
     return tuple(one.sweep(BETAS if one.model.parameter == "beta" else THETAS) for one in bodies)

@@ -30,7 +30,7 @@ from deformscope.stages.squeeze.trial import SqueezeFeatures
 T = TypeVar("T")
 
 LOST_SHARE = 0.1
-"""Share of each device's frames and readings that is lost at random, and besides one run of `LOST_RUN` of them."""
+"""Share of each device's frames and readings that is lost at random; one run of `LOST_RUN` is lost in addition."""
 LOST_RUN = 5
 PERIODS, SHIFT_M, TURN_DEG = 2.0, 0.002, 1.0
 """Tolerances of an event, and of a pose in the observed directions."""
@@ -46,7 +46,7 @@ Numbers = dict[str, float | str]
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """How far a tracked pose is from the truth in the directions that the tracker reports as observed. good: its own
+    """Error of a tracked pose in the directions that the tracker reports as observed. good: its own
     verdict"""
 
     shift_m: float
@@ -80,7 +80,7 @@ class SimulatedSqueeze:
 
 
 def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
-    """One squeeze of the laboratory as a data set keeps it, and its errors; in any process.
+    """One squeeze of the laboratory as stored in a data set, and its errors; runs in any process.
 
     first, steady: events less truth in sample periods of their device; the same with frames lost; held: 1 where the
     interval holds the truth. tracked, refused, used_off: images tracked, of these refused, and not refused but off
@@ -298,5 +298,5 @@ def truth_rows(every: Sequence[Numbers]) -> list[tuple[str, str]]:
 
 
 def numbers_of(every: Sequence[Numbers], name: str) -> FloatArray:
-    """(n,) of each squeeze, NaN where there is none."""
+    """(n,) number of each squeeze, NaN if it has none."""
     return np.array([float(one.get(name, NAN)) for one in every])

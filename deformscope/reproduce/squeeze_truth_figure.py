@@ -1,4 +1,4 @@
-"""How far the events, poses and changes of depth of simulated squeezes are from the truth, as a picture."""
+"""Errors of events, poses and changes of depth of simulated squeezes, as a picture."""
 
 from __future__ import annotations
 

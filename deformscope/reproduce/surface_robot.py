@@ -44,8 +44,8 @@ SOFT_PA = 1e-3 * RIGID_PA
 def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
     """A scene's apparent stiffness, region by region and cell by cell.
 
-    It is that of a slab with the modulus of this place throughout, as thick as the scene's, pressed in the same finite
-    elements without noise. Touches far from every border and bump tend to it.
+    The stiffness of a place is that of a slab with this modulus everywhere and the scene's thickness, pressed in the
+    same finite elements without noise. Touches far from every border and bump approach it.
     """
     modulus = scene.modulus_pa(scene.cells_m())
     pieces = np.array([piece.modulus_pa for piece in scene.pieces])
@@ -99,7 +99,7 @@ def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
 class LabRobot:
     """A simulated table with foam, seen by a camera and touched by a ball on a stick.
 
-    scene: as it truly is, without its scatter; arm: as its calibration says
+    scene: the true scene, without its scatter; arm: the arm as calibrated
     errors: errors of this session; truth: the scene's true values; most_force_n: the largest true contact force so far
     felt: `felt_log_stiffness` of each touch
     sees: whether the camera looks again while the ball presses, which only beta needs
@@ -195,10 +195,8 @@ class LabRobot:
 def explore_at_once(
     robot: LabRobot, stages: ExplorationStages, recorder: SessionRecorder, found: Exploration | None = None
 ) -> None:
-    """Explore with a robot that gives measurements at once. Raises ExplorationStopped.
-
-    recorder: is given every stage's results; found: receives the touches
-    """
+    """Explore with a robot that gives measurements at once. Raises ExplorationStopped. recorder: is given every stage's
+    results; found: receives the touches"""
     found = Exploration() if found is None else found
     run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))
     if found.stop is not None:

@@ -15,7 +15,7 @@ from deformscope.stages.map.plan import Planner
 
 @dataclass(frozen=True, slots=True)
 class TableJob:
-    """One exploration. go_on: to the last touch, even after the end of the plan, so that planners compare
+    """One exploration. go_on: touch until the last touch, even after the end of the plan, so that planners compare
     closed_form: touches are contacts in closed form, instead of finite elements; clean: no hidden errors in the
     laboratory; relief, pace: as in `ExploreOptions`
     """
@@ -40,10 +40,10 @@ class TableJob:
 class MapAfter:
     """The map after some touches.
 
-    travel_m: travel of the tip over the surface, from its corner; robot_s: that the touches took (`touch_clock`; in
-    closed; form: as the planner reckons); compute_s: from this touch to the next target
-    log_stiffness, log_sd, rigid: the last touch's measurement [N/mm], at `xy_m`; felt_log_stiffness: its measurement
-    without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
+    travel_m: travel of the tip over the surface, from its corner; robot_s: time of the robot for the touches
+    (`touch_clock`; in closed; form: the planner's estimate); compute_s: computing time from this touch to the next
+    target; log_stiffness, log_sd, rigid: the last touch's measurement [N/mm], at `xy_m`; felt_log_stiffness: its
+    measurement without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
     unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed
     """
 
@@ -65,8 +65,8 @@ class MapAfter:
 @dataclass(frozen=True, slots=True)
 class TableRun:
     """Results of one exploration. region_count: the true one, 0 where there are no regions; stop_after: touches at the
-    end of the plan, None if it did not end; max_force_n: largest true contact force; seconds: that all of it took to
-    compute and simulate"""
+    end of the plan, None if it did not end; max_force_n: largest true contact force; seconds: time to compute and
+    simulate the run"""
 
     job: TableJob
     region_count: int

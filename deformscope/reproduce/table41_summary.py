@@ -101,7 +101,7 @@ def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -
     """The effort of one planner and pace for maps of this quality, compared with another's on the same scenes and
     seeds.
 
-    reached: share of layouts in which it got there at all; touches, travel_m, robot_s: mean first passages, with their
+    reached: share of layouts in which it was reached; touches, travel_m, robot_s: mean first passages, with their
     ratio, and 5 and 95 % of its bootstrap over layouts
     """
     other = {(run.job.scene, run.job.seed): run for run in against}

@@ -1,7 +1,7 @@
 """How long touches take a robot: their real plans, step by step, on an arm that follows every velocity at once.
 
-For studies without wires. Not included: the arm's and the sensor's delays, turning the stick, and pictures in which the
-dent still moves.
+A clock for studies without wires. Not included: the arm's and the sensor's delays, turning the stick, and pictures in
+which the dent still moves.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PlannedTouches(AsMeasured):
 
 
 class TouchClock:
-    """seconds: seconds of the touches so far; center_m: (3,) where the tip's centre is [m, surface frame]"""
+    """seconds: seconds of the touches so far; center_m: (3,) place of the tip's centre [m, surface frame]"""
 
     def __init__(self, center_m: FloatArray, center_offset_m: float) -> None:
         self.seconds, self.center_m = 0.0, np.asarray(center_m, dtype=np.float64)

@@ -32,20 +32,20 @@ _places = count()
 class Quantity:
     """How one quantity is reported.
 
-    label: in words, as in a row of a table; key: in JSON, empty = as it is named here, None = not there,
+    label: name in words, as in a row of a table; key: key in JSON, empty = the field's name, None = not in JSON,
     GROUP.KEY = in an object GROUP
-    unit: in which JSON has it, listed among the units there; empty = its key says it, or it has none
+    unit: unit in JSON, listed among the units there; empty = its key ends with it, or it has none
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
     interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number alone,
     and the interval by this key; columns have it separately too
-    words: from the whole result to a text in place of a number
-    json: from the value to JSON; json_scale: JSON has the value times this
+    words: makes a text in place of a number, from the whole result
+    json: converts the value to JSON; json_scale: JSON has the value times this
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
-    per_length: it is a force per such a unit: JSON has it per metre, None where not known
-    missing: text of one that is None
-    older_key: by which JSON has it too
-    optional: JSON lacks the key where the value is None; flat: its JSON has the value's parts instead
-    line: in a line that has all that matters, with "{}" for the value; caption: below the title of a picture
+    per_length: it is a force per such a unit: JSON has it per metre, None if the scale is unknown
+    missing: text in place of None
+    older_key: an older key under which JSON has it too
+    optional: JSON lacks the key if the value is None; flat: JSON has the value's parts instead
+    line: its text in the line of main values, with "{}" for the value; caption: below the title of a picture
     name: name of the field or property; place: rises in the order of declaration
     """
 
@@ -95,7 +95,7 @@ def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function
 reported = _as_metadata(Quantity)
 """The metadata of a field that is reported; arguments as `Quantity` has them."""
 derived = _as_decorator(Quantity)
-"""For a method, or below `@property`, that is reported as a field is; arguments as in `Quantity`."""
+"""Decorates a method or property that is reported like a field; arguments as in `Quantity`."""
 
 
 LATER: Mapping[str, object] = {"deformscope.later": True}

@@ -63,13 +63,13 @@ def _value(result: Any, one: Quantity) -> Any:
 
 
 def units_of(kinds: Iterable[type]) -> dict[str, str]:
-    """The units of the JSON of these, by key."""
+    """The units in the JSON of these results, by key."""
     every = [one for kind in kinds for one in quantities(kind) if one.unit]
     return {str(one.key): one.unit for one in sorted(every, key=lambda one: str(one.key))}
 
 
 def lengths(name: str, value: Any, unit: str, metres_per_unit: float | None) -> dict[str, Any]:
-    """A length, or an array of lengths, as JSON has them: `NAME_m` and `NAME_px`, None where it is not known so."""
+    """A length, or an array of lengths, in JSON: `NAME_m` and `NAME_px`, None if unknown in that unit."""
     metres = value if unit == "m" else None if metres_per_unit is None or value is None else metres_per_unit * value
     return {f"{name}_m": metres, f"{name}_px": value if unit == "px" else None}
 
@@ -96,7 +96,7 @@ def _nested(value: Any) -> Any:
 
 
 def format_value(result: Any, name: str) -> str:
-    """One quantity as it is shown: number, unit and interval; empty where it is not known."""
+    """The text of one quantity: number, unit and interval; empty if unknown."""
     return _format(result, next(one for one in quantities(type(result)) if one.name == name))
 
 
@@ -108,7 +108,7 @@ def to_rows(result: Any, *names: str) -> Rows:
 
 
 def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Results of one kind below each other: the names of all quantities with a value in any of them, and each result's
+    """Results of one kind as columns: the names of all quantities with a value in any result, and each result's
     values."""
     shown: list[tuple[str, list[str]]] = []
     for one in quantities(type(results[0])) if results else ():
@@ -128,7 +128,7 @@ def _numbers(value: Any, digits: str, scale: float = 1.0, ends: Sequence[float] 
 
 
 def to_line(result: Any, kind: Literal["line", "caption"] = "line") -> str:
-    """The main values, in a line: all quantities that have a place in it, and are known."""
+    """The main values in a line: all known quantities that declare a text for it."""
     shown = [(getattr(one, kind), one) for one in quantities(type(result))]
     known = [(form, words) for form, one in shown if form and (words := _format(result, one))]
     return ", ".join(form.format(words) for form, words in known)

@@ -1,8 +1,8 @@
 """Sensors that are stuck, or at the end of their range, as their readings show.
 
 stuck: an axis of a force sensor, or texels that are pressed, give exactly the same count for longer than the rig allows
-(`stuck_after_s`), and for longer than their own noise does. The share of readings so far that were equal to the one
-before makes such a stretch less likely than CHANCE. Whole readings, and pictures, that stay the same are found by the
+(`stuck_after_s`), and for longer than their own noise does. Such a stretch is less likely than CHANCE, given the share
+of readings so far that were equal to the one before. Whole readings, and pictures, that stay the same are found by the
 drivers (`Health.stuck`), and passed on.
 saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of an image at its
 brightest or at black, a depth camera without any depth. The range of an arm is its supervisor's business.
@@ -32,10 +32,10 @@ from deformscope.frames import (
 )
 
 CHANCE = 1e-9
-"""How unlikely a stretch of equal readings is to be by the sensor's noise before it counts as stuck."""
+"""Probability of a stretch of equal readings by the sensor's noise, below which the sensor counts as stuck."""
 CLEAR_S = 1.0
-"""An alarm ends after this time of readings without its cause. One that comes and goes is one alarm, and it does not
-end as its sensor falls silent."""
+"""An alarm ends after this time of readings without its cause. Time without its cause after which an alarm ends, so
+that one that comes and goes is a single alarm. It does not end if its sensor sends nothing."""
 WRENCH_END, TEXEL_END = 32767, 4095
 """The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -102,10 +102,8 @@ class _Watched:
 
 
 class SensorAlarms:
-    """`look` at all that devices give, in its order; the alarms that begin and end come back as notes.
-
-    stuck_after_s: by device, as in the rig; None = it may stay the same for ever
-    """
+    """`look` at all that devices give, in its order; the alarms that begin and end come back as notes. stuck_after_s:
+    times by device, as in the rig; None = its readings may stay the same for ever"""
 
     def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:
         self._streams = {stream.device: stream for stream in streams}
@@ -116,7 +114,7 @@ class SensorAlarms:
         return tuple(self._watched[device].words.values()) if device in self._watched else ()
 
     def look(self, items: Sequence[Item]) -> list[SessionNote]:
-        """Alarms that begin and end with these."""
+        """Alarms that begin or end with these items."""
         groups: dict[tuple[type, str], list[Any]] = {}
         notes = []
         for item in items:

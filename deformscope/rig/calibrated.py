@@ -20,9 +20,9 @@ LATEST_S = 0.5
 class CalibrationEntry:
     """One measurement.
 
-    date: date of it; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z [m] and of a
-    turn about them [deg], in the transform's target frame; half_size_m: those of a surface's sides [m]
-    half_gain: half width of the interval of the force sensor's gain
+    date: date of the calibration; half_m, half_deg: half widths of the 90 % intervals of a translation along x, y, z
+    [m] and of a turn about them [deg], in the transform's target frame; half_size_m: half widths of the intervals of a
+    surface's sides [m]; half_gain: half width of the interval of the force sensor's gain
     offset_s, half_s: delay of `device` relative to the force sensor `beside`, below 0 a lead
     oldest_days: after which it is measured again, None = as is usual for its kind
     """
@@ -45,7 +45,7 @@ class CalibrationEntry:
         check(self.oldest_days is None or self.oldest_days > 0, "oldest_days above 0", self.oldest_days)
 
     def days(self, today: datetime.date) -> int:
-        """How old it is; 0 for one that is dated later than today, as on a computer whose clock is behind."""
+        """Its age in days; 0 for a date after today, as on a computer whose clock is behind."""
         return max((today - self.date).days, 0)
 
 
@@ -61,8 +61,8 @@ class CalibratedSection:
     time: CalibrationEntry | None = None
 
     def late_ns(self, devices: Collection[str]) -> dict[str, int]:
-        """How late a device is, by name [ns]: of the two whose clocks were compared the later one, so that no stamp
-        lies in the future. devices: names of all. Raises InputError for one that there is not."""
+        """The delay of a device, by name [ns]: only the later of the two compared devices has one, so that no stamp
+        lies in the future. devices: names of all devices. Raises InputError for one that there is not."""
         if self.time is None or self.time.offset_s is None or not self.time.device:
             return {}
         one, other, offset_s = self.time.device, self.time.beside, self.time.offset_s
@@ -84,7 +84,7 @@ class CalibratedSection:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationAge:
-    """days: since it was measured; at_most: after which it is measured again"""
+    """days: age in days; at_most: after which it is measured again"""
 
     days: int
     at_most: int

@@ -32,11 +32,8 @@ from deformscope_drivers.transport import CAN_FRAME_BYTES
 
 @dataclass(frozen=True, slots=True)
 class DeviceComparison:
-    """How a device's recorded frames compare with its bytes.
-
-    frames: recorded; compared: how many frames were decoded again; left_out: parts without a comparison, and why
-    difference: the first one, in words; empty = none
-    """
+    """How a device's recorded frames compare with its bytes. frames: recorded; compared: how many frames were decoded
+    again; left_out: parts without a comparison, and why; difference: the first one, in words; empty = none"""
 
     device: str
     driver: str
@@ -151,13 +148,13 @@ class SdhAgain(Redecoder):
 
 
 REDECODERS: dict[str, type[Redecoder]] = {"optoforce": OptoforceAgain, "dsa": DsaAgain, "sdh": SdhAgain}
-"""By the driver's name; the other drivers do not speak in bytes."""
+"""Functions by the driver's name; the other drivers do not exchange bytes."""
 
 
 def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterable[Item]) -> list[DeviceComparison]:
     """Decode every device's recorded bytes again and compare with its recorded frames, to the last bit.
 
-    rig: None where no driver of ours gave the frames; items: items of the recording, in order of time
+    rig: the rig, None if no driver of deformscope gave the frames; items: items of the recording, in order of time.
     Raises InputError where the rig lacks a device that was recorded
     """
     configs = {} if rig is None else {entry.name: entry.config for entry in rig.devices}

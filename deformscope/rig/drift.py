@@ -1,4 +1,4 @@
-"""How far a force sensor has drifted since its tare, while nothing touches it.
+"""The drift of a force sensor since its tare, while nothing touches it.
 
 A point of the line is the mean of a second, less that of the first second after the tare. A second in which the force
 changes faster than a sensor drifts is a load: it gives no point.
@@ -30,7 +30,7 @@ class TareDrift:
         self.tare()
 
     def tare(self) -> None:
-        """It was tared: later readings are compared with the second that follows."""
+        """Note a tare: later readings are compared with those of the following second."""
         self.unit = ""
         self.now: Axes = np.zeros(0)
         self.loaded = False
@@ -87,5 +87,5 @@ class TareDrift:
 
     @property
     def lasted_s(self) -> float:
-        """From the first reading after the tare to the end of the newest second [s]."""
+        """Time from the first reading after the tare to the end of the newest second [s]."""
         return (self._second_ns - self._since_ns) / 1e9 if self._seconds else 0.0

@@ -1,4 +1,4 @@
-"""Which drivers a rig can name, and where each lives. Nothing here imports a driver before it is used."""
+"""The drivers that a rig can name, with their modules. Nothing here imports a driver before it is used."""
 
 from __future__ import annotations
 
@@ -54,4 +54,4 @@ _ALL = (
     Driver("image_folder", "deformscope_drivers.webcam", "ImageFolder.configured", "PlaybackConfig", "color", False),
 )
 DRIVERS = {driver.name: driver for driver in _ALL}
-"""By the name that a rig file uses."""
+"""Drivers by the name that a rig file uses."""

@@ -1,4 +1,4 @@
-"""From each driver's measurements to frames: the one place that uses both."""
+"""Converts each driver's measurements to frames: the only module that uses both."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from deformscope_drivers.webcam import ColorImage
 
 FINGER_CLOSED = 6800.0
-"""Where a Jaco's finger is closed (protocol reference, section 3)."""
+"""Position of a closed finger of a Jaco (protocol reference, section 3)."""
 
 
 def to_frame(kind: Kind, reading: object, index: int, name: str, device: object) -> Frame:

@@ -1,6 +1,6 @@
 """Values written into a rig file, whose comments and order stay.
 
-The text is changed line by line, then read again: its values must be those of before with the new ones in them.
+The text is changed line by line, then read again: all values that were not edited must be unchanged.
 Otherwise nothing is written, and the user has to insert the lines.
 """
 
@@ -17,7 +17,7 @@ from deformscope.errors import InputError
 
 TomlValue = bool | int | float | str | datetime.date | Sequence[Any]
 Values = Mapping[str, Mapping[str, TomlValue]]
-"""By section ("tool", "calibrated.tip"), then by key."""
+"""Values by section ("tool", "calibrated.tip"), then by key."""
 DIGITS = ".9g"
 """Format of numbers in a rig file."""
 HEADER = re.compile(r"\s*\[+\s*[\w\"'.-]+\s*\]+\s*(#.*)?$")

@@ -44,7 +44,7 @@ DEEPEST = 16
 class RigDevice:
     """One device of a rig.
 
-    name: as its frames and recordings call it; config: its driver's own configuration
+    name: its name in frames and recordings; config: its driver's own configuration
     double: run a simulated device in its place
     trusted: whether a vendor's library that the configuration names is loaded from any folder
     late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps
@@ -73,7 +73,7 @@ class RigDevice:
 class Camera:
     """Projection and pose of the depth camera.
 
-    device: which one of the devices; focal_px: (fx, fy); center_px: (cx, cy) [px]
+    device: name of the device; focal_px: (fx, fy); center_px: (cx, cy) [px]
     distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
     doubt_m: uncertainty of T_arm_camera at the surface: points so near the stick may be the stick, and are left out
     """
@@ -97,15 +97,15 @@ class Camera:
 class Tool:
     """The tip of the arm.
 
-    length_m: from the arm's end to the tip; tip: its shape; radius_m: radius of the tip
+    length_m: distance from the arm's end to the tip; tip: its shape; radius_m: radius of the tip
     T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
     R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and turned about the stick; default: the same
     stick_radius_m: radius of the thickest part between the arm's end and the tip, such as a force sensor: it is removed
     from the camera's image
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
-    force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured, as
-    its data sheet has it. `deformscope calibrate force --weight` measures both
+    force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured: that
+    of the data sheet. `deformscope calibrate force --weight` measures both
     """
 
     length_m: float = 0.1
@@ -148,8 +148,8 @@ class SurfaceSection:
     it, or unknown if no table is visible: no modulus is then reported
     T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
     scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
-    hidden: where these doubles truly are is drawn from this number, and to be found by `deformscope calibrate`;
-    None = they are where this file says
+    hidden: seed from which the true places of these doubles are drawn, to be found by `deformscope calibrate`; None =
+    they are at the places in this file
     """
 
     size_m: tuple[float, float] = (0.6, 0.4)
@@ -179,12 +179,12 @@ class Workspace:
     low_m, high_m: corners of a box in the arm's base frame [m]
     arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none
     target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
-    contact_speed_m_s: in the last 3 cm before contact and in it; travel_speed_m_s: elsewhere [m/s]
+    contact_speed_m_s: speed in contact and in the last 3 cm before it; travel_speed_m_s: elsewhere [m/s]
     force_silent_s, arm_silent_s, camera_silent_s: limits on silence that stop the arm (the camera's while it is needed;
     None = 1.6 of its periods). Longer ones are for slower devices, or a busy machine
     time: 0.5 s at most, in which an arm goes up to 25 mm
-    arm_frozen_s: stop if the arm receives commands and its joints have not changed at all for this time. It is longer
-    than an arm takes to begin to move (None = 0.09, or 1.2 of arm_silent_s if that is longer)
+    arm_frozen_s: stop if the arm receives commands and its joints have not changed at all for this time. The limit is
+    longer than an arm takes to begin to move (None = 0.09, or 1.2 times arm_silent_s if that is longer)
     collision_nm: stop if a joint's torque differs by this from its mean of the last 2 s, besides the effect of the
     force on the tip, of an arm that reports torques [Nm]; 0 = no check
     """
@@ -269,11 +269,8 @@ SECTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A rig as its file says it.
-
-    name: name of the file, for titles; text: the file, for recordings; folder: that of the file, from which its paths
-    count
-    """
+    """A rig as its file says it. name: name of the file, for titles; text: the file, for recordings; folder: folder of
+    the file, to which its paths are relative"""
 
     name: str
     text: str
@@ -293,10 +290,8 @@ class Rig:
 
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
-    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place.
-
-    trusted: vendors' libraries that it names may be loaded from anywhere
-    """
+    """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place. trusted:
+    vendors' libraries that it names may be loaded from anywhere"""
     text = str(where)
     if text.startswith(LAB_SCHEME):
         return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
@@ -333,7 +328,7 @@ def scenario_names() -> list[str]:
 
 
 def parse_rig(text: str, where: str, *, trusted: bool = False, others: Sequence[str] = ()) -> Rig:
-    """A rig out of a file's text; where: its name, for messages; trusted: as for `load_rig`; others: devices that no
+    """A rig out of a file's text; where: its name, for messages; trusted: as in `load_rig`; others: devices that no
     driver of ours gave, which it may name too"""
     try:
         content = tomllib.loads(text)

@@ -14,8 +14,8 @@ LONGEST_M = 3.0
 class CableSection:
     """A cable as lines from point to point, as far around them as it may hang or sway.
 
-    points_m: in the frame of the arm's end, or with `joints` in those of the links behind these joints, counted from 1;
-    0 = the arm's base, -1 = its end; radius_m
+    points_m: points in the frame of the arm's end, or with `joints` in the frames of the links behind these joints,
+    counted from 1 (0 = the arm's base, -1 = its end); radius_m: its radius
     """
 
     points_m: tuple[tuple[float, float, float], ...]
@@ -39,8 +39,8 @@ class ShapeSection:
     are this file's own and show the robot's true shape, else "capsules"
     urdf: URDF of the arm, with all that is mounted on it and has its joints' angles; gripper: gripper of the tool at
     its end, if the arm's urdf has none; paths relative to the rig file
-    T_ee_gripper: 4x4, the gripper's root to the arm's end [m]
-    closed: joints that nothing reports, as those of fingers: share of the way from their lower limit to their upper one
+    T_ee_gripper: 4x4, the gripper's root to the arm's end [m]; closed: joints whose angle is not reported, such as
+    those of fingers: position as a share of the way from the lower limit to the upper one
     margin_m: margin of meshes and hulls, in addition to [camera] doubt_m
     cables: cables of any removal
     """

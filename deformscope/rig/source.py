@@ -25,8 +25,8 @@ HEALTH_PERIOD_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RigMember:
-    """A device to be opened. device: closed yet; simulated: a double replaces it; late_ns: calibrated delay, subtracted
-    from its stamps"""
+    """A device to be opened. device: the device, not yet opened; simulated: a double replaces it; late_ns: calibrated
+    delay, subtracted from its stamps"""
 
     name: str
     driver: Driver
@@ -50,11 +50,11 @@ class _Opened:
 class RigSource:
     """`with RigSource(members) as source: while ...: items = source.take(0.1)`.
 
-    No item of a device between opening and closing is left out: items that its queue had to drop are counted.
-    raw: also the bytes of every wire; clock: that the devices stamp by
+    Every item of a device between opening and closing is given or counted as dropped by its queue.
+    raw: give also the bytes of every wire; clock: clock of the devices' stamps
     wait_until: lets time pass until a moment of that clock [ns]; None = the host's
-    opener: opens them in its own way, where they are not to open side by side with threads of their own (a laboratory)
-    latest_ns: by how much the stamps of the latest device are put back; start_ns: start of the session, this long
+    opener: opens the devices; None = they open in parallel, each with a thread (a laboratory does not)
+    latest_ns: correction of the stamps of the device with the largest delay; start_ns: start of the session, this long
     before them; open: no frame is older
     """
 

@@ -12,12 +12,12 @@ Rows = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True, slots=True)
 class HandSection:
-    """Where the hand is, and how its fingertips are read.
+    """Pose of the hand, and how its fingertips are read.
 
     T_camera_hand: 4x4, hand to depth camera [m], for a fixed hand; or T_arm_hand: 4x4, hand to the end of the arm that
     carries it (with `[camera] T_arm_camera`). The hand's frame is that of `deformscope_drivers.sdh`
-    fingers: the two that squeeze; tactile_end: which 36 cells of their fingertip arrays are the feature: the first
-    ones as the controller sends them (the thesis), or the last
+    fingers: the two that squeeze; tactile_end: which 36 cells of the fingertip arrays are the feature: the first ones
+    that the controller sends (the thesis), or the last
     tactile: name of the tactile device, where the rig has several
     """
 
@@ -40,7 +40,7 @@ class ContainerSection:
     """The squeezed container. Its frame: origin in the middle of its bounding box, z along its height.
 
     shape: box (size_m along x, y, z), cylinder (size_m: diameter, diameter, height) or mesh (file, in metres); the
-    fingers close along x. wall_m: thickness of its wall; kind: in words (cardboard box, plastic cylinder)
+    fingers close along x. wall_m: thickness of its wall; kind: kind in words (cardboard box, plastic cylinder)
     T_hand_container: 4x4, container to hand for the middle grasp [m]; None = from the side: the container's middle
     between the fingertips, its z along the hand's y
     """
@@ -72,13 +72,13 @@ class SqueezeSection:
     distal_deg: angles of the distal axes throughout; None = so that the fingertips are upright at that contact
     thumb_deg: proximal and distal angle at which the thumb is parked
     onset_counts: rise of the sum of a fingertip's texels above its value in the air that means contact
-    onset_frames: in this number of successive frames
+    onset_frames: number of successive frames above it
     still_deg, still_s: the closing axes stay within still_deg for still_s under the constant current: steady state
     hold_s: duration of the current after that, for the relaxation
     over_squeeze_m: limit on the fingertips' closing after the first contact
-    contact_timeout_s, still_timeout_s: to the first contact, and from there to the steady state
-    hand_silent_s, tactile_silent_s: limits on silence that stop the hand. They are five periods of the hand's 25 Hz,
-    and nearly four of pads that give 11 frames a second at worst; longer ones are for a busy machine
+    contact_timeout_s, still_timeout_s: most time until the first contact, and from there to the steady state
+    hand_silent_s, tactile_silent_s: limits on silence that stop the hand. The limits are five periods of the hand's 25
+    Hz, and nearly four of pads with at least 11 frames a second; set longer ones on a busy machine
     saturation_counts: a texel that reaches it ends the squeeze
     spread_m, tilt_deg: standard deviation of a random grasp along the container's longest edge, about its middle, and
     of its tilt

@@ -19,7 +19,7 @@ TRY = (
 
 
 def system_library(path: Path) -> Path:
-    """Where a library really is, without links.
+    """The path of a library without links.
 
     Raises InputError unless that is in one of the system's folders, and only the administrator could have put it there.
     """

@@ -1,8 +1,8 @@
 """A touch by an arm that a person places: one place after another is requested, and the force is measured at rest at
 each.
 
-No person controls a force by hand, so the tip goes down in steps and the contact law is fitted to the measured heights.
-The supervisor checks every control period, whatever the person does.
+A person cannot control a force by hand. Therefore the tip goes down in steps, and the contact law is fitted to the
+measured heights. The supervisor checks every control period, whatever the person does.
 """
 
 from __future__ import annotations
@@ -49,10 +49,8 @@ AGAIN = "a height in mm on the scale, or nothing for the requested height: "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceRequest:
-    """A request to a person to place the stick.
-
-    words: the text for them; T_base_ee: (4, 4) pose of the arm's end in the base frame once it is placed [m]
-    """
+    """A request to a person to place the stick. words: text for the person; T_base_ee: (4, 4) pose of the arm's end in
+    the base frame once it is placed [m]"""
 
     words: str
     T_base_ee: FloatArray
@@ -65,7 +63,7 @@ class Person(Protocol):
         """Show a request, and return at once."""
 
     def answered(self) -> str | None:
-        """The answer to the last request: empty = placed as requested, a text = the height read instead; None = no
+        """The answer to the last request: empty = placed as requested, a text = the height that was read; None = no
         answer yet."""
 
 
@@ -215,8 +213,8 @@ class PlacedRun(TouchRun):
 
 
 def height_m_of(answer: str, asked_m: float) -> float | None:
-    """The height above the table [m] that an answer in mm gives; an empty answer = as requested. None where it is no
-    number, or more than MOST_CORRECTION_M from the request."""
+    """The height above the table [m] from an answer in mm; an empty answer = as requested. None if it is no number, or
+    more than MOST_CORRECTION_M from the request."""
     if not answer:
         return asked_m
     with contextlib.suppress(ValueError):

@@ -1,7 +1,7 @@
-"""How far an arm is from the table and from itself: links and stick as capsules around the lines between joints.
+"""The distance of an arm from the table and from itself: links and stick are capsules around the lines between joints.
 
-This module replaces a function of the vendor's Cartesian mode, with lower accuracy: shapes of arms differ by a
-centimetre or two from capsules of one radius, which the margin covers.
+It replaces a function of the vendor's Cartesian mode, less accurately. Shapes of arms differ by one to two centimetres
+from capsules of one radius, which the margin covers.
 """
 
 from __future__ import annotations

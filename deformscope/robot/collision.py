@@ -1,8 +1,8 @@
 """Detects a push on an arm away from its tip: joint torques without gravity, compared with their known causes.
 
 Real torque sensors drift and the arm's load is unknown, so the difference from a slowly following mean counts. The
-joint torques that the force at the tip could cause, in any direction, are ignored. Then neither the sign of a vendor's
-torques matters, nor the axes of the force sensor.
+joint torques that the force at the tip could cause, in any direction, are ignored. Therefore neither the sign of a
+vendor's torques nor the axes of the force sensor matter.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ class CollisionWatch:
 class CurrentWatch:
     """Detects an obstacle that the force sensor does not measure, from the motors' currents, in any unit.
 
-    Currents have gravity, friction and gear ripple, which continue as long as the joints move. So each joint's current
-    is compared with the line through its last second while there is no contact.
+    Currents have gravity, friction and gear ripple, which continue as long as the joints move. Therefore each joint's
+    current is compared with the line through its last second without contact.
     """
 
     def __init__(self) -> None:
@@ -106,11 +106,8 @@ class CurrentWatch:
         self._beyond = 0
 
     def look(self, currents: tuple[float, ...], joints_deg: tuple[float, ...], tip_n: float, now_ns: int) -> str:
-        """Why this is a collision, with which joint; empty where it is none.
-
-        currents: (n,) currents of the motors, any unit; joints_deg: (n,); tip_n: as in `CollisionWatch.look` [N];
-        now_ns: when
-        """
+        """Why this is a collision, with which joint; empty where it is none. currents: (n,) currents of the motors, any
+        unit; joints_deg: (n,); tip_n: as in `CollisionWatch.look` [N]; now_ns: when"""
         if not all(map(math.isfinite, currents)):
             return "a motor's current is no number"
         if tip_n > PRESSED_N:

@@ -4,8 +4,8 @@
     described.solids(placement, T_base_links)                   # in the surface frame, for one pose
     described.cable_capsules(placement, T_base_links)
 
-A part belongs to a frame of the arm: 0 its base, i the link behind joint i, -1 its end. Nothing is read later: a
-recording has the triangles themselves.
+A part belongs to a frame of the arm: 0 its base, i the link behind joint i, -1 its end. No file is read later: a
+recording contains the triangles.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ SAME_M, SAME_RAD = 1e-3, 5e-3
 effect of rounded lengths and angles. Another model, or joints in another order, differ by centimetres; a larger limit
 would accept a similar model, whose parts are far from the arm's."""
 TRIED_DEG = (0.0, 17.0, -23.0)
-"""Joint angles from home for comparing a URDF with the arm's chain. Each joint turns a tenth more than the one before,
-so that exchanged or reversed joints displace some link."""
+"""Joint angles from home for comparing a URDF with the arm's chain. Angles that are tried: each joint turns a tenth
+more than the one before, so that exchanged or reversed joints displace some link."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +49,8 @@ class DescribedPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedCable:
-    """A cable. frames: frames of the arm, that each of its points moves with; points_m: (n, 3), each in its frame;
-    radius_m: radius of the capsules from one point to the next"""
+    """A cable. frames: frames of the arm, that each of its points moves with; points_m: (n, 3) points, each in its
+    frame; radius_m: radius of the capsules from one point to the next"""
 
     frames: tuple[int, ...]
     points_m: FloatArray
@@ -61,9 +61,9 @@ class DescribedCable:
 class RobotDescription:
     """Parts of the robot that are removed from the depth image, and the method.
 
-    removal: as capsules around the lines between joints, as the convex hull of each link, or as all of its triangles
-    parts: solids; whole: they include the arm's own links; margin_m: removed around them, in addition to the
-    uncertainty of the camera's pose
+    removal: how links are described: as capsules around the lines between joints, as convex hulls, or as all their
+    triangles; parts: solids; whole: the parts include the arm's own links; margin_m: removed around them, in addition
+    to the uncertainty of the camera's pose
     """
 
     removal: Removal = "capsules"
@@ -92,7 +92,8 @@ class RobotDescription:
 
     def over_tip_m(self, placement: Placement, T_base_links: FloatArray) -> float:
         """How far the lowest of gripper, mount, stick and cables is above the tip's lowest point, along the tool; inf
-        where none is described. T_base_links: (n + 1, 4, 4) in any pose: all this moves with the arm's end [m]"""
+        where none is described. T_base_links: (n + 1, 4, 4) poses of the links in any configuration: the result moves
+        with the arm's end [m]"""
         frames = np.concatenate([np.eye(4)[None], T_base_links])
         T_tip = np.linalg.inv(T_base_links[-1] @ placement.T_ee_center) @ frames
         ending = {-1, len(frames) - 2, len(frames) - 1}
@@ -110,7 +111,7 @@ class RobotDescription:
         return placement.center_offset_m - max(map(float, along), default=-np.inf)
 
     def as_json(self) -> dict[str, Any]:
-        """For a recording's settings."""
+        """The description for a recording's settings."""
         return {
             "removal": self.removal,
             "whole": self.whole,

@@ -1,4 +1,4 @@
-"""A finger that presses the tip before anything moves, where nothing but the force there guards the arm."""
+"""A finger presses the tip before a motion, if only the force at the tip guards the arm."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def press_by_finger(
 ) -> Check:
     """Whether the force sensor measures the requested push from below, in size and direction; nothing moves.
 
-    press: in a laboratory, a finger that presses with (3,) [N, surface frame]; None = a person, whom `say` instructs A
+    press: in a laboratory, a finger that presses with (3,) [N, surface frame]; None = a person, whom `say` instructs. A
     force above the soft stop is acknowledged at the end. Raises RobotStopped above the hard stop.
     """
     patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS

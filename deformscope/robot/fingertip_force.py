@@ -17,7 +17,7 @@ from deformscope_drivers.sdh.kinematics import FINGERS
 from deformscope_drivers.subscription import Subscription
 
 TEXEL_M2 = (TEXEL_PITCH_MM * 1e-3) ** 2
-"""Area of one texel, by the pitch that is assumed. With a larger one, forces are overestimated, and the arm stops
+"""Area of one texel, by the pitch that is assumed. With a larger area, forces are overestimated, and the arm stops
 earlier."""
 PADS_HZ = 11.0
 """Frames a second of all arrays at worst, on the controller's serial line; in the air, where they compress, 30."""
@@ -57,7 +57,7 @@ class FingertipForce:
         return self._pads.health()
 
     def readings(self) -> _Queue:
-        """All readings from now on."""
+        """Return all readings from now on."""
         return _Queue(self._pads.readings(), self._force)
 
     def _force(self, reading: TactileReading) -> FingertipReading:

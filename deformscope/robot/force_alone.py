@@ -21,8 +21,8 @@ ARM_CYCLES = 3.0
 another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
 every touch slower."""
 SLOWEST_M_S = 1e-3
-"""The tip comes down no more slowly than this: 3 cm take half a minute. If it would have to, the preflight refuses
-(`tip: force at contact`); a slower touch would take too long."""
+"""Lowest speed of the tip on its way down: 3 cm take half a minute. If a lower speed is needed, the preflight refuses
+(`tip: force at contact`): a touch would take too long."""
 CONTACT_SHARE, SURPRISE_SHARE = 1 / 3, 0.6
 """Share of the hard stop that a contact may reach where it is expected, and higher up. Larger leaves less for a delay
 that is longer than reckoned; smaller makes every touch slower. Measured with them: 14.1 N of 15 N where a surface was
@@ -37,8 +37,8 @@ An arm whose sensor fails on the way presses with its stiffness times this (509 
 class ForceAlone:
     """Bounds of the force of an arm that has no joint torques to show a contact.
 
-    stiffness_n_m: stiffness of tip, sensor, stick and arm in series; late_s: from a force until the arm rests
-    hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: those of the motors are watched
+    stiffness_n_m: stiffness of tip, sensor, stick and arm in series; late_s: time from a force until the arm rests
+    hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: the motors' currents are watched
     """
 
     stiffness_n_m: float
@@ -49,7 +49,7 @@ class ForceAlone:
 
     @classmethod
     def of(cls, robot: Robot) -> ForceAlone:
-        """From the sensor's filter and rate, the arm's cycle and compliance, and the supervisor's limits."""
+        """Computed from the sensor's filter and rate, the arm's cycle and compliance, and the supervisor's limits."""
         force, limits = robot.force.config, robot.supervisor.limits
         filtered_s = 1.0 / (2.0 * math.pi * force.filter_hz) if force.filter_hz else 0.0
         late_s = filtered_s + 1.0 / force.rate_hz + PERIOD_NS / 1e9 + ARM_CYCLES / robot.arm.state_hz
@@ -74,7 +74,7 @@ class ForceAlone:
 
     @property
     def words(self) -> str:
-        """Both forces, with the stiffness and delay that they follow from."""
+        """Text with both forces, and the stiffness and delay from which they follow."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} "

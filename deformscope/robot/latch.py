@@ -55,11 +55,11 @@ class LatchingSupervisor(Generic[FaultT]):
 
     @property
     def verdict(self) -> Decision[FaultT]:
-        """The last one, or the one that holds."""
+        """The last verdict, or the one that is latched."""
         return self._verdict
 
     def start(self, now_ns: int) -> None:
-        """Ages count from now on, as after a pause in which nothing was judged; a verdict that holds stays."""
+        """Count ages from now on, as after a pause without judgements; a latched verdict stays."""
         self._judged_ns, self._excused = now_ns, False
 
     def acknowledge(self, now_ns: int) -> None:

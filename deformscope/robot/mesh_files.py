@@ -1,4 +1,4 @@
-"""Triangle meshes from files, read by Open3D in a process of its own: damaged bytes can end its readers.
+"""Triangle meshes from files, read by Open3D in a separate process: damaged bytes can crash its readers.
 
 python -m deformscope.robot.mesh_files whole|coarse FILE...    two arrays of each file (`numpy.save`) on stdout
 """
@@ -30,8 +30,8 @@ TRIANGLES = 2000
 then off by less than 1 mm; fewer are further off, more make every recording larger."""
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
 FARTHEST = 1e6
-"""Largest distance of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. No robot
-reaches it: a file beyond is damaged."""
+"""Largest distance of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. Largest
+coordinate of a mesh: no robot reaches it, so a file beyond is damaged."""
 TIMEOUT_S, MEMORY_BYTES = 120.0, 8 << 30
 """Time and memory of the process that reads: more than any file of the allowed size takes. A hostile file ends it
 there, and not the machine's memory or a person's patience."""
@@ -39,9 +39,7 @@ there, and not the machine's memory or a person's patience."""
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
     """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. Raises InputError, which names it.
-
-    coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file
-    """
+    coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file"""
     for path in paths:
         _check(path)
     if not paths:

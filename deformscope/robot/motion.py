@@ -1,7 +1,7 @@
 """From a velocity of the arm's end to joint rates: damped inverse of the Jacobian, guards at limits and singularities.
 
 The arm receives joint rates, not its own Cartesian velocities: those use rotation in the end effector's frame, and that
-mode's behaviour near singularities and joint limits is not published. So these guards are here.
+mode's behaviour near singularities and joint limits is not published. Therefore this module has these guards.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 slow down in proportion, to this share at least. So a path through it continues, and ends in time (`travel.SLACK`)."""
 AHEAD_DEG: FloatArray = np.array([0.0, 1.0, 3.0, 6.0, 9.0, 12.0, 15.0])
 """Angle over which the smallest singular value is extrapolated, up to SINGULAR_DEG: it may fall faster later than now.
-Between fewer of them a fall is noticed late; each more is a forward kinematics in every control period."""
+Steps ahead in which a fall is looked for: with fewer it is noticed late; each step costs a forward kinematics in every
+control period."""
 OFF_COURSE_M_S = 1e-3
 """Absolute part of a velocity that may be lost or turned away, besides the share `OFF_COURSE`. Corrections at rest are
 slow; such a motion leads the tip less than 0.01 mm astray in a control period."""
@@ -48,7 +49,7 @@ HOLD_PER_S = 2.0
 """An orientation that is to be held is brought back at this share of its error in a second."""
 FOLLOW_PER_S = 1.0
 """If a controller turns the arm by measured orientation, the commanded rotation follows the measured one at this share
-of the difference per second. So points that the arm skipped do not add up."""
+of the difference per second. Therefore errors of points that the arm skipped do not add up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,7 @@ def rates_for_twist(
     """Joint rates for a twist (6,) of the arm's end [m/s, rad/s], both parts in the base frame.
 
     joints_deg: (n,) present angles of the arm; limits_deg_s: (n,) greatest rates; margin_deg: no joint comes nearer to
-    the end of its range. Where a joint would be too fast, all are slowed alike: the direction stays.
+    the end of its range. If a joint would be too fast, all are slowed by the same factor: the direction stays.
     """
     joints = np.asarray(joints_deg, dtype=float)
     jacobian = jacobian_of(chain.forward(joints))
@@ -90,7 +91,7 @@ def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArra
     """Angle of the fastest of joint rates (n,) until the smallest singular value is 0 [deg]. The value is extrapolated
     from the next degree or from one of AHEAD_DEG, whichever is sooner.
 
-    joints_deg: (n,); jacobian: (6, n) there. inf where it does not fall
+    joints_deg: (n,); jacobian: (6, n) there. inf if the distance does not fall
     """
     fastest = float(np.abs(rates).max())
     if fastest <= 0.0:
@@ -110,7 +111,7 @@ def within_limits(
     """Joint rates (n,) [deg/s], all slowed by one factor so that none is above its limit, which falls to 0 near the end
     of a joint's range.
 
-    joints_deg: (n,); limits_deg_s: (n,); margin_deg: from the end of a range, where the rate is 0
+    joints_deg: (n,); limits_deg_s: (n,); margin_deg: distance from the end of a range at which the rate is 0
     """
     joints = np.asarray(joints_deg, dtype=float)
     way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
@@ -132,9 +133,7 @@ def within_limits(
 
 class CommandedRotation:
     """The rotation of the arm's end in the base frame as it was commanded, to be compared with the measured one.
-
-    rotation: (3, 3), None until the arm was seen
-    """
+    rotation: (3, 3), None until the first reading of the arm"""
 
     def __init__(self) -> None:
         self.rotation: FloatArray | None = None

@@ -51,11 +51,8 @@ Larger may step over a limit or a singularity between two; smaller takes longer 
 
 @dataclass(frozen=True)
 class Placement:
-    """The rigid relations of base, surface, arm's end and tip.
-
-    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: the arm's tool. Raises InputError for a
-    transform that is not rigid.
-    """
+    """The rigid relations of base, surface, arm's end and tip. T_base_surface: (4, 4) surface frame to the arm's base
+    frame [m]; tool: the arm's tool. Raises InputError for a transform that is not rigid."""
 
     T_base_surface: FloatArray
     tool: Tool = field(default_factory=Tool)
@@ -97,7 +94,8 @@ class Placement:
 
     @property
     def center_offset_m(self) -> float:
-        """From the point that touches first to the tip's centre, along the normal [m]: a sphere's radius, else 0."""
+        """Distance from the point that touches first to the tip's centre, along the normal [m]: a sphere's radius, else
+        0."""
         return self.tool.radius_m if self.tool.tip == "sphere" else 0.0
 
     def T_surface_center(self, T_base_ee: FloatArray) -> FloatArray:
@@ -105,7 +103,7 @@ class Placement:
         return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
     def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:
-        """(3,) what the world does to the tip in the surface frame [N], from what the sensor says that it does to the
+        """(3,) force of the world on the tip in the surface frame [N], from what the sensor reports for the
         world: less the sensor's gain."""
         return (
             np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n) / self.tool.force_gain
@@ -152,8 +150,8 @@ def follow(
     """Whether tip centres (..., n, 3) [m, surface frame] can be led to on straight ways one after the other, (..., n)
     bool: many routes at once cost little more than one.
 
-    start_deg: (m,) joint angles from which the first place is sought, each other one from the one before: in the
-    configuration that the arm is in. Paths are checked every WAY_M: joints keep PLAN_MARGIN_DEG, and near a
+    start_deg: (m,) joint angles from which the first place is solved; each other place is solved from the one before,
+    in the arm's present configuration. Paths are checked every WAY_M: joints keep PLAN_MARGIN_DEG, and near a
     singularity its damping keeps the arm on its path (`commands.OFF_COURSE`).
     meanwhile: called every few milliseconds
     """
@@ -182,10 +180,10 @@ def lead(
     steered: npt.NDArray[np.bool_],
     meanwhile: Callable[[], None] = lambda: None,
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
-    """Which of k ways can be followed (k,) bool, and the joint angles (k, m) [deg] at their ends.
+    """Whether each of k ways can be followed (k,), and the joint angles (k, m) [deg] at their ends.
 
-    ways: ways of poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) where they begin;
-    steered: (k,) the arm comes to each place from the one before
+    ways: ways of poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) joint angles at their
+    beginning; steered: (k,) the arm reaches each place from the one before
     """
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):
@@ -212,7 +210,7 @@ def _way(start: FloatArray, end: FloatArray) -> FloatArray:
 
 @cache
 def longest_m(chain: Chain) -> float:
-    """From the base to the arm's end with all links stretched out [m]."""
+    """Distance from the base to the arm's end with all links stretched out [m]."""
     frames = [np.eye(4), *chain.forward(chain.home_deg)]
     return sum(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) for a, b in itertools.pairwise(frames))
 
@@ -221,7 +219,7 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
     A six-joint arm has up to eight for one pose. Returned are those whose path stays furthest from singularities, with
-    every joint PLAN_MARGIN_DEG inside its range. None = none leads through all.
+    every joint PLAN_MARGIN_DEG inside its range. None = no configuration reaches all places.
     """
     random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
 

@@ -37,9 +37,9 @@ TABLE_M, AROUND_M, BESIDE_M = 0.008, 0.015, 0.003
 around the grasp [m]. To each, four standard deviations of the container's place are added. A larger one refuses usable
 grasps; a smaller one hits a container that is some millimetres from its measured place."""
 FREE_M = 0.03
-"""Between the fingertips and the container where the approach begins [m]: slow from there on."""
+"""Distance between fingertips and container at which the slow approach begins [m]."""
 OVER_M = 0.15
-"""A way that is not free is sought over a place so far above where the approach begins [m]."""
+"""If the direct way is not free, one is sought over a place this far above the beginning of the approach [m]."""
 TRIES = 40
 """Grasps that are drawn at most: with one of ten within reach a drawing fails once in 70 times."""
 STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
@@ -66,7 +66,7 @@ class PlacingSetup:
     ages: dict[str, CalibrationAge]
 
     def limits(self, squeeze: SqueezeSection, camera_hz: float) -> Limits:
-        """Those of exploring, with the lower forces of a hand that is to touch nothing."""
+        """The limits of exploring, with the lower forces of a hand that must not touch anything."""
         limits = Limits.of(self.workspace, camera_hz)
         silent_s = squeeze.tactile_silent_s
         return replace(
@@ -103,9 +103,9 @@ class GraspPlan:
     """A grasp that is reached. before_m, there_m: (4, 4) poses and there of the tip where the approach begins and ends,
     table's frame
 
-    start_deg: (n,) from where it was planned; joints_deg: (k, n) turned to one after the other, the last where the
-    approach begins; tried: all that were drawn; refused: for each, why it is refused, empty = this one; path_m: (m, 3)
-    path of the tip, table's frame
+    start_deg: (n,) joint angles from which it was planned; joints_deg: (k, n) turned to one after the other, the last
+    where the approach begins; tried: all grasps that were drawn; refused: for each, why it is refused, empty = this
+    one; path_m: (m, 3) path of the tip, table's frame
     """
 
     grasp: RandomGrasp
@@ -119,7 +119,7 @@ class GraspPlan:
 
 
 class NoGrasp(NotThere):
-    """None of the grasps is reached. tried, refused: as in `GraspPlan`"""
+    """The arm reaches none of the grasps. tried, refused: as in `GraspPlan`"""
 
     def __init__(self, tried: Sequence[RandomGrasp], refused: Sequence[str]) -> None:
         came = f"none of {len(tried)}: {'; '.join(_counted(refused))}"
@@ -175,8 +175,8 @@ def withdraw(robot: Robot, plan: GraspPlan, phase: Callable[[str], None]) -> Non
 
 APPROACH_M_S = 0.02
 """Speed limit within `FREE_M` of the container, as for a tip in the last 3 cm: arrays that report 11 times a second
-then advance 2 mm between two frames. With a lower one, an approach of 12 cm takes longer than 6 s; with a higher one, a
-container that is hit topples."""
+then advance 2 mm between two frames. With a lower speed, an approach of 12 cm takes longer than 6 s; with a higher one,
+a container that is hit topples."""
 
 
 def strayed(robot: Robot, plan: GraspPlan) -> str:

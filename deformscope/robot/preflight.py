@@ -34,10 +34,11 @@ ZERO_N = 0.6
 that presses something would be zeroed there; smaller, a sensor that has warmed up is refused."""
 NOISE_N = 0.05
 """Greatest deviation of a reading in free air [N]: half of the contact's threshold (`TouchPlan.contact_force_n`). With
-a larger one, noise would count as contact; a smaller one refuses usable sensors."""
+a larger limit, noise would count as contact; a smaller one refuses usable sensors."""
 STILL_DEG = 0.05
-"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. With a smaller one, the
-resolution of the reported joints counts as motion; with a larger one, an arm that a person moves slowly is tared."""
+"""Greatest motion of a joint that counts as at rest [deg]: 0.4 mm of a tip half a metre away. With a smaller limit, the
+resolution of the reported joints counts as motion; with a larger one, a sensor is tared while a person moves the arm
+slowly."""
 LATE_MS = 20.0
 """Lateness of the control cycle: two periods of 10 ms, within which the supervisor is to act. Larger, forces grow for
 longer before the arm is stopped; smaller, a computer with other work is refused."""
@@ -85,7 +86,7 @@ def check(
 
     plans: the touches, or those at the corners of where it may touch; calibrated: the required calibrations, by name,
     and whether they are done; ages: ages of the calibrations, by name; rates_hz: rates of "arm", "force sensor",
-    "camera" (default: as their configurations say); lift_m: the plans are so far above the surface; described: shapes
+    "camera" (default: as their configurations say); lift_m: height of the plans above the surface; described: shapes
     of hand and cables Raises RobotStopped when the supervisor stops meanwhile; nothing moves.
     """
     robot.start()

@@ -1,4 +1,4 @@
-"""From a force that is not yet the set one to a velocity along the normal."""
+"""Velocity along the normal, from a force that is still below the set force."""
 
 from __future__ import annotations
 

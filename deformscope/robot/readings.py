@@ -37,7 +37,7 @@ class ForceSample:
 
     @classmethod
     def of(cls, reading: ForceMeasurement, tare_n: FloatArray) -> ForceSample:
-        """From the first channel of a driver's reading. tare_n: (3,) taken off [N]"""
+        """Sample of the first channel of a driver's reading. tare_n: (3,) taken off [N]"""
         sensor_n, stamp = reading.force_n[0], reading.stamp
         ticks = -1 if stamp.device_ticks is None else stamp.device_ticks
         return cls(stamp.host_ns, sensor_n - tare_n, reading.counts, reading.usable, ticks, sensor_n)
@@ -62,7 +62,7 @@ class ArmSample:
 
     @classmethod
     def of(cls, state: ArmState) -> ArmSample:
-        """From the driver's state; where that is not finite, the pose is nan."""
+        """Sample of a driver's state; if that is not finite, the pose is nan."""
         finite = all(map(np.isfinite, (*state.position_m, *state.theta_rad)))
         pose = state.T_base_end_effector if finite else np.full((4, 4), np.nan)
         return cls(state.stamp.host_ns, pose, state.joints_deg, state.fifo_count, state.torques_nm, state.currents)
@@ -78,11 +78,8 @@ class CameraSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
-    """Items since the last control period, oldest first.
-
-    refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening
-    lost_links: names of devices whose link is down, and why
-    """
+    """Items since the last control period, oldest first. refused: frames of the force sensor's wire that failed their
+    checksum or made no sense, since opening; lost_links: names of devices whose link is down, and why"""
 
     now_ns: int
     forces: tuple[ForceSample, ...] = ()

@@ -38,8 +38,8 @@ VALID_PERIODS = 4
 
 
 class ForceSensor(Protocol):
-    """Source of the force at the end of an arm (`Optoforce`, `fingertip_force.FingertipForce`). Its readings have
-    `stamp`, `force_n` (channels, 3) [N], `counts`, which change from one to the next, and `usable`"""
+    """Source of the force at the end of an arm (`Optoforce`, `fingertip_force.FingertipForce`). A force sensor, whose
+    readings have `stamp`, `force_n` (channels, 3) [N], `counts`, which change from one to the next, and `usable`"""
 
     @property
     def config(self) -> Any: ...
@@ -109,9 +109,8 @@ class Robot:
 
     commanded: speed of the tip's centre [m/s] of every period
     reason_to_stand: called in each period with motion: a reason against it, empty = none
-    rotation: that of the arm's end as it was commanded; moving: a velocity was sent in this period
-    share: sent part of the tip's velocity that was requested last: less near joint limits and singularities; nan for
-    joints
+    rotation: commanded rotation of the arm's end; moving: a velocity was sent in this period
+    share: sent part of the last requested velocity of the tip: less near joint limits and singularities; nan for joints
     """
 
     def __init__(
@@ -259,8 +258,8 @@ class Robot:
         return self.supervisor.judge(self.seen, commanded_rotation=self.rotation.rotation)
 
     def keep_up(self) -> None:
-        """Stay at rest for a control period if one is due: for calls from long computations on a host's clock. On a
-        simulated one no time passes meanwhile, and none is due."""
+        """Stay at rest for a control period if one is due: for calls from long computations on a host's clock. With a
+        simulated robot no time passes meanwhile, so that no control period is due."""
         if self._clock() >= self._next_ns + PERIOD_NS // 2:
             self.cycle()
 
@@ -279,7 +278,7 @@ class Robot:
 
     def halt(self, reason: str) -> bool:
         """Erase points that wait in the arm and refuse commands until `arm.acknowledge_stop`. Returns whether the arm
-        was reached: otherwise at most two velocities wait in it, and are erased on reconnection."""
+        received it: otherwise at most two velocities wait in the arm, and are erased on reconnection."""
         self._speed_m_s = 0.0
         self.commanded.append(0.0)
         try:

@@ -1,4 +1,5 @@
-"""Devices to explore with, closed: an arm, a force sensor at its end and a depth camera, real ones or doubles.
+"""Devices for an exploration, not yet opened: an arm, a force sensor at its end and a depth camera, real ones or
+doubles.
 
 `rig_setup` makes one from a rig file; a laboratory hands its own in (`deformscope.lab.scene_lab`).
 """
@@ -48,7 +49,7 @@ y = 0.4 m, and the far corners are 0.63 m from its axis."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """True properties of a simulated surface. labels: (rows, columns) region of each cell, None where there are none;
+    """True properties of a simulated surface. labels: (rows, columns) region of each cell, None without regions;
     lumps_m: (n, 4) balls below it: x and y of the middle, radius, depth of the uppermost point [m]"""
 
     labels: IntArray | None
@@ -59,8 +60,8 @@ class Truth:
 class CameraView:
     """Projection and pose of the depth camera.
 
-    focal_px, center_px: (x, y), None = as its images say; distortion: OpenCV's k1, k2, p1, p2, k3
-    T_surface_camera: (4, 4), None = not known; doubt_m: how far off it may be where the surface is; rate_hz
+    focal_px, center_px: (x, y) focal length and centre, None = those in its images; distortion: OpenCV's k1, k2, p1,
+    p2, k3; T_surface_camera: (4, 4), None = not known; doubt_m: how far off it may be where the surface is; rate_hz
     """
 
     focal_px: tuple[float, float] | None = None
@@ -79,10 +80,10 @@ class Setup:
     compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]
     calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: ages of the
     calibrations
-    simulated: nothing real moves; truth: the simulation's true values, None without a simulation
-    runs_itself: the devices have threads of their own and the host's clock, under any computation
+    simulated: all devices are simulated; truth: the simulation's true values, None without a simulation
+    runs_itself: the devices have separate threads and the host's clock, so that they continue during any computation
     zeroed: the force sensor's zero is taken as the devices open
-    true_force_n: the largest true contact force so far [N], None where only the sensor can say
+    true_force_n: the largest true contact force so far [N], None if only the sensor measures it
     person: places the arm; None = an arm with motors
     described: shape of the robot
     press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
@@ -115,7 +116,7 @@ class Setup:
         return None if self.true_force_n is None else self.true_force_n()
 
     def robot(self, source: RigSource, watch: Watch | None = None) -> Robot:
-        """The robot over the open devices, once its arm has reported. watch: as for `Robot`
+        """The robot over the open devices, once its arm has reported. watch: as for `Robot`.
 
         Raises InputError where a device is not well.
         """
@@ -153,10 +154,7 @@ def seen(robot: Robot) -> Robot:
 
 
 class SimulatedDevices(Protocol):
-    """The scenes of a rig's doubles.
-
-    opener: as for `RigSource`; other attributes as in `Setup`
-    """
+    """The scenes of a rig's doubles. opener: as for `RigSource`; other attributes as in `Setup`"""
 
     @property
     def runs_itself(self) -> bool: ...
@@ -191,7 +189,7 @@ class SimulatedTable(SimulatedDevices, Protocol):
     def person(self) -> Person | None: ...
 
     def push_tip(self, force_n: FloatArray) -> None:
-        """With (3,) [N] in the surface frame."""
+        """Push the tip with (3,) [N] in the surface frame."""
 
 
 @contextmanager
@@ -201,11 +199,8 @@ def open_rig(
     simulated: SimulatedDevices | None,
     around: Sequence[RigDevice],
 ) -> Iterator[RigSource]:
-    """All devices of a rig file, open.
-
-    double: makes a device of the rig that nothing is simulated around, or its double
-    simulated: the world `around` the doubles, None = none
-    """
+    """All devices of a rig file, open. double: makes a device of the rig that nothing is simulated around, or its
+    double; simulated: the world `around` the doubles, None = none"""
     with ExitStack() as stack:
         made = {} if simulated is None else stack.enter_context(simulated.devices(around))
         members = [
@@ -224,7 +219,8 @@ def open_rig(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigParts:
-    """The robot's parts from a rig file. devices: those of `ROLES`; raises InputError, which names missing ones."""
+    """The robot's parts from a rig file. devices: the devices of `ROLES`; raises InputError, which names missing
+    ones."""
 
     rig: Rig
     devices: tuple[RigDevice, ...]
@@ -337,8 +333,8 @@ def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
 
 
 def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "", driver: str = "") -> RigDevice:
-    """The one device of a kind. use: its purpose, for the message; name, driver: name and driver of it, empty = any (of
-    a depth camera, as `[camera]` says); raises InputError where there is none, or several"""
+    """The one device of a kind. use: its purpose, for the message; name, driver: name and driver of it, empty = any
+    (for a depth camera, the one that `[camera]` names); raises InputError if there is none, or several"""
     name = rig.camera.device or "" if kind == "depth" else name
     drivers = [one for one, known in DRIVERS.items() if known.kind == kind and driver in ("", one)]
     found = [one for one in rig.devices if one.driver.name in drivers and name in ("", one.name)]

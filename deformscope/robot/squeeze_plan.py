@@ -26,11 +26,12 @@ from deformscope_drivers.sdh.kinematics import (
 BASE_DEG = 90.0
 """The two fingers on the common base face each other there: `deformscope_drivers.sdh.kinematics`."""
 PAD_M = 0.011
-"""From the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not measured."""
+"""Distance from the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not
+measured."""
 OPENING_DEG = 12.0
 """Start of the proximal axes before the contact at the container's width: the fingertips are then about 3 cm away. With
-a smaller value, a hand that is displaced touches before it closes; with a larger one, closing at a squeeze's low speed
-(6 deg/s as standard, 2 s for this) takes longer."""
+a smaller angle, a displaced hand touches before it closes; with a larger one, closing takes longer (2 s for this one at
+the standard 6 deg/s)."""
 CLOSING_AXES = (1, 5)
 """The proximal axes of fingers 0 and 2 (Schunk's order of axes)."""
 PAD_ALONG_M = 0.6 * DISTAL_LINK_M
@@ -145,8 +146,8 @@ def hand_capsules(position_deg: npt.NDArray[np.float64]) -> list[Capsule]:
 
 
 def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatArray:
-    """(4, 4) container to hand for the grasp in its middle [m], as in the rig file. By default it is from the side: its
-    middle between the pads, its x and the hand's alike, its z along the hand's y."""
+    """(4, 4) container to hand for the grasp in its middle [m], as in the rig file. By default the hand grasps from the
+    side: the container's middle is between the pads, its x is the hand's x, and its z the hand's y."""
     if container.T_hand_container is not None:
         return np.array(container.T_hand_container, np.float64)
     from_side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])

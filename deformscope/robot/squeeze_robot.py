@@ -39,8 +39,8 @@ SQUEEZE_PERIOD_NS = 20_000_000
 KEEP_S = 0.1
 """The hand's driver sets a velocity back to 0 unless it is set again within this: five control periods."""
 RAMP_DEG_S2 = 400.0
-"""Acceleration of the closing axes: the most that Schunk's library takes. From 6 deg/s they then rest within 15 ms of a
-stop; at the hand's default of 100 deg/s2 it would be 60 ms."""
+"""Acceleration of the closing axes: the most that Schunk's library takes. With it, axes at 6 deg/s rest within 15 ms of
+a stop; with the hand's default of 100 deg/s2 within 60 ms."""
 PRESHAPE_DEG_S = 40.0
 """Speed of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
 MISSED_DEG = 2.0
@@ -75,11 +75,8 @@ class SqueezeStopped(Exception):
 
 
 class SqueezeRobot:
-    """Opened devices and a supervisor; `cycle` is one control period.
-
-    hand_readings, tactile_frames: items of the last period, oldest first
-    on_cycle: called in every period, before it is judged: the observer may request a stop
-    """
+    """Opened devices and a supervisor; `cycle` is one control period. hand_readings, tactile_frames: items of the last
+    period, oldest first; on_cycle: called in every period, before it is judged: the observer may request a stop"""
 
     def __init__(
         self,

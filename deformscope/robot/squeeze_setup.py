@@ -1,5 +1,5 @@
-"""Devices to squeeze with, closed: a hand, its tactile arrays, a depth camera and perhaps the arm that carries the
-hand; real ones or doubles. A laboratory hands its own in."""
+"""Devices for a squeeze, not yet opened: a hand, its tactile arrays, a depth camera and perhaps the arm that carries
+the hand; real ones or doubles. A laboratory hands its own in."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from deformscope_drivers.depth_camera.image import Intrinsics
 
 @dataclass(frozen=True, slots=True)
 class SqueezeNames:
-    """Names of the devices; camera, arm: empty where there is none."""
+    """Names of the devices; camera, arm: empty without one."""
 
     hand: str
     tactile: str
@@ -48,10 +48,8 @@ class TrueMoments(Protocol):
 
 
 class SimulatedContainer(SimulatedDevices, Protocol):
-    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
-
-    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: intrinsics and frame rate of that camera
-    """
+    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`). T_hand_camera: (4, 4) camera to hand [m];
+    intrinsics, camera_hz: intrinsics and frame rate of that camera"""
 
     @property
     def intrinsics(self) -> Intrinsics: ...
@@ -69,10 +67,7 @@ class SimulatedContainer(SimulatedDevices, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeParts:
-    """Devices of a rig file by their parts; camera, arm: None where there is none.
-
-    grasp: drawn from the seed
-    """
+    """Devices of a rig file by their parts; camera, arm: None without one. grasp: drawn from the seed"""
 
     rig: Rig
     hand: RigDevice
@@ -83,7 +78,7 @@ class SqueezeParts:
 
     @classmethod
     def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
-        """place: who places the hand: the driver of the arm that is to, or `person`. Raises InputError, which names
+        """place: who places the hand: the driver of an arm, or `person`. Raises InputError, which names
         missing keys, or contradictions."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
@@ -131,11 +126,11 @@ class SqueezeSetup:
     """The hand, and the container.
 
     open_source: opens all devices
-    camera: how the depth camera projects; T_camera_hand: (4, 4) hand to camera [m], None = not known, so that nothing
-    can be learned from images; T_arm_hand: (4, 4) hand to the end of the arm that carries it, None = none carries it
+    camera: how the depth camera projects; T_camera_hand: (4, 4) hand to camera [m], None = unknown, so that images give
+    no features; T_arm_hand: (4, 4) hand to the end of the arm that carries it, None = none carries it
     T_arm_camera: (4, 4) camera to the arm's base
     grasp: the hand's place on the container; placed: the hand is there already
-    simulated: nothing real moves; runs_itself: the devices have threads of their own and the host's clock
+    simulated: all devices are simulated; runs_itself: the devices have separate threads and the host's clock
     truth: true values of a simulated squeeze, None with real devices
     placing: the arm that places the hand; None = a person does, or the hand is there already
     """
@@ -167,8 +162,8 @@ def squeeze_setup(
 ) -> SqueezeSetup:
     """All devices of a rig file.
 
-    double: makes a device of the rig that no container is simulated around, or its double
-    container: between the doubles, with the hand at it; it brings the pose and projection of its camera
+    double: makes a device of the rig that no container is simulated around, or its double; container: simulated
+    container between the doubles, with the hand at it; it gives the pose and projection of its camera
     place: as in `SqueezeParts.of`
     """
     rig, seen = parts.rig, parts.rig.camera

@@ -17,7 +17,7 @@ from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope_drivers.sdh.kinematics import fingertips
 
 LIMIT_DEG = 1.0
-"""An axis this near to the end of its range is at it: reported angles are precise to 0.5 deg."""
+"""An axis this near to the end of its range counts as at the end: reported angles are precise to 0.5 deg."""
 TOO_HOT_C = 70.0
 """Largest temperature of a motor. Assumed: Schunk's firmware switches off at some higher temperature (error 29); no
 source gives the value."""
@@ -88,10 +88,8 @@ SqueezeDecision = Decision[SqueezeFault]
 
 
 class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
-    """The rules of a hand with tactile arrays; `judge` once in each control period.
-
-    closing: False where the hand only opens: it then needs no tactile arrays, and may come from the end of its range
-    """
+    """The rules of a hand with tactile arrays; `judge` once in each control period. closing: False where the hand only
+    opens: it then needs no tactile arrays, and may come from the end of its range"""
 
     def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
         super().__init__(SqueezeFault.NONE, LATE_NS)

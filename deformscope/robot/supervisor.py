@@ -67,8 +67,8 @@ class Limits:
 
     soft_force_n, hard_force_n: magnitude backed away at, stopped at
     speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
-    tilt_deg: between the rotation of the arm's end as measured and as commanded: 5 deg carry a stick of 10 cm 9 mm
-    joint_margin_deg: no joint comes nearer to the end of its range
+    tilt_deg: angle between the measured and the commanded rotation of the arm's end: 5 deg move the tip of a stick of
+    10 cm by 9 mm; joint_margin_deg: no joint comes nearer to the end of its range
     table_m, itself_m: least distance of elbow and wrist from the table's top, and between parts of the arm that may
     collide (`clearance.ArmClearance`)
     arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
@@ -80,7 +80,7 @@ class Limits:
     axes_rest: the force sensor's axes are a hand's fingers, which say 0 while nothing touches them: that is not frozen
     arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
     excluded (an arm begins to move, and reports it, some periods after the command)
-    refused, unusable: this many damaged frames, or readings that are not usable, within window_s
+    refused, unusable: number of damaged frames, or of unusable readings, within window_s
     camera_period_s: period of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
     repeats of a picture that mean a frozen camera (noise makes two real ones differ)
     """
@@ -121,7 +121,7 @@ class Limits:
 
     @classmethod
     def of(cls, workspace: Workspace, camera_hz: float = 30.0) -> Limits:
-        """From a rig file's [workspace]. camera_hz: rate of the camera's images"""
+        """The limits of a rig file's [workspace]. camera_hz: rate of the camera's images"""
         standard, silent_s, frozen_s = cls(), workspace.camera_silent_s, workspace.arm_frozen_s
         return cls(
             soft_force_n=workspace.soft_stop_n,
@@ -144,8 +144,8 @@ class Limits:
 SafetyDecision = Decision[Fault]
 
 SPEED_OVER_NS = 40_000_000
-"""Poses this far apart give the speed: four control periods. Over less, the resolution of the reported joints looks
-like speed; over more, a fast arm is noticed later."""
+"""Poses this far apart give the speed: four control periods. Speed is measured over this time: over less, the
+resolution of the reported joints looks like speed; over more, a fast arm is noticed later."""
 APPROACH_DEG_S = 0.5
 """A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
@@ -231,8 +231,8 @@ class Supervisor(LatchingSupervisor[Fault]):
         """The present demand.
 
         commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) commanded rotation of the
-        arm's end in the base frame, None = any; camera_needed: its pictures matter now, so that it must not be silent
-        or frozen
+        arm's end in the base frame, None = any; camera_needed: the camera's pictures are needed now, so that it must be
+        neither silent nor frozen
         """
         self._begin(seen.now_ns)
         found = [

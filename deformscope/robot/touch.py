@@ -66,15 +66,15 @@ class TouchPlan:
     """Where and how to touch; lengths [m], forces [N], speeds [m/s], in the surface frame.
 
     point_m: (3,) estimated place of the surface; normal: (3,) normal of the surface there, outwards
-    set_force_n: pressed with; more_force_n: with this where the dent stays below small_dent_m, None = never
+    set_force_n: pressed with; more_force_n: force if the dent stays below small_dent_m, None = never
     max_depth_m: never deeper below the first contact; standoff_m: height of the tip above the point before and after;
-    travel_height_m: z of the tip's centre when it crosses
-    slow_within_m: nearer to the point than this, the approach is slow; miss_m: so far below the point it is sought
+    travel_height_m: z of the tip's centre when it crosses; slow_within_m: nearer to the point than this, the approach
+    is slow; miss_m: how far below the point contact is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
     contact_force_n: along the normal means contact; dwell_s: duration at rest; dwell_at_most_s: dwell no longer
     tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
     passing_m: distance above the point at which the tip continues, without coming to rest there
-    slow_back: until contact is lost it goes back as slowly as it came, for the energy that the foam gives back
+    slow_back: until contact is lost the tip goes back as slowly as it came, to measure the energy that the foam returns
     braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
     rigid_n_m: stiffness that a contact is taken to have before it is known
     """
@@ -160,14 +160,14 @@ class TouchRecord:
     """Record of a touch; times [s] on the robot's clock, places and forces in the surface frame.
 
     time_s (n,), position_m (n, 3), force_n (n, 3): from the approach to the end of the dwell, at the arm's rate.
-    Positions are the tip's centre by the joints, forces act on the tip; loading: how many of them, from the first, lead
-    up to the set force (the dwell and all after it are not among them)
-    contact_m: (3,) where the tip's centre was at contact, None without; depth_m: below that at the end of the dwell
+    Positions are the tip's centre by the joints, forces act on the tip; loading: number of samples, from the first,
+    until the set force (without the dwell and what follows); contact_m: (3,) place of the tip's centre at contact, None
+    without contact; depth_m: below that at the end of the dwell
     center_m, final_force_n: (3,) mean over the last of the dwell; None where there was none
     peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
     phases: state of the touch at each time; ending, reason: why it ended; settled: dent and force were still
     arms, forces: the states and readings that all of it is computed from, each reading with the time of the arm's
-    newest state then [ns]; poses: all states of that, those before the approach among them; back: states on the way
+    newest state then [ns]; poses: all states of the arm, including those before the approach; back: states on the way
     back
     """
 
@@ -195,9 +195,9 @@ class TouchRecord:
 
 
 HELD_GAIN_PER_S = 3.0
-"""Share of a distance that is made up in a second, across the normal and towards the greatest depth: a factor e in 1/3
-s. A larger one overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control
-period). A smaller one leaves the tip beyond the normal's line for longer."""
+"""Rate at which a distance shrinks, across the normal and towards the greatest depth: by a factor e in 1/3 s. A larger
+one overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control period). A
+smaller one leaves the tip beyond the normal's line for longer."""
 FREE_M_S_N = 0.004
 """Speed of yielding to a tangential force [m/s/N], where the plan has it free: 2.5 N give ACROSS_M_S. Larger swings
 where an arm follows late; smaller leaves the force across for longer."""
@@ -221,14 +221,14 @@ PRESS_AT_MOST_S = 8.0
 foam, which is loaded slowly. A shorter one ends touches of soft foam; a longer one continues where the force is never
 reached."""
 AVERAGED_NS = 3_000_000
-"""Forces within this time of an arm's state are averaged for it: symmetric in time, so that nothing lags."""
+"""Forces within this time before and after an arm's state are averaged for it, so that they have no delay."""
 
 
 class TouchStateMachine:
     """The states from approach to retreat; `step` once in a control period, then `phase` is DONE.
 
-    It sees the force along the normal and the depth, never a device. place: the tip's centre at first contact with the
-    estimated point.
+    Its input is the force along the normal and the depth, never a device. place: the tip's centre at first contact with
+    the estimated point.
     """
 
     def __init__(self, plan: TouchPlan, center_offset_m: float, start_s: float) -> None:
@@ -247,7 +247,7 @@ class TouchStateMachine:
 
     @property
     def pressing(self) -> bool:
-        """Between contact and the end of the dwell."""
+        """Whether it is between contact and the end of the dwell."""
         return self.phase in (Phase.PRESS, Phase.DWELL, Phase.PRESS_MORE, Phase.DWELL_MORE)
 
     def depth_m(self, center_m: FloatArray) -> float:
@@ -263,10 +263,8 @@ class TouchStateMachine:
             self._enter(Phase.BACK_OFF, time_s)
 
     def step(self, time_s: float, center_m: FloatArray, force_n: FloatArray, still_seen: bool = True) -> FloatArray:
-        """The tip's velocity (3,) [m/s] for the next period.
-
-        center_m: (3,) the tip's centre; force_n: (3,) force on it; still_seen: the observer of the dent sees no change
-        """
+        """The tip's velocity (3,) [m/s] for the next period. center_m: (3,) the tip's centre; force_n: (3,) force on
+        the tip; still_seen: the observer of the dent sees no change"""
         plan = self.plan
         along_n = float(force_n @ plan.normal)
         match self.phase:
@@ -412,9 +410,9 @@ def run_touch(
     """Travel above the place, take the tare, touch, and come back above it.
 
     still_seen: whether the observer of the dent (a camera) sees no change; called during the dwell, when the camera
-    must be alive too. on_phase: called with each phase as it begins, and when [ns on the robot's clock]. Never raises
-    for faults of the robot: `ending`, `fault` and `reason` report them, and the supervisor's verdict holds until a
-    person acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
+    must be alive too. on_phase: called with each phase when it begins, and the time [ns on the robot's clock]. Never
+    raises for faults of the robot: `ending`, `fault` and `reason` report them, and the supervisor's verdict holds until
+    a person acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
     """
     return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
 
@@ -619,8 +617,8 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLik
 
 
 TARE_PERIODS = 30
-"""Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best. It
-is part of every touch (0.35 s of 13.4 s, `docs/results/maps.md`); shorter zeroes noise."""
+"""Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best.
+The tare is part of every touch (0.35 s of 13.4 s, `docs/results/maps.md`); a shorter one would be noisier."""
 TARE_STILL_N = 0.05
 """Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. A larger one would zero a changing
 load, a smaller one refuses a sensor that has passed the preflight."""

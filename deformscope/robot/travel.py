@@ -22,8 +22,8 @@ ANGULAR_RAD_S = 0.3
 """Greatest angular speed of the arm's end during travel: 17 deg/s, below half of `Limits.turn_deg_s` (40 deg/s), the
 limit of velocities. Faster, a late state of the arm stops it; slower, ways that turn the tool take longer."""
 JOINT_DEG_S = 15.0
-"""Greatest rate of travel joint by joint: below the driver's standard limit of 20 deg/s, which then cuts nothing off,
-so that all joints arrive together. Slower, the first way takes longer: half a turn takes 12 s."""
+"""Greatest rate of travel joint by joint: below the driver's standard limit of 20 deg/s, so that no joint is slowed and
+all arrive together. Slower, the first way takes longer: half a turn takes 12 s."""
 PATIENCE = 200
 """Control periods without coming nearer, after which joints count as not coming where they are sent."""
 GAIN_PER_S = 4.0
@@ -39,8 +39,8 @@ PASSED_M, PASSED_RAD = 3e-3, 0.05
 (`find_way`); closer, the arm slows down at each of them."""
 SAG_M = 0.01
 """Joint by joint the tip may go this far below the height at which it crosses, because such a path is not straight.
-With a larger one, it may hit objects on the surface; with a smaller one, more places are left out because no path leads
-there."""
+With a larger value, it may hit objects on the surface; with a smaller one, more places are left out because no path
+leads there."""
 SLACK = 3.0
 """Time limit of a path as a multiple of its planned time, plus two seconds."""
 
@@ -61,8 +61,9 @@ def move_tip(
 ) -> None:
     """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
 
-    passing: it continues from there, so that near is enough; near_m: else this near; braking_per_s: as in `TouchPlan`
-    Raises NotThere when it takes too long, RobotStopped, InputError when the robot has to back off.
+    passing: the tip continues from there, so that it need not arrive exactly; near_m: otherwise it arrives within this
+    distance; braking_per_s: as in `TouchPlan` Raises NotThere when it takes too long, RobotStopped, InputError when the
+    robot has to back off.
     """
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
@@ -78,7 +79,7 @@ def move_to(
     near_m: float = REACHED_M,
     braking_per_s: float | None = None,
 ) -> None:
-    """As `move_tip`, to a pose (4, 4) of the tip in the surface frame [m]."""
+    """Move as `move_tip`, to a pose (4, 4) of the tip in the surface frame [m]."""
     near_m, near_rad = (PASSED_M, PASSED_RAD) if passing else (near_m, REACHED_RAD)
     error = _error(robot, goal)
     way_s = max(float(np.linalg.norm(error[:3])) / speed_m_s, float(np.linalg.norm(error[3:])) / ANGULAR_RAD_S)
@@ -95,7 +96,7 @@ def move_to(
 
 
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
-    """To joint angles (n,), all arriving together; start and path are not checked: only through free air.
+    """Move to joint angles (n,), all arriving together. Start and path are not checked: use it only in free air.
 
     Raises as `move_tip` does.
     """
@@ -126,7 +127,7 @@ def to_above(
     passing_m: float = 0.0,
     braking_per_s: float | None = None,
 ) -> None:
-    """To a place above the surface: up to height_m, across no lower, and down to it.
+    """Move to a place above the surface: up to height_m, across at this height or above, and down.
 
     Straight where the arm can follow. The first time, and where a straight path leads near a joint's limit or a
     singularity, joint by joint: other joint angles for the same pose are then sought.
@@ -180,8 +181,8 @@ def find_way(
     clearance: ArmClearance | None = None,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> TravelWay:
-    """The path of `to_above`, from joint angles (n,): all of it within the supervisor's limits. Raises NotThere where
-    there is none."""
+    """The path of `to_above`, from joint angles (n,): all of it within the supervisor's limits. Raises NotThere if
+    there is no way."""
     T_base_ee = chain.end_effector(np.asarray(start_deg))
     here, goal = placement.T_surface_center(T_base_ee), placement.T_base_ee(center_m, normal)
     stick = -here[:3, 2]
@@ -287,7 +288,7 @@ def _error(robot: Robot, goal: npt.NDArray[np.floating]) -> FloatArray:
 
 
 def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:
-    """A velocity (3,) towards an error (3,): in proportion to it, at most `fastest`. braking_per_s: as in
+    """A velocity (3,) in the direction of an error (3,), in proportion to it, at most `fastest`. braking_per_s: as in
     `TouchPlan`"""
     wanted = (braking_per_s or GAIN_PER_S) * error
     size = float(np.linalg.norm(wanted))

@@ -21,20 +21,20 @@ from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, tr
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 FILE_BYTES = 2_000_000
-"""Largest URDF file: the largest of vendors' have a tenth. It bounds the time and memory that a file from anywhere
-takes to parse."""
+"""Largest URDF file: the largest of vendors' have a tenth. Largest file: it bounds the time and memory for reading a
+file of unknown origin."""
 LONGEST_M = 1000.0
 """Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it, and a file beyond is
 damaged."""
 SIDES = 24
-"""Sides of the prisms that replace cylinders: their sides are less than 1 % of the radius inside of them. Fewer leave
-more of a cylinder in the picture; more are recorded with every session."""
+"""Number of sides of the prisms that replace cylinders: they are inside of the cylinder by less than 1 % of its radius.
+Fewer leave more of a cylinder in the picture; more are recorded with every session."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrdfJoint:
-    """T_parent_joint: (4, 4) at 0; axis: (3,) in its own frame; lower, upper: its range [rad or m], 0 to 0 = fixed or
-    without end"""
+    """T_parent_joint: (4, 4) pose at joint value 0; axis: (3,) axis in the joint's frame; lower, upper: its range [rad
+    or m], 0 to 0 = fixed or without end"""
 
     name: str
     kind: str

@@ -47,9 +47,9 @@ Rows of arm, force sensor and this computer remain."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WhereArm:
-    """joints_deg: (n,); to_limits_deg: (n,) from each to the nearer end of its range, inf = none; homed
-    T_base_ee: (4, 4) the arm's end; tip_base_m, tip_surface_m: (3,) the tip's lowest point [m], None where the rig file
-    has no place yet"""
+    """joints_deg: (n,); to_limits_deg: (n,) distance of each joint from the nearer end of its range, inf = no end;
+    homed; T_base_ee: (4, 4) the arm's end; tip_base_m, tip_surface_m: (3,) the tip's lowest point [m], None where the
+    rig file has no place yet"""
 
     joints_deg: FloatArray
     to_limits_deg: FloatArray
@@ -138,7 +138,7 @@ def go(
 
 def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys: Keys | None = None) -> FloatArray:
     """Move the tip by keys until the person leaves; (3,) the final place of its centre, surface frame [m]. keys:
-    default: those of the terminal"""
+    default: the terminal's keys"""
 
     def work(robot: Robot, setup: Setup) -> None:
         say(HELP)

@@ -242,7 +242,7 @@ def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
 
 
 def arrays_bytes(**arrays: object) -> bytes:
-    """As in a file of arrays, so that the recording can be replayed."""
+    """The measurements as a file of arrays, so that the recording can be replayed."""
     file = io.BytesIO()
     np.savez(file, allow_pickle=False, **{name: np.asarray(value) for name, value in arrays.items()})
     return file.getvalue()
@@ -261,7 +261,7 @@ def calibrate_images(
     note: Note,
 ) -> CalibrationResult:
     """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
-    particles; select: as `run_images` takes it"""
+    particles; select: as in `run_images`"""
     sources, particles = config.sources, particle_options(images, config.search.noise_px)
     masked = images.mask is not None or images.outline is not None
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
@@ -297,7 +297,7 @@ def run_images(
     progress: Progress | None = None,
 ) -> CalibrationResult:
     """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body
-    select: all frames are fitted, and that is chosen by held-out error; None = the last frame is"""
+    select: the option that is chosen by held-out error, with all frames fitted; None = the last frame is fitted"""
     used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
     if select is not None:
         used["motion"] = {"select": select}
@@ -318,7 +318,7 @@ def run_images(
 
 
 def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] | None = None) -> Iterator[ColorFrame]:
-    """All of a sequence, said to `progress` as they are done. last: if given, it is the last image"""
+    """All frames of a sequence, each reported to `progress` when it is done. last: the last image, if given"""
     for done, frame in enumerate(source):
         if last is not None:
             last[:] = [frame.image]
@@ -370,10 +370,8 @@ def calibrate_pair_bytes(
     note: Note = log_note,
     progress: Progress | None = None,
 ) -> list[CalibrationResult]:
-    """Fit pairs given by name and content: the same for files and recordings.
-
-    layers: all are pokes of one surface, fitted together with the material below it
-    """
+    """Fit pairs given by name and content: the same for files and recordings. layers: all pairs are pokes of one
+    surface, fitted together with the material below it"""
     seen = parse_files(parse_pair, raws, noise_m, note)
     if layers is None and any(one.rest.shape[1] == 3 and rank(one.rest) == 2 for one in seen):
         note(FLAT_SURFACE)

@@ -31,7 +31,7 @@ MOST_SHOWN = 24
 def calibration_page(
     results: Sequence[Result], *, seed: int, settings: Mapping[str, object], pokes: PokesResult | None = None
 ) -> str:
-    """All that was found, with pictures, settings and provenance, as one HTML page. settings: settings of the command,
+    """All results, with pictures, settings and provenance, as one HTML page. settings: settings of the command,
     in addition to those of the estimates"""
     return html_report(_title(results), calibration_sections(results, seed=seed, settings=settings, pokes=pokes))
 

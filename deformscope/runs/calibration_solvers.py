@@ -34,7 +34,7 @@ DOUBT_AT_MOST_M = 0.03
 
 
 def intervals(estimate: TransformEstimate) -> dict[str, Any]:
-    """For the rig file: half widths."""
+    """Half widths of the intervals, for the rig file."""
     half = estimate.half()
     return {"half_m": _plain(half[:3], 6), "half_deg": _plain(np.degrees(half[3:]), 4)}
 
@@ -181,7 +181,8 @@ def place_arrays(found: Arrays) -> TouchedCorners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredCamera:
-    """One of three: views of a board; T_base_ee with T_camera_board (n, 4, 4); places touched and seen (n, 3) [m]"""
+    """Measurements of one of three kinds: views of a board; T_base_ee with T_camera_board (n, 4, 4); places touched and
+    seen (n, 3) [m]"""
 
     views: BoardViews | None = None
     poses: tuple[FloatArray, FloatArray] | None = None
@@ -268,8 +269,8 @@ def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPushes:
-    """force_n, axis: (n, 3) measured [N], and direction of the tip on the world, tip frame; free: None = not measured
-    R_base_tip: (m, 3, 3) how the tip was turned in free air; turned_n: (m, 3) forces then [N]
+    """force_n, axis: (n, 3) measured [N], and direction of the tip on the world, tip frame; free: readings in free air,
+    None = not measured; R_base_tip: (m, 3, 3) rotations of the tip in free air; turned_n: (m, 3) forces then [N]
     load_n: a known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]"""
 
     force_n: FloatArray
@@ -282,7 +283,7 @@ class MeasuredPushes:
 
 
 def pushes_of(rig: Rig, made: PushedTip) -> MeasuredPushes:
-    """With the axes in the tip's frame, which tip and place give."""
+    """The pushes with the axes in the tip's frame, computed from tip and place."""
     if rig.surface.T_arm_surface is None or rig.tool.T_ee_tip is None:
         lacks = "place" if rig.surface.T_arm_surface is None else "tip"
         raise InputError("a rig file with tip and place", f"no {lacks}", f"deformscope calibrate {lacks} RIG first")

@@ -152,10 +152,8 @@ def _summarised(of: tuple[str, str]) -> dict[str, Any]:
 def catalog_page(
     found: CatalogResult, *, served: bool = False, workers: int | None = None, progress: Progress | None = None
 ) -> str:
-    """A page with a picture of each recording, which opens it; pictures are made once.
-
-    served: its links are the places of recordings on a page that is served, not files
-    """
+    """A page with a picture of each recording, which opens it; pictures are made once. served: its links are the places
+    of recordings on a page that is served, not files"""
     rows = found.table.slice(0, PAGE_ROWS).to_pylist()
     pictures = {row["path"]: found.folder / PICTURES / f"{row['sha256']}.png" for row in rows if row["sha256"]}
     left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]
@@ -211,9 +209,9 @@ def _draw(of: tuple[str, str]) -> None:
 class ComparedRecordings(LibraryResult):
     """How the second differs from the first.
 
-    settings: those that differ, by name; results: (name, first, second, difference) as JSON has values with intervals
-    series: series of the devices' measurements since the first contact; unaligned: why there are none, empty = there
-    are
+    settings: settings that differ, by name; results: (name, first, second, difference) as in JSON, values with
+    intervals; series: series of the devices' measurements since the first contact; unaligned: why there are no series,
+    empty = there are
     """
 
     first: Path
@@ -246,7 +244,7 @@ class ComparedRecordings(LibraryResult):
 
 
 def compare_recordings(first: Path, second: Path) -> ComparedRecordings:
-    """Raises InputError where one is no recording of ours, or damaged."""
+    """Raises InputError if a file is damaged, or no recording of deformscope."""
     from deformscope.recording.reader import Replay
     from deformscope.recording.summary import SETTINGS, summarise
 

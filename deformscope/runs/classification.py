@@ -215,8 +215,8 @@ def _compared(one: ModalityComparison, labels: Sequence[str]) -> dict[str, Any]:
 
 
 def score_tables(found: Evaluation, *, every: bool = True) -> tuple[Table, ...]:
-    """Every method in every kind of split, and transfers; every: else the strictest splits alone, and of the others the
-    recommended ones."""
+    """Every method in every kind of split, and transfers; every: score all kinds of splits; otherwise only the
+    strictest, and the recommended methods."""
     names: tuple[str, ...] = ()
     made, others = [], []
     for what in dict.fromkeys((one.protocol, one.pair) for one in found.scores):
@@ -244,8 +244,8 @@ def classify_table(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> ClassificationResult:
-    """`classify` on a table; linear algebra in one thread each, because splits run in parallel. beyond: as `evaluate`
-    takes it"""
+    """`classify` on a table; linear algebra in one thread each, because splits run in parallel. beyond: as in
+    `evaluate`"""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):

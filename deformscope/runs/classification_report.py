@@ -38,7 +38,7 @@ FIGURES = {
 
 
 def classification_pictures(result: ClassificationResult) -> dict[str, bytes]:
-    """Every picture as PNG, by a name that is good for a file; none where there is nothing to show."""
+    """The pictures as PNG, by a name that is valid for a file; a picture without data is left out."""
     return dict(_pictures(result.evaluation))
 
 
@@ -78,11 +78,8 @@ def classification_page(
     settings: Mapping[str, object],
     *besides: Section,
 ) -> str:
-    """All that was found as one HTML page.
-
-    model: trained on all trials; drawn: result of `classification_pictures`; settings: the command's settings
-    besides: sections that come after the first
-    """
+    """All results as one HTML page. model: model trained on all trials; drawn: result of `classification_pictures`;
+    settings: the command's settings; besides: sections that come after the first"""
     title = f"Contents of containers: {result.name}" if result.name else "Contents of containers"
     first, *others = _sections(result, model, drawn, settings)
     return html_report(title, [first, *besides, *others])

@@ -64,7 +64,7 @@ class ClassifierCheckResult(LibraryResult):
         )
 
     def pictures(self) -> dict[str, bytes]:
-        """As PNG, by names that are good for files."""
+        """Pictures as PNG, by names that are valid for files."""
         scores = [self.check.score, *self.check.alone.values()]
         return {
             "reliability": pictures.reliability_png(scores),
@@ -116,7 +116,7 @@ def format_calibration(check: ModelCheck) -> str:
 
 
 def check_page(result: ClassifierCheckResult, seed: int, settings: Mapping[str, object]) -> str:
-    """As one HTML page."""
+    """The check as one HTML page."""
     check = result.check
     well = check.calibration_kept and check.kept is not False and not check.trained
     words = (f"Promised: {format_promise(check)}.", f"Calibration: {format_calibration(check)}.")

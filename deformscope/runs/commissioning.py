@@ -13,9 +13,9 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 
 @dataclass(frozen=True, slots=True)
 class RigStep:
-    """what: in a word; state: `by hand` = the value is there without a date, `optional` = not needed to explore
-    words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with doubles; 0 =
-    depends on its findings
+    """what: the step in a word; state: `by hand` = the value is there without a date, `optional` = not needed to
+    explore; words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with
+    doubles; 0 = depends on its findings
     """
 
     what: str
@@ -26,15 +26,13 @@ class RigStep:
 
 
 def begin(name: str) -> RigStep:
-    """The first step of all, for a file without devices. name: name of the rig file"""
+    """The first step, for a file without devices. name: name of the rig file"""
     return RigStep("devices", "to do", "no device in the file", f"deformscope doctor --example > {name}")
 
 
 def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None) -> tuple[RigStep, ...]:
     """The steps of a rig that explores, in order; none for one that has no arm, no force sensor or no depth camera.
-
-    name: name of its file, for the commands
-    """
+    name: name of its file, for the commands"""
     kinds = {entry.driver.kind for entry in rig.devices}
     if not {"arm", "wrench", "depth"} <= kinds:
         return ()

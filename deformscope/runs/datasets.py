@@ -25,7 +25,7 @@ class OpenDataset(LibraryResult):
 
     @property
     def trials(self) -> tuple[TrialEntry, ...]:
-        """All of them, discarded ones too: `content`, `container`, `session`, `recording`, `discarded`..."""
+        """All trials, including discarded ones: `content`, `container`, `session`, `recording`, `discarded`..."""
         return tuple(self._dataset.entries())
 
     def recording(self, trial: str) -> Path:
@@ -34,7 +34,7 @@ class OpenDataset(LibraryResult):
 
     def table(self) -> LabelledTable:
         """Features and labels of the trials that are not discarded: `label (N,)`, `group (N,)` the containers,
-        `modalities` by name (N, p), `series`. `classify` takes it, or part of it."""
+        `modalities` by name (N, p), `series`. The trials' features as a table, for `classify`."""
         return self._dataset.table()
 
     def __len__(self) -> int:

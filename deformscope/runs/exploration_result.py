@@ -61,11 +61,8 @@ class TruthScore:
 
 @dataclass(frozen=True, slots=True)
 class TouchOutcome:
-    """A touch, and its effect on the exploration.
-
-    ended_s: since the session began; iou: IoU of the map after it; failed: failures on it, as text
-    asked_for: by a person on the page, or by a planner of one's own
-    """
+    """A touch, and its effect on the exploration. ended_s: time since the session began; iou: IoU of the map after it;
+    failed: failures on it, as text; asked_for: requested by a person on the page, or by an own planner"""
 
     touch: TouchEstimate = field(metadata=reported(flat=True))
     ended_s: float = field(metadata=reported())
@@ -78,12 +75,13 @@ class TouchOutcome:
 class ExplorationResult(LibraryResult):
     """Result of `explore`: `to_dict()`, or `found`, is the JSON of `deformscope explore`.
 
-    feel: the mapped quantity; set_force_n, more_force_n: pressed with, the latter where that hardly dents, None = never
-    estimate: the maps, None where no touch gave any; lumps: None where no inclusions are sought
-    missed: None before any plan; probability: probability of each number of regions; max_force_n: in the laboratory
-    measured_max_force_n: by the sensor
+    feel: the mapped quantity; set_force_n, more_force_n: force of touches, and the larger one if that hardly dents,
+    None = never
+    estimate: the maps, None where no touch gave any; lumps: result of the search for inclusions, None without one
+    missed: detection limit, None before any plan; probability: probability of each number of regions; max_force_n:
+    largest true force, in the laboratory; measured_max_force_n: largest force that the sensor measured
     seconds: computing, of the slowest touch, by the robot's clock and on this computer
-    supervisor_gaps_ms: from one look of the supervisor to the next, None where the arm never could move; arm_stands:
+    supervisor_gaps_ms: times between two checks of the supervisor, None if the arm could never move; arm_stands:
     whether it could be stopped; losses: losses of each device that lost something; fault: why it was stopped
     simulated: the scene; laboratory: its settings; recorded: another robot touched before, and nothing was commanded
     """
@@ -326,6 +324,7 @@ def format_betas(touches: Sequence[TouchEstimate]) -> str:
 
 
 def map_arrays(maps: MapEstimate) -> dict[str, np.ndarray]:
-    """Those that are known: rows along y, columns along x, cells of cell_m with the surface's corner at (0, 0)."""
+    """The maps that are known, by name: rows along y, columns along x, cells of cell_m with the surface's corner at (0,
+    0)."""
     known = {one.name: getattr(maps, one.name) for one in quantities(MapEstimate)}
     return {name: np.asarray(value) for name, value in known.items() if value is not None}

@@ -51,10 +51,10 @@ INCLUSION_FORCE_N = 5.0
 class ExplorationEnd:
     """Why and when an exploration ended; completed during the run.
 
-    error: that ended it, other than a stop; start_ns: start of the session, on the robot's clock
+    error: the error that ended it, other than a stop; start_ns: start of the session, on the robot's clock
     arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
-    session_s: by the robot's clock [s]; gaps_s: (n,) from each look of its supervisor to the next [s]
-    largest_force_n: that the sensor measured in a touch [N]
+    session_s: duration by the robot's clock [s]; gaps_s: (n,) times from each check of its supervisor to the next [s]
+    largest_force_n: largest force that the sensor measured in a touch [N]
     losses: losses of each device that lost something (`deformscope.recording.losses`)
     """
 
@@ -76,8 +76,8 @@ def explore_on(
 ) -> ExplorationResult | None:
     """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
 
-    planner: instead of the built-in one; scene: scene of the rig's name, where that is not built in
-    In any case, the arm is halted, and the results are reported before the recording is closed.
+    planner: instead of the built-in one; scene: scene of the rig's name, if that is not built in. In any case the arm
+    is halted, and the results are reported before the recording is closed.
     """
     from deformscope.config.explore import ExploreFlags
     from deformscope.experiments.explore import DRY_RUN, Exploration
@@ -180,10 +180,8 @@ def _run(
     recorded: RecordedTouches | None,
     planner: TouchPlanner | None,
 ) -> None:
-    """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises.
-
-    recorded: touches that were made before: nothing moves
-    """
+    """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises. recorded:
+    touches that were made before: nothing moves"""
     from deformscope.experiments.explore import AT_END, PlannedBy, explore
     from deformscope.experiments.stage_executor import stage_executor
     from deformscope.experiments.touching_robot import TouchingRobot, touching_robot

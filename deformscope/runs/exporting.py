@@ -1,4 +1,4 @@
-"""A recording in formats of others: what `deformscope export` writes."""
+"""A recording in other formats: what `deformscope export` writes."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ LONG_GAP = 100
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Inspected:
-    """Content of a source. topics: as the JSON has them; toml: a map as a start, with the findings as its comments"""
+    """Content of a source. topics: topics as in the JSON; toml: a map as a start, with the findings as its comments"""
 
     topics: list[dict[str, Any]]
     toml: str

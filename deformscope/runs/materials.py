@@ -89,7 +89,8 @@ class MaterialJob:
     """Settings that determine a result besides the inputs; they are recorded.
 
     find: the quantity of a material; noise: noise of a position [m of files, px of images]; particles: number of
-    particles of images; frame: frame of images, that axes or a field are fitted to; force_n: on the moved particles;
+    particles of images; frame: frame of images, that axes or a field are fitted to; force_n: force on the moved
+    particles;
     at, released: see `UnloadingOptions`; version: see `NEWEST_FIT`; relaxation_version: see `NEWEST_RELAXATION`
     """
 
@@ -131,10 +132,7 @@ class MaterialJob:
 
 @dataclass(frozen=True, slots=True)
 class MaterialResult(SourceResult):
-    """Result of `calibrate axes`, `field`, `yield` or `viscous`.
-
-    estimate: the numbers; found: the compared motion
-    """
+    """Result of `calibrate axes`, `field`, `yield` or `viscous`. estimate: the numbers; found: the compared motion"""
 
     found: MaterialFit
 
@@ -158,7 +156,7 @@ class MaterialResult(SourceResult):
 
 
 def material_page(result: MaterialResult) -> str:
-    """All that was found, with the picture, settings and provenance, as one HTML page."""
+    """All results, with the picture, settings and provenance, as one HTML page."""
     (table,) = result.tables()
     verdict = next(str(row[1]) for row in table.rows if row[0] in ("verdict", "anisotropy"))
     sections = [
@@ -199,7 +197,7 @@ def calibrate_material(
 
 
 def job_of(config: MaterialOptions) -> MaterialJob:
-    """The same without the sources and output files. None becomes the job's default."""
+    """The same without the sources and output files. The job of the options; None becomes its default."""
     groups = (config.output, config.fit, getattr(config, "unloading", None), config)
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
@@ -323,8 +321,8 @@ def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
 def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce | None:
     """The force that a recording has along with its images, None without one.
 
-    sensor: by name, needed where several were recorded; began_ns: time of the first frame The first readings give the
-    sensor's zero: nothing touches it at the start.
+    sensor: name of the sensor, needed if several were recorded; began_ns: time of the first frame The first readings
+    give the sensor's zero: nothing touches it at the start.
     """
     found: dict[str, list[WrenchFrame]] = {}
     for row in read_rows(Replay(path, trust=True), (WrenchFrame,)):

@@ -64,8 +64,9 @@ def setup_of(
 ) -> Opening:
     """The setup of `lab:NAME`, of a rig file, not opened, or of a recording.
 
-    set_force_n: None = as the rig file says; trusted: as for `deformscope.rig.rig_file.load_rig`; clean: no hidden
-    errors in the laboratory; camera: error model of its camera; robot: the robot's model in the images;
+    set_force_n: force of a touch, None = that of the rig file; trusted: as in `deformscope.rig.rig_file.load_rig`;
+    clean: no hidden errors in the laboratory; camera: error model of its camera; robot: the robot's model in the
+    images;
     removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
     file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in
     """
@@ -163,7 +164,7 @@ def setup_of_rig(rig: Rig, seed: int = 0) -> Setup:
 
 
 def table_of(parts: RigParts, seed: int = 0) -> tuple[LiveLab | None, RandomizedRig | None]:
-    """The simulated table of a rig with a scene, not opened, and where things truly are on it, where that is hidden."""
+    """The simulated table of a rig with a scene, not opened, and the true places of its devices if they are hidden."""
     from deformscope.lab import live_lab
     from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.scenes import built_in
@@ -203,10 +204,8 @@ class SqueezeOpening:
 def squeeze_setup_of(
     name: str, content: str, container: str, session: str, seed: int, *, trusted: bool, place: str = "person"
 ) -> SqueezeOpening:
-    """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container.
-
-    content, container: empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka
-    """
+    """The setup of lab:containers or of a rig file, whose doubles squeeze a simulated container. content, container:
+    empty = drawn, where they are simulated; place: who places the hand: person, jaco or kuka"""
     if name == CONTAINERS:
         from deformscope.lab.container_setup import container_lab
 

@@ -48,7 +48,7 @@ class RunOperator:
         return ""
 
     def confirm(self, prompt: str, *, or_ended: bool = False) -> RigExperiment[None]:
-        """As `line`; raises InputError unless a person says yes. or_ended: nor if a person ends the run"""
+        """Ask as `line`; raises InputError unless a person answers yes. or_ended: nor if a person ends the run"""
         if self.agreed is None and not at_terminal():
             raise InputError("a person who confirms", "no terminal for questions", "--yes")
         if (yield from self.line(prompt)) != "yes" and not (or_ended and self.asked.is_set()):
@@ -83,7 +83,7 @@ def wait_for_enter(words: str) -> None:
 
 @contextlib.contextmanager
 def terminal_keys() -> Iterator[Keys]:
-    """The keys of the terminal, each as it is pressed. Raises InputError where there is none."""
+    """The keys of the terminal, each as it is pressed. Raises InputError without a terminal."""
     import termios
     import tty
 

@@ -1,7 +1,7 @@
 """Pokes that were not fitted: predicted by the model, and by its alternatives, compared with the measurement.
 
-The others have the model's information, the force at its first poke. They are a rigid body, an elastic half-space in
-closed form, and linear finite elements of the same slab.
+The others have the model's information, the force at its first poke. The other methods are a rigid body, an elastic
+half-space in closed form, and linear finite elements of the same slab.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from deformscope.stages.poke.fitted import FittedModel, predict
 from deformscope.stages.poke.poke_fit import SeenPoke, seen_poke
 
 POISSON = 0.3
-"""Poisson's ratio that the half-space and the finite elements are given: they have no data for it."""
+"""Poisson's ratio of the half-space and the finite elements, for which there are no data."""
 
 FITTED_DEPTH = 1e-3
-"""At which the elastic bodies are given their modulus [m]: there the model is linear."""
+"""Depth at which the elastic bodies get their modulus [m]: there the model is linear."""
 
 
 def compare(

@@ -41,7 +41,7 @@ from deformscope.stages.squeeze.trial import (
 )
 
 SHOWN = 6
-"""Touches, and maps, of which each has its pictures: the last, if there are more."""
+"""Largest number of touches, and of maps, with pictures: the last ones, if there are more."""
 TIME = "time since the recording's start [s]"
 CHAPTERS = {
     2: "chapter 2: the content of the container",
@@ -56,7 +56,8 @@ Drawn = tuple[str, list[Section]]
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport(LibraryResult):
-    """Figures of a recording. words: in a line; stages: with their costs, those that it lacks among them"""
+    """Figures of a recording. words: the recording in a line; stages: stages with their costs, including those that it
+    lacks"""
 
     recording: Path
     words: str
@@ -65,7 +66,7 @@ class RecordingReport(LibraryResult):
 
     @property
     def lacks(self) -> list[str]:
-        """Stages of which there are no rows, though they were to be expected; or their costs."""
+        """Stages whose rows, or whose costs, were expected and are missing."""
         missing = [one.name for one in self.stages if one.missing]
         return missing + ["costs of the stages"] * (not any(one.computed for one in self.stages))
 
@@ -81,7 +82,7 @@ class RecordingReport(LibraryResult):
         return {"recording": self.recording, "lacks": self.lacks, "stages": self.stages, "figures": shown}
 
     def page(self) -> str:
-        """As one HTML page."""
+        """The report as one HTML page."""
         lacks = f"It lacks: {', '.join(self.lacks)}." if self.lacks else "It has every stage of its kind."
         first, last = Section("", [ReportVerdict(self.words, (lacks,))]), Section("Stages", stage_tables(self.stages))
         return html_report(self.recording.name, [first, *self.sections, last])

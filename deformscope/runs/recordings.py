@@ -23,7 +23,7 @@ from deformscope.runs.result import LibraryResult
 
 
 class OpenRecording(LibraryResult):
-    """A recording of ours: settings, frames and results, read on demand.
+    """A recording of deformscope: settings, frames and results, read on demand.
 
     path: path of the file; its bytes were compared with its ledger when it was opened
     """

@@ -28,8 +28,8 @@ CUT_SHORT = "the recording holds no result (its run was interrupted): nothing to
 
 
 def replay_on(config: ReplayConfig, progress: Progress | None = None) -> ReplayResult:
-    """As the options say. Raises `Different` for numbers that differ from the recorded ones, unless the result allows
-    it."""
+    """Replay a recording with these options. Raises `Different` for numbers that differ from the recorded ones, unless
+    the result allows it."""
     quiet_warp()
     recording = Replay(config.recording)
     settings = recording.settings

@@ -1,5 +1,5 @@
 """A replay of an exploration from its recorded depth images, wire forces and states of the arm. All results (surface,
-plans with their maps, touches, maps) are computed again and equal to the last bit."""
+plans with their maps, touches, maps) are computed again and must be equal to the last bit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from deformscope.recording.reader import Replay
 
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
-"""Not computed again: the truth is no input, and a plan's reason words numbers that are compared themselves."""
+"""Fields that are not compared: the truth is no input, and a plan's reason puts numbers into words that are compared
+elsewhere."""
 LATER = (
     "isopleths",
     "gain_unit",
@@ -39,8 +40,8 @@ LEAN = "recorded lean, or by an older version: no pixel masks, surfaces under to
 
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
-    whether it fails may hang on the machine. page: that plays it, and shows other settings' results with the recorded
-    ones
+    whether it fails may hang on the machine. page: page that plays it, and shows results with other settings next to
+    the recorded ones
     """
     import msgspec
 

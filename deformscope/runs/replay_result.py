@@ -16,7 +16,7 @@ from deformscope.runs.result import LibraryResult
 
 CLOSE = 0.01
 """Largest difference due to another machine's arithmetic: of the value and its interval as a share of the interval's
-width, of an error as a share of the error. On one machine there is none."""
+width, of an error as a share of the error. On one machine there is no difference."""
 VERSIONS = "the versions in the recording's properties"
 """Remedies for different numbers."""
 

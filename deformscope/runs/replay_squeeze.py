@@ -1,5 +1,5 @@
 """A replay of a squeeze from its recorded tactile frames, angles and depth images. All results (pressures, events,
-tracked container, features, posteriors) are computed again and equal to the last bit."""
+tracked container, features, posteriors) are computed again and must be equal to the last bit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass
 class SqueezeAgain:
-    """Results of a recorded squeeze, computed again. features: None where it has none, and `failure` says why
+    """Results of a recorded squeeze, computed again. features: None without features; `failure` states why
 
     results: results of every kind, in the order in which they are computed
     """

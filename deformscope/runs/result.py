@@ -41,7 +41,7 @@ class LibraryResult(ABC):
         """The public form; it may contain dataclasses and arrays."""
 
     def figures(self) -> tuple[Figure, ...]:
-        """Pictures of it."""
+        """Pictures of the result."""
         return ()
 
     def findings(self) -> Findings:

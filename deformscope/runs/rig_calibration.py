@@ -39,15 +39,15 @@ if TYPE_CHECKING:
 M = TypeVar("M")
 Arrays = Mapping[str, npt.NDArray[Any]]
 TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
-"""Between the taps of a simulated person: uneven."""
+"""Times between the taps of a simulated person: uneven."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigCalibrationResult:
     """Result of a rig calibration.
 
-    kind: place, tip, camera, force or time; values: for the rig file; rows: names and values of the table
-    figure: how far each measurement is off; found: for JSON
+    kind: place, tip, camera, force or time; values: values for the rig file; rows: names and values of the table
+    figure: how far each measurement is off; found: results for JSON
     """
 
     kind: str
@@ -68,13 +68,14 @@ class RigCalibrationResult:
 
 
 def today() -> datetime.date:
-    """By this computer's clock, in UTC: as ages are counted."""
+    """Today by this computer's clock, in UTC, from which ages are counted."""
     return datetime.datetime.now(tz=datetime.UTC).date()
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """The participants. arm, wrench, camera: names of devices, empty if the rig has none; operator: who moves things"""
+    """The participants. arm, wrench, camera: names of devices, empty if the rig has none; operator: the person, real or
+    simulated, who moves things"""
 
     arm: str
     wrench: str
@@ -84,7 +85,7 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class SetupTask(Generic[M]):
-    """One of these commands.
+    """One of the commands that calibrate a set-up.
 
     kind: its kind; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays
     solve: its solution; recorded: measurements from a recording

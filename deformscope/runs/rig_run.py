@@ -53,7 +53,7 @@ PAGE_HOLDS_S = 30.0
 class RigRun:
     """Outcome of a rig's run.
 
-    result: result of the recording; failures: reason of each device that failed, by name; why: it ended
+    result: result of the recording; failures: reason of each device that failed, by name; why: why it ended
     early_by: the signal that ended it before its end, 0 = none
     """
 
@@ -64,8 +64,8 @@ class RigRun:
 
 
 def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_record: bool) -> RigRun:
-    """Run a rig until its end or Ctrl-C. auto: the viewer if none is requested; always_record: also without a name for
-    the file, which then gets one"""
+    """Run a rig until its end or Ctrl-C. auto: the viewer that is used if none is requested; always_record: record also
+    without a name for the file, which then gets one"""
     rig = load_rig(config.rig, trusted=config.trust_rig)
     file = config.output.record
     if file is None and always_record:
@@ -159,7 +159,7 @@ def _new_file(rig: Rig) -> Path:
 
 
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """The options of the requested stages. Raises InputError if the rig lacks a device of one of them.
+    """The options of the requested stages. Raises InputError if the rig lacks a device for one of the stages.
 
     streams: streams of the devices, where they are not the rig's
     """

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 PageT = TypeVar("PageT", bound="RobotPage")
 
 HALTS = 3
-"""Attempts to halt the arm, each of which an interruption may cut short."""
+"""Number of attempts to halt the arm, as an interruption may end each."""
 SHOW_EVERY = 10
 """Control periods between two words to the user."""
 
@@ -46,8 +46,8 @@ SHOW_EVERY = 10
 class OpenRun:
     """A run whose devices are open and recorded.
 
-    line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices as they were
-    closed, None before
+    line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices when they
+    were closed, None before
     """
 
     source: RigSource
@@ -65,7 +65,7 @@ class OpenRun:
         config: ExploreConfig | SqueezeConfig,
         make: Callable[[PageSession, ShownDevices], PageT],
     ) -> PageT | None:
-        """From here on print alarms at the terminal, and show the state of devices on the recorder's page. Returns the
+        """From now on print alarms at the terminal, and show the state of devices on the recorder's page. Returns the
         object of `make` that moves the robot from there, None without a page."""
         session = None if recorder.page is None else recorder.page.session
         shown = None if session is None else ShownDevices(session, self.source.streams)
@@ -84,8 +84,8 @@ class OpenRun:
 
 @contextlib.contextmanager
 def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
-    """The devices, open; closed in the end, and all that came until then recorded. Devices that fail, at closing too,
-    are printed after any end of the run. Opening them starts the recorder."""
+    """The opened devices; at the end they are closed, and everything they sent until then is recorded. Devices that
+    fail, at closing too, are printed after any end of the run. Opening them starts the recorder."""
     with contextlib.ExitStack() as closed, devices as source, status_line() as line:
         closed.callback(lambda: _say_failures(source.failures))
         run = OpenRun(source, line, recorder)
@@ -95,7 +95,7 @@ def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecord
 
 @contextlib.contextmanager
 def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> Iterator[OpenRun]:
-    """As `open_run`, recorded as a rig's devices are."""
+    """As `open_run`, with a recording like that of a rig's devices."""
     with open_run(devices, recorder) as run:
         recorder.start(RigLayout(tuple(run.source.streams)), run.source.start_ns)
         yield run
@@ -142,8 +142,8 @@ class Watch:
 
     @contextlib.contextmanager
     def halts(self, robot: WatchedRobot) -> Iterator[None]:
-        """In any case, the arm is then halted, also if halting it was interrupted. Beyond it are the end of each
-        velocity after 40 ms, and the driver, which erases the arm's trajectories as it closes."""
+        """In any case the arm is then halted, even if an attempt was interrupted. In addition each velocity ends after
+        40 ms, and the driver erases the arm's trajectories when it closes."""
         self.robot = robot
         reason = "the page that moved it has ended"
         try:
@@ -177,9 +177,9 @@ def permitted(
     ask for a finger on the tip, if the force there is the only guard.
 
     calibrated: the required calibrations, by name, and whether they are done; yes: do not ask
-    places_m: (n, 2) that will be touched, None = any that can be reached; page: where the question can be answered too
-    The checks are repeated after the question, which may have waited for long. Raises InputError if a check fails, or
-    no person says yes, and ExplorationStopped if the answer is Ctrl-C.
+    places_m: (n, 2) places that will be touched, None = any that can be reached; page: where the question can be
+    answered too The checks are repeated after the question, which may have waited for long. Raises InputError if a
+    check fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C.
     """
     from deformscope.experiments.touching_robot import CheckFirst
     from deformscope.session import ask
@@ -270,7 +270,7 @@ def leave(
 
 
 def signal_word(number: int) -> str:
-    """As people call it."""
+    """The signal's name for people."""
     import signal
 
     return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name if number else "request"

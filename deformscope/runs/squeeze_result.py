@@ -28,11 +28,13 @@ class SqueezeResult(LibraryResult):
     """Outcome of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
 
     content: the requested one or, in the laboratory, the random one; stop: why it ended before its steady state
-    start_ns: start of the recording; computed: None where it was stopped; answer: answer of a model, None without one
+    start_ns: start of the recording; computed: features and events, None if it was stopped; answer: answer of a model,
+    None without one
     placement, sightings: placement and sightings of an arm that placed the hand, None and none where a person did;
     withdrawal: why it stopped on its way back
     hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are restored
-    truth: when the laboratory's container was touched and held [s]; untracked: why it was not tracked on, or empty
+    truth: true times of the contact with the laboratory's container and of the hold [s]; untracked: why it was not
+    tracked on, or empty
     """
 
     rig: str = field(metadata=reported())
@@ -61,8 +63,8 @@ class SqueezeResult(LibraryResult):
     @property
     @derived(optional=True, json=lambda by_name: {name: len(one) for name, one in by_name.items()} or None)
     def features(self) -> Mapping[str, FloatArray]:
-        """By modality, as classifiers take them: `tactile` (72,) [counts], `physical` (13,), and where the container
-        could be tracked `vision` (3721,) and `vision_small` (121,) [m]; empty where it was stopped."""
+        """Features for classifiers, by modality: `tactile` (72,) [counts], `physical` (13,), and if the container could
+        be tracked `vision` (3721,) and `vision_small` (121,) [m]; empty if the squeeze was stopped."""
         return {} if self.computed is None else self.computed.modalities
 
     computed: TrialFeatures | None = field(metadata=reported(flat=True))

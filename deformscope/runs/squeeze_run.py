@@ -46,7 +46,7 @@ measured on recordings of lab:containers."""
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class SqueezeOutcome:
-    """Outcome of a squeeze. asked: the person who ended it, if any"""
+    """Outcome of a squeeze. asked: who requested the end, if a person did"""
 
     result: SqueezeResult
     asked: Interruption

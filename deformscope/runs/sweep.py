@@ -62,7 +62,7 @@ class Variation:
     """One way to compute a file. settings: the varied ones, by name; argument: argument of the function, besides the
     file
 
-    identity: all that decides the result but for the file, in words
+    identity: text of everything that determines the result except the file
     """
 
     settings: Mapping[str, object]
@@ -85,7 +85,7 @@ class SweepTask:
 
 @dataclass(frozen=True, slots=True)
 class SweepOptions:
-    """How tasks are computed; as the flags of `deformscope sweep`."""
+    """How tasks are computed: the flags of `deformscope sweep`."""
 
     on: ExecutorOptions = field(default_factory=ExecutorOptions)
     workers: int | None = None
@@ -95,7 +95,7 @@ class SweepOptions:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SweepResult(LibraryResult):
-    """Outcome of the tasks. table: a row each; computed: how many were computed now; seconds: that this took"""
+    """Outcome of the tasks. table: a row each; computed: how many were computed now; seconds: duration of this sweep"""
 
     folder: Path
     table: pa.Table
@@ -112,7 +112,7 @@ class SweepResult(LibraryResult):
 
     @property
     def marked(self) -> str:
-        """How many commands gave their result with another exit status than 0, in words; empty where none did."""
+        """Text with the number of commands that gave a result but did not exit with 0; empty if there are none."""
         count = pc.count(self.table[EXIT_STATUS]).as_py() if EXIT_STATUS in self.table.schema.names else 0
         return f", {count} of them with an exit status that is not 0" if count else ""
 
@@ -144,7 +144,7 @@ def sweep_on(
     begin: Callable[[], None] | None = None,
     progress: Progress | None = None,
 ) -> SweepResult:
-    """Compute each source in each way that was not computed before, and write the outcome of all.
+    """Compute each source with each variation that was not computed before, and write the outcome of all.
 
     function: function of a module; returns values of JSON's types Raises InputError without a worker, or for an
     unusable folder; a task that fails is a row with its reason.
@@ -353,9 +353,9 @@ def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
 
 
 def in_order(paths: Iterable[Path], out: Path, match: str, where: Path) -> list[Path]:
-    """In natural order, folder by folder, without the files in OUT. match: names like this alone
+    """The sources in natural order, folder by folder, without the files in OUT. match: names like this alone.
 
-    Raises InputError where there are none.
+    Raises InputError if there are none.
     """
     own = out.resolve()
     found = [one for one in paths if (not match or one.match(match)) and own not in one.resolve().parents]

@@ -1,4 +1,4 @@
-"""Whether a recording is whole: its bytes, its structure, and what it counted as lost."""
+"""Checks whether a recording is whole: its bytes, its structure, and the losses that it counted."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Damaged(InputError):
 
 @dataclass(frozen=True, slots=True)
 class VerifyResult(FoundResult):
-    """What `verify` found. error: what is wrong with the recording, None = nothing; remarks: on what was listed
-    losses: what it lacks although it can be read whole"""
+    """What `verify` found. error: what is wrong with the recording, None = it is whole; remarks: remarks on what is
+    listed; losses: data that it lacks although it can be read completely"""
 
     error: Damaged | None = None
     remarks: tuple[str, ...] = ()

@@ -14,7 +14,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, slots=True)
 class RunningDouble:
-    """A double that another process runs. driver: the package that speaks to it; port: its end of the wire"""
+    """A double that another process runs. driver: name of the package with its driver; port: its end of the wire"""
 
     driver: str
     port: str

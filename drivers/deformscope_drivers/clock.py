@@ -23,7 +23,7 @@ class Stamp:
 
     host_ns: monotonic host clock [ns]; for media without a clock (a video file), the media time since its start [ns]
     device_ticks: the device's own counter or clock, in its own unit; None where it has none
-    late_ns: how late the device is by calibration, which host_ns has been put back by [ns]; None = host_ns is arrival
+    late_ns: calibrated delay of the device, which was subtracted from host_ns [ns]; None = host_ns is the arrival
     """
 
     host_ns: int
@@ -32,7 +32,7 @@ class Stamp:
 
     @property
     def arrived_ns(self) -> int:
-        """When it arrived, as stamped at first [ns]."""
+        """When the reading arrived [ns]."""
         return self.host_ns + (self.late_ns or 0)
 
     def put_back(self, late_ns: int) -> Stamp:
@@ -75,8 +75,8 @@ class ClockRelation:
     """Relation of a device's clock to the host's.
 
     tick_ns: host time of a device tick [ns]; drift_ppm: its deviation from the nominal tick, None where none is known
-    offset_ns: host time at tick 0, as seen through the shortest delay; residual_ns: root mean square of what the
-    straight line leaves unexplained at the anchors [ns]; anchors: stretches of time that it rests on
+    offset_ns: host time at tick 0, as seen through the shortest delay; residual_ns: root mean square of the anchors'
+    distances from the straight line [ns]; anchors: stretches of time that it rests on
     """
 
     tick_ns: float
@@ -93,8 +93,8 @@ class ClockRelation:
 class ClockFit:
     """Fits a device's clock to the host's, online and in bounded memory.
 
-    A reading arrives late by a delay that is never negative and often small. So of every stretch of time the reading
-    with the least delay becomes an anchor, and a straight line goes through the anchors.
+    A reading arrives late by a delay that is never negative and often small. Therefore the reading with the least delay
+    in each stretch of time becomes an anchor, and a straight line is fitted to the anchors.
     tick_ns: nominal host time of a tick, where the device's documents name one
     """
 

@@ -1,6 +1,6 @@
 """Readings that are missing by time: a device that should send and did not, whatever its own counter says.
 
-A counter restarts after a lost link, wraps in a long pause, or is absent; the host's clock continues. So a pause
+A counter restarts after a lost link, wraps in a long pause, or is absent; the host's clock continues. Therefore a pause
 between readings is compared with the rate at which the device sent before it.
 """
 
@@ -80,8 +80,8 @@ class Continuity:
         self._last_ns = now_ns if self._last_ns is None else self._last_ns
 
     def expect(self, now_ns: int, rate_hz: float | None) -> None:
-        """Expected readings from now on. rate_hz: as the device was set, 0 = unknown; None = no readings without
-        request"""
+        """Expected readings from now on. rate_hz: rate to which the device was set, 0 = unknown; None = no readings
+        without request"""
         if rate_hz == self._set_hz:
             return
         if self._set_hz is None or rate_hz is None:
@@ -117,7 +117,7 @@ class Continuity:
         self._got += count
 
     def lose_link(self, now_ns: int) -> None:
-        """The link is lost: what is sent after the last reading does not come."""
+        """Note that the link is lost: readings sent after the last one do not arrive."""
         if self._pause is not None and self._pause.unlinked:
             return
         self._settle(now_ns)
@@ -125,7 +125,7 @@ class Continuity:
         self._pause = self._pause_from(start_ns, self._got_at_last, unlinked=True)
 
     def end(self, now_ns: int) -> None:
-        """The device is closed: what does not come after now_ns [ns] is not missing."""
+        """Note that the device is closed: no reading is missing after now_ns [ns]."""
         self._over_ns = now_ns if self._over_ns is None else self._over_ns
 
     def at(self, now_ns: int) -> Missing:

@@ -1,8 +1,9 @@
 """Parts that every device has: opening and closing, three ways to read, automatic reconnection, and a report of its
 health.
 
-One thread owns the link, from opening to closing: it alone reads and writes. Calls from other threads are handed to it
-(`_do`). So no lock guards a port, no reading is torn, and a cable that was pulled out is noticed in one place.
+One thread owns the link, from opening to closing: only this thread reads and writes. Calls from other threads are
+handed to it (`_do`). Therefore no lock guards a port, no reading is split, and a cable that was pulled out is noticed
+in one place.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ RAW_DROPPED = "raw_dropped"
 """In `Health.extra`: pieces of raw bytes that a reader was too slow to take."""
 JOINING_BYTES = "joining_bytes"
 """In `Health.extra`: skipped bytes that came before the first good frame of a link, as from a device that was sending
-already: nothing is lost with them."""
+already: no reading is lost with them."""
 
 
 class Measurement(Protocol):
@@ -53,7 +54,7 @@ ItemT = TypeVar("ItemT")
 
 @dataclass(frozen=True, slots=True)
 class Reconnect:
-    """How a lost link is sought: after first_s, then after twice as long each time, up to longest_s."""
+    """How a lost link is opened again: after first_s, then after twice the time before, up to longest_s."""
 
     first_s: float = 0.05
     longest_s: float = 2.0
@@ -63,13 +64,13 @@ RECONNECT = Reconnect()
 
 
 class EndOfReadings(Exception):
-    """For a `_receive` at the end of its data, such as a file: readers end, as after closing the device. Its words
-    become the reason in `health()`."""
+    """Raised by a `_receive` at the end of its data, such as a file: readers end, as after closing the device. Its
+    words become the reason in `health()`."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawChunk:
-    """Bytes as they went over the wire. host_ns: when [ns]; sent: from the host to the device"""
+    """Bytes as they went over the wire. host_ns: when [ns]; sent: the host sent them to the device"""
 
     host_ns: int
     data: bytes
@@ -83,11 +84,12 @@ class Device(ABC, Generic[MeasurementT]):
     - `device.next(timeout_s)` the next reading that arrives
     - `device.latest(max_age_s)` the newest reading, refused when it is older than that
 
-    name: for messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly the
-    same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
+    name: name in messages; reconnect: None = a lost link ends the session; stuck_after_s: readings that stay exactly
+    the same for this long mean a stuck sensor, None = they may; clock: the host's, or a simulated laboratory's
     late_ns: set before opening, the device's calibrated delay [ns]: the stamps in all queues are earlier by it A
-    subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread. One with large readings
-    gives `queue_readings` too, the default queue length of a slow reader; one in a robot's control loop sets `prompt`.
+    subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread. A device with large
+    readings sets `queue_readings` too, the default queue length of a slow reader; a device in a robot's control loop
+    sets `prompt`.
     """
 
     queue_readings: ClassVar[int] = QUEUE_READINGS
@@ -186,7 +188,7 @@ class Device(ABC, Generic[MeasurementT]):
         return self
 
     def close(self) -> None:
-        """Stop reading and close the link. All readers come to their end. Closing twice is nothing."""
+        """Stop reading and close the link. All readers then end. Closing twice is nothing."""
         thread = self._thread
         if thread is None:
             return
@@ -212,7 +214,7 @@ class Device(ABC, Generic[MeasurementT]):
 
     @property
     def is_open(self) -> bool:
-        """Between open() and close(), whether the link is up or sought."""
+        """Whether it is between open() and close(), even while the link is lost."""
         return self._thread is not None
 
     @property
@@ -274,7 +276,7 @@ class Device(ABC, Generic[MeasurementT]):
         return last
 
     def poll(self, timeout_s: float = 0.0) -> list[MeasurementT]:
-        """One round of a device that was opened without a thread of its own; the readings that came."""
+        """Run one round of a device that was opened without a thread, and return the readings that came."""
         if self._own_thread or self._thread is None:
             raise NotConnected("a device opened with own_thread=False", "another", where=self.name)
         self._require_open()
@@ -293,7 +295,7 @@ class Device(ABC, Generic[MeasurementT]):
     # More to look at -------------------------------------------------------------------------------------------------
 
     def raw(self, capacity: int = QUEUE_CHUNKS) -> Subscription[RawChunk]:
-        """A queue of all bytes from now on, in both directions, as recorded; empty for what sends no bytes."""
+        """A queue of all bytes from now on, in both directions, as recorded; empty for a device without bytes."""
         return self._subscribe(self._chunks, capacity)
 
     def events(self, capacity: int = QUEUE_EVENTS) -> Subscription[LinkEvent]:

@@ -24,7 +24,7 @@ class Double(Protocol):
         """Bytes that have left the device by now and were not handed out before."""
 
     def next_ns(self, now_ns: int) -> int | None:
-        """When `due` has something next, without any bytes from the host; None = only bytes from the host matter."""
+        """When `due` next has bytes, without any from the host; None = it only answers bytes from the host."""
 
     def power_up(self, now_ns: int) -> None:
         """Start as after power-on: settings that are not stored are lost, and nothing is left to send."""
@@ -43,7 +43,7 @@ class Line:
         self.free_ns = 0
 
     def send(self, message: bytes, now_ns: int) -> None:
-        """Send behind what is being sent."""
+        """Send after the bytes that are being sent."""
         start = max(now_ns, self.free_ns)
         self._messages.append((start, message))
         self.free_ns = start + round(len(message) * self._ns_per_byte)
@@ -65,8 +65,8 @@ class Line:
         return bytes(out)
 
     def next_ns(self) -> int | None:
-        """When there is something to hand out again: the rest of a message, or a FIFO's worth of bytes, whichever comes
-        first. None = the line is idle."""
+        """When bytes are due next: the rest of a message, or the content of a full FIFO, whichever comes first. None =
+        the line is idle."""
         if not self._messages:
             return None
         start, message = self._messages[0]

@@ -5,7 +5,7 @@ DeviceError
  |   +- Busy           another program, or another session, has it
  +- LinkLost           it was there, and is gone (a reconnect may follow)
  +- NoReply            it is there, and did not answer in time
- +- ProtocolViolation  it answered what its protocol does not allow
+ +- ProtocolViolation  it sent bytes that its protocol does not allow
  +- CommandRefused     it answered with an error code
  +- SettingsRefused it runs with other settings than the requested ones
  +- OutOfLimits        a command that would leave the limits; nothing was sent
@@ -59,13 +59,13 @@ class NoReply(DeviceError):
 
 
 class ProtocolViolation(DeviceError):
-    """The device said what its protocol does not allow."""
+    """The device sent bytes that its protocol does not allow."""
 
 
 class CommandRefused(DeviceError):
     """The device answered with an error code.
 
-    code: the device's number; name: what its documents call it
+    code: the device's number; name: its name in the device's documents
     """
 
     def __init__(self, code: int, name: str, doing: str, try_this: str = "", where: object = "") -> None:

@@ -1,6 +1,7 @@
 """Finding frames in a byte stream that may hold anything: what every byte-stream decoder is made of.
 
-No port, no clock, no thread. Bad bytes are events, never exceptions: they are counted and recorded like good ones.
+This module uses no port, clock or thread. Bad bytes are events, never exceptions: they are counted and recorded like
+good ones.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ class Skipped:
 
     count: how many, 1 or more
     reason: `noise` where nothing looked like a frame; else why the frame that seemed to start there was refused
-    ("checksum", "length"...). For any division of the bytes into pieces, there is one event with a reason other than
-    `noise` for every refused frame, and the counts of all events sum up to the refused bytes.
+    ("checksum", "length"...). However the bytes are divided, each refused frame has one event with a reason other than
+    `noise`, and the counts of all events sum up to the refused bytes.
     """
 
     count: int
@@ -46,10 +47,10 @@ class Refused:
 
 
 class FrameDecoder(ABC, Generic[EventT]):
-    """Feed any slice of a stream; get every whole frame in it, and the bytes that fit none.
+    """Decodes any slice of a stream into whole frames, and the bytes that belong to none.
 
-    After a refused frame the search continues one byte behind its start, so that a good frame within a bad one is
-    found. The buffer between calls is shorter than the longest frame.
+    After a refused frame the search continues one byte after its start, so that a good frame inside a bad one is found.
+    The buffer between calls is shorter than the longest frame.
     """
 
     def __init__(self) -> None:

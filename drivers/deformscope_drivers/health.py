@@ -45,7 +45,7 @@ class Health:
     dropped: readings that came and that a reader was too slow to take, over all readers
     skipped_bytes: bytes that fit no frame; refused: frames refused, by reason (checksum, length...)
     resyncs: stretches of skipped bytes; reconnects: links made again
-    rate_hz: readings a second lately, 0 where none; age_s: since the last reading, None before the first
+    rate_hz: readings a second lately, 0 where none; age_s: time since the last reading, None before the first
     stuck: the same reading came again and again, as from a sensor that has died behind a link that lives
     clock: relation of the device's clock to the host's, None without one
     extra: what only this kind of device counts
@@ -95,7 +95,7 @@ class Rate:
         self._times.append(host_ns)
 
     def at(self, now_ns: int) -> float:
-        """The rate as of now: it falls when nothing comes any more."""
+        """The present rate: it falls when readings stop."""
         while self._times and now_ns - self._times[0] > RATE_SPAN_NS:
             self._times.popleft()
         if len(self._times) < 2:
@@ -162,7 +162,7 @@ class Tally:
         self.continuity.count_lost(count)
 
     def refuse(self, reason: str) -> None:
-        """Count a frame that was refused. reason: by which it is counted"""
+        """Count a frame that was refused. reason: reason under which it is counted"""
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
     def in_sync(self) -> None:

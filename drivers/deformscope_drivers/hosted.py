@@ -1,9 +1,9 @@
-"""A driver in a process of its own: how it is started, what is sent both ways, and how it ends.
+"""A driver in a separate process: how it is started, what is exchanged, and how it ends.
 
-`HostedProcess` is the end of the program that uses the device. It starts `python -m deformscope_drivers.hosted FD` and
-gives it one end of a socket pair. The first message is a function of the driver's package with its settings. The
-function runs there with a `Channel`, the other end, as its first argument. Messages are pickled tuples that begin with
-their kind: `("opened", report)` when the device is open, and `("failed", error)` for a DeviceError that ends the
+`HostedProcess` is the end of the program that uses the device. The program starts `python -m deformscope_drivers.hosted
+FD` and gives it one end of a socket pair. The first message is a function of the driver's package with its settings.
+The function runs there with a `Channel`, the other end, as its first argument. Messages are pickled tuples that begin
+with their kind: `("opened", report)` when the device is open, and `("failed", error)` for a DeviceError that ends the
 process. Drivers and their devices may add others.
 
 When the program ends, for any reason, the socket closes: the function detects that in `Channel.poll` and
@@ -32,13 +32,13 @@ ASK_END_S = 2.0
 
 
 class ProcessEnded(LinkLost):
-    """The hosted process is not there, or its end of the socket is closed."""
+    """The hosted process has ended, or its end of the socket is closed."""
 
 
 class HostedProcess:
     """The program's end of a process that hosts a driver. Messages may be sent from any thread.
 
-    expected, where: for the words of the error that says that the process has ended; status_s: time to wait for its
+    expected, where: words of the error that reports that the process has ended; status_s: time to wait for its
     exit status then [s], None = not at all, for urgent calls
     """
 
@@ -81,7 +81,7 @@ class HostedProcess:
         return None
 
     def send(self, *message: object) -> None:
-        """Send a message: its kind, then what belongs to it. Raises ProcessEnded."""
+        """Send a message: its kind, then its values. Raises ProcessEnded."""
         try:
             with self._sending:
                 self._running().send(message)
@@ -97,7 +97,8 @@ class HostedProcess:
             raise self._ended() from error
 
     def exit_status(self, timeout_s: float) -> int | None:
-        """Waits for the end of a process whose end of the socket is closed; None where it has not ended by then."""
+        """Waits for the exit status of a process whose end of the socket is closed; None if it has not ended in
+        time."""
         if self._process is None:
             return None
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -135,8 +136,8 @@ class Channel:
         self._connection, self._sending = connection, threading.Lock()
 
     def send(self, *message: object) -> None:
-        """One to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that is
-        unknown there arrives with its text, as a DeviceError: it must not end the process that moves an arm."""
+        """A message to a program that has ended is dropped: `poll` and `receive` notice that. An error of a class that
+        is unknown there arrives with its text, as a DeviceError: it must not end the process that moves an arm."""
         with self._sending, contextlib.suppress(OSError):
             try:
                 self._connection.send(message)
@@ -157,8 +158,8 @@ class Channel:
 
 
 def hosted_command(descriptor: str) -> list[str]:
-    """This interpreter, with no module of the working folder's (-P). descriptor: descriptor of the process's end of the
-    socket"""
+    """Command with this interpreter, which ignores modules in the working folder (-P). descriptor: descriptor of the
+    process's end of the socket"""
     return [sys.executable, "-S", "-P", "-m", "deformscope_drivers.hosted", descriptor]
 
 

@@ -9,7 +9,7 @@ from deformscope_drivers.memory import SimulatedClock
 
 
 class Pacer:
-    """For devices that make their readings themselves, at a rate.
+    """Times for devices that produce readings at a rate.
 
     clock: the device's; a simulated one advances during the wait
     """

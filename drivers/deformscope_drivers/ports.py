@@ -22,7 +22,7 @@ SERIAL_ADAPTER = "a serial port or adapter; the SDH's tactile controller or its 
 class FoundDevice:
     """Something that is plugged in.
 
-    driver: the package that speaks to it; empty where only a query would show it
+    driver: name of the package with its driver; empty if only a query would determine it
     port: what a configuration names; serial: its serial number, or that of the USB adapter
     """
 

@@ -14,7 +14,7 @@ T = TypeVar("T")
 class Subscription(Generic[T]):
     """A reader's remaining items.
 
-    It ends when the device is closed, or with the error that ended the device; what waits then is still given out.
+    It ends when the device is closed, or with the error that ended the device; waiting items are still given.
     received: items that were put in; dropped: items lost because the reader was slow.
     Always: received = taken + dropped + waiting.
     """
@@ -67,7 +67,7 @@ class Subscription(Generic[T]):
             return self._items.popleft()
 
     def take(self) -> list[T]:
-        """All that waits, at once, without waiting. Raises what ended the device once nothing is left."""
+        """All waiting items, without waiting for more. Raises what ended the device once nothing is left."""
         with self._changed:
             items = list(self._items)
             self._items.clear()
@@ -81,12 +81,12 @@ class Subscription(Generic[T]):
         return self._ended
 
     def close(self) -> None:
-        """Take no more."""
+        """Receive no more items."""
         self._leave(self)
         self.end()
 
     def put(self, item: T) -> bool:
-        """For the device: add an item; whether one was lost for it."""
+        """Add an item, as the device does; returns whether another one was dropped for it."""
         with self._changed:
             if self._ended:
                 return False

@@ -29,8 +29,8 @@ ViewT = TypeVar("ViewT")
 @dataclass(frozen=True, slots=True)
 class SyntheticConfig:
     """rate_hz: pictures a second of a scene; seed: seed of everything that is random
-    silence_s: without a picture, after which the link counts as lost; stuck_after_s: time of the same picture, after
-    which it counts as stuck; None = never
+    silence_s: time without a picture after which the link counts as lost; stuck_after_s: time of the same picture,
+    after which it counts as stuck; None = never
     """
 
     name: str
@@ -45,7 +45,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
 
     scene: the visible scene at a time since opening [s]; None = only pushed pictures A picture's device_ticks are the
     camera's own time since opening [us]. Everything that is random comes from `seed`. It runs in real time with a
-    thread of its own, or on a simulated clock with open(own_thread=False) and poll().
+    thread, or on a simulated clock with open(own_thread=False) and poll().
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
@@ -85,7 +85,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
     # For the program that fills it -----------------------------------------------------------------------------------
 
     def push(self, view: ViewT) -> None:
-        """Show the camera a view now; it gives one picture of it. Views of a camera that is closed are nothing."""
+        """Show the camera a view, of which it gives one picture. Views of a camera that is not open are ignored."""
         with self._lock:
             if len(self._pushed) == PUSHED:
                 self._pushed.popleft()
@@ -105,7 +105,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
         self._plugged = True
 
     def stop(self) -> None:
-        """Send no more pictures, on a link that stays."""
+        """Send no more pictures; the link stays open."""
         self._silent = True
 
     def resume(self) -> None:

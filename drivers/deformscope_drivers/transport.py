@@ -1,6 +1,6 @@
 """Transports to a device: serial ports, sockets and CAN buses.
 
-A transport carries bytes. It decodes nothing; it says at once when the link is gone.
+A transport carries bytes. A transport decodes nothing; it reports immediately when the link is lost.
 Rig files, which may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted
 here, some of which write files (`spy://`) or load classes (`alt://`).
 """
@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 class Transport(ABC):
-    """Bytes to and from one device. One thread at a time uses it; `wake` alone may be called from others.
+    """Bytes to and from one device. One thread at a time uses it; only `wake` may be called from others.
 
     name: the port or bus, for messages
     """
@@ -53,7 +53,7 @@ class Transport(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open it and forget what waits in it; raises NotConnected (Busy where another has it)."""
+        """Open it and discard waiting bytes; raises NotConnected (Busy if another program has it)."""
 
     @abstractmethod
     def close(self) -> None:
@@ -65,7 +65,7 @@ class Transport(ABC):
 
     @abstractmethod
     def write(self, data: bytes) -> None:
-        """Send all of it; raises LinkLost."""
+        """Send all bytes; raises LinkLost."""
 
     def wake(self) -> None:  # noqa: B027 (most cannot)
         """End a `read` that waits, where the transport can."""
@@ -80,7 +80,7 @@ class Transport(ABC):
 
 
 def check_port(port: str) -> None:
-    """Raises NotConnected for what is neither a path nor an address of a documented kind; opens nothing."""
+    """Raises NotConnected for a text that is neither a path nor an address of a documented kind; opens nothing."""
     if "://" in port and not _NETWORK_PORT.fullmatch(port):
         raise NotConnected(PORTS, "another kind of port", 'port = "/dev/ttyACM0"', port)
 
@@ -88,7 +88,7 @@ def check_port(port: str) -> None:
 class SerialTransport(Transport):
     """A serial port, or one behind the network: `/dev/ttyACM0`, `socket://host:port`, `rfc2217://host:port`.
 
-    port: as `check_port` accepts it; baudrate: symbols a second, 8N1, no flow control (USB and sockets ignore it)
+    port: a port that `check_port` accepts; baudrate: symbols a second, 8N1, no flow control (USB and sockets ignore it)
     """
 
     def __init__(self, port: str, baudrate: int) -> None:
@@ -243,7 +243,7 @@ class CanTransport(Transport):
 def parse_bus(bus: str) -> tuple[str, str, dict[str, Any]]:
     """Interface, channel and options of `interface:channel?option=value&...`; opens nothing.
 
-    Raises NotConnected where a part is missing, or is none that is accepted.
+    Raises NotConnected if a part is missing or not accepted.
     """
     interface, colon, rest = bus.partition(":")
     channel, _, query = rest.partition("?")
@@ -267,7 +267,7 @@ def _number(text: str) -> int | float | str:
 
 
 def open_bus(bus: str, receive_id: int, bitrate: int) -> Any:
-    """A python-can bus that gives the frames of one id. bus: as for `CanTransport`; raises NotConnected."""
+    """A python-can bus that gives the frames of one id. bus: as in `CanTransport`; raises NotConnected."""
     import can
 
     interface, channel, options = parse_bus(bus)

@@ -20,7 +20,7 @@ class UsbDevice:
 
 
 def usb_device(folder: Path) -> UsbDevice | None:
-    """The USB device of a folder under /sys/bus/usb/devices; None for an interface, or what is none."""
+    """The USB device of a folder under /sys/bus/usb/devices; None for an interface, or another folder."""
     try:
         vendor = int(sysfs_text(folder / "idVendor"), 16)
         product = int(sysfs_text(folder / "idProduct"), 16)
@@ -39,7 +39,7 @@ def usb_device(folder: Path) -> UsbDevice | None:
 
 
 def sysfs_text(path: Path) -> str:
-    """A file's text without the space around it; empty where there is none."""
+    """A file's text without the space around it; empty without a file."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

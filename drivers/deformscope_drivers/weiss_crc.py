@@ -1,9 +1,10 @@
 """The checksum of the SDH's tactile controller (Weiss DSACON32m) and of the hand's binary protocol on RS-232.
 
-No named standard: the table is that of CRC-16/CCITT (polynomial 0x1021, most significant bit first), and the update
-shifts the other way, as in reflected CRCs. Over the ASCII digits "123456789" it gives 0x6EB4, where CRC-16/CCITT-FALSE
-gives 0x29B1 and CRC-16/MCRF4XX 0x6F91; a CRC library does not have it. It is no true cyclic code: every flipped bit
-changes it, and some pairs of flipped bits do not. Source: ipab-slmc/SDHLibrary-CPP, sdh/crc.h (facts, not code).
+The checksum is no named standard: the table is that of CRC-16/CCITT (polynomial 0x1021, most significant bit first),
+and the update shifts the other way, as in reflected CRCs. For the ASCII digits "123456789" it is 0x6EB4, while
+CRC-16/CCITT-FALSE is 0x29B1 and CRC-16/MCRF4XX 0x6F91; CRC libraries do not have it. The code is not truly cyclic:
+every flipped bit changes it, but some pairs of flipped bits do not. Source: ipab-slmc/SDHLibrary-CPP, sdh/crc.h (facts,
+not code).
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Wire(ABC):
         self._thread.start()
 
     def unplug(self) -> None:
-        """Pull the cable out, in the middle of whatever is being sent. Pulling twice is nothing."""
+        """Pull the cable out, even while bytes are being sent. Pulling twice is nothing."""
         thread, self._thread = self._thread, None
         if thread is None:
             return
@@ -103,8 +103,8 @@ class PtyWire(Wire):
     """A pseudo terminal; `port` stays the same when the cable is pulled out and put back.
 
     The port is a descriptor of this process under /proc, which other processes of the same user can open. The kernel
-    removes it with the process in any case, while a link in a folder would remain. It has no baud rate: a double that
-    should be slow paces itself (`doubles.Line`).
+    removes it with the process in any case, while a link in a folder would remain. A pseudo-terminal has no baud rate:
+    a double that should be slow limits its rate (`doubles.Line`).
     """
 
     def __init__(self, double: Double) -> None:
@@ -203,7 +203,7 @@ class TcpWire(Wire):
 class CanWire(Wire):
     """A CAN bus, over which the double's bytes go in frames of up to 8. Ids as the host's `CanTransport` has them.
 
-    bus: as for `CanTransport`; `port` is the same. padded: fill the last frame of a piece up with zeros
+    bus: as in `CanTransport`; `port` is the same. padded: fill the last frame of a piece up with zeros
     """
 
     is_bus = True

@@ -56,7 +56,7 @@ def exploration_blueprint(
     inclusions: whether they are sought: they replace beta
     tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: the quantity that
-    distinguishes regions; full: also results between frames and estimates, as tabs
+    distinguishes regions; full: show also results between frames and estimates, as tabs
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}

@@ -23,7 +23,7 @@ from deformscope.stages.map.exploration import MapEstimate, SurfaceEstimate, Tou
 ABOVE_M, APART_M = 0.002, 0.07
 """How far the lines are above the surface, and their names above its far edge and each other."""
 WIDTHS_M = 3 * LINE_M, LINE_M
-"""Both are seen where they are the same."""
+"""Line widths, chosen so that both lines are visible where they coincide."""
 
 
 def comparison_rrd(
@@ -37,7 +37,7 @@ def comparison_rrd(
     """rerun data that a viewer lays over a recording, with views of both.
 
     identity, streams, size_m: identity, streams and size of the recording and its surface; recorded: its results with
-    their time since its start [ns]; again: those that other settings give; name: name of these
+    their time since its start [ns]; again: results with other settings; name: name of these
     """
     rec = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
     encoded = rr.binary_stream(rec)

@@ -26,7 +26,7 @@ class ExplorationLayout(RecordingLayout):
     the arm's base frame [m], None = the same
 
     truth: whether it is known; inclusions: whether they are sought; mapped: as in `MapEstimate`
-    full: also results between frames and estimates; T_surface_camera: (4, 4), None = not known
+    full: show also results between frames and estimates; T_surface_camera: (4, 4), None = not known
     """
 
     size_m: tuple[float, float]

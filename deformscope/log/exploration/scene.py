@@ -48,10 +48,8 @@ def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
 
 
 def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) -> None:
-    """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process.
-
-    colored: by its height: as long as no map is known
-    """
+    """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process. colored: colour
+    it by its height, as long as there is no map"""
     points = surface.points_m
     low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
     share = (points[:, 2] - low) / max(high - low, 1e-9)

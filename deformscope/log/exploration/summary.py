@@ -1,4 +1,4 @@
-"""Results so far, as text and numbers."""
+"""The exploration's results so far, as text and numbers."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Measurements are at `KIND/DEVICE`, one row per frame, each field of it a component (`deformscope.rows`);
 `deformscope.recording.items` reads them. Every row is at `session`, the time since the recording's start, and frames
-also at `frame`, their place in the device's own stream. In an exploration's recording that place is on `index`, and
-`frame` is the depth camera's for all.
+also at `frame`, their place in the device's own stream. In an exploration's recording that place is on the timeline
+`index`, and `frame` is the depth camera's frame for all devices.
 
     wrench/DEVICE             counts, forces, flags; below it plots force_n/CHANNEL and torque_nm/CHANNEL
     tactile/DEVICE            counts, pressures; below it the plot peak_kpa, one value a pad
@@ -107,7 +107,7 @@ def prepare_items(
 
     start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are stored as PNG
     rather than JPEG, because something is computed from them (about 9 ms for 640 x 480 instead of 1 ms, and ten times
-    the bytes); place: in an exploration
+    the bytes); place: place on an exploration's timelines
     shown: data that a viewer has already, reused from call to call: they are not sent again
     changes_only: log only changes of a device's state relative to `shown`
     """
@@ -138,7 +138,7 @@ def prepare_items(
 
 
 def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
-    """Make an input ready. frame, session_ns: when it was given"""
+    """Prepare an input for recording. frame, session_ns: when it was given"""
     batch = Batch()
     times = [*moments([session_ns], 0), rr.TimeColumn("frame", sequence=[frame])]
     batch.send_columns(ENTITIES[InputFile], times, recorded([given]))

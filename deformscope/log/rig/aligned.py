@@ -25,8 +25,8 @@ COLORS = RECORDED, OTHER
 class AlignedSeries:
     """Measurements of a device of one of the recordings.
 
-    quantity: with its unit, a plot each; name: name of recording and device; which: 0 the first recording, 1 the second
-    since_ns: (n,) since the recording's first contact [ns]; values: (n,)
+    quantity: quantity with its unit; each has a plot; name: name of recording and device; which: 0 the first recording,
+    1 the second; since_ns: (n,) time since the recording's first contact [ns]; values: (n,)
     """
 
     quantity: str

@@ -31,7 +31,7 @@ SOLID = {
 class Shape:
     """An arm's description as a viewer shows it.
 
-    joints: that the arm's own angles turn, in order; fingers: (joint, angle open, angle closed) [rad]
+    joints: joints that the arm's own angles turn, in order; fingers: (joint, angle open, angle closed) [rad]
     base: the frame of its first link; reach_m: the length of all its links together
     """
 

@@ -106,7 +106,7 @@ def named(stream: Stream, what: str) -> str:
 
 
 def plot_view(origin: str, name: str, *, below: bool = False, window_s: float = WINDOW_S, **more: Any) -> rrb.View:
-    """below: also entities below it; window_s: how far back it shows; more: more of the view"""
+    """below: show also entities below it; window_s: how far back it shows; more: more of the view"""
     now = rrb.TimeRangeBoundary.cursor_relative()
     window = rrb.TimeRangeBoundary.cursor_relative(seconds=-window_s)
     return rrb.TimeSeriesView(

@@ -31,9 +31,10 @@ picture, the state of each device."""
 class Place:
     """Place of rows on an exploration's timelines, in addition to `session`.
 
-    touch: on `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising [ns]. On `frame` a
-    row is at the picture that was newest then, so that all devices scrub together, and on `index` at its index in its
-    own device's stream; frame: at this picture instead, None = by the time; start_ns: the host's clock at `session` 0
+    touch: place on the timeline `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising
+    [ns]. On `frame` a row is at the picture that was newest then, so that all devices scrub together, and on `index` at
+    its index in its own device's stream; frame: use this picture instead, None = find it by the time; start_ns: the
+    host's clock at `session` 0
     """
 
     touch: int
@@ -61,10 +62,8 @@ class Place:
 
 
 class Batch:
-    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams.
-
-    place: place of an exploration: where rows are on its timelines
-    """
+    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams. place: place of an
+    exploration: where rows are on its timelines"""
 
     def __init__(self, place: Place | None = None) -> None:
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
@@ -77,14 +76,14 @@ class Batch:
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
 
     def send_series(self, path: str, host_ns: IntArray, columns: Columns) -> None:
-        """Rows at moments of their own on the host's clock, each at the picture that was newest then."""
+        """Log rows, each at its time on the host's clock and at the picture that was newest then."""
         assert self.place is not None
         own, self.place = self.place, replace(self.place, frame=None)
         self.send_columns(path, moments(host_ns, own.start_ns), columns)
         self.place = own
 
     def show(self, path: str, times: Sequence[rr.TimeColumn], entity: rr.AsComponents) -> None:
-        """One row: an entity at one moment."""
+        """Log one row: an entity at one time."""
         parts = [(one.component_descriptor(), one) for one in entity.as_component_batches()]
         columns = [rr.ComponentColumn(named, one, lengths=[len(one.as_arrow_array())]) for named, one in parts]
         self.send_columns(path, times, columns)
@@ -94,7 +93,7 @@ class Batch:
         self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
 
     def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
-        """Log all of it, or the entities that are visible."""
+        """Send the whole batch, or only the entities that are visible."""
         for path, part in self.parts:
             if visible is not None and not visible(path):
                 continue
@@ -135,7 +134,7 @@ def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
 
 
 def recorded(items: Sequence[object], leave_out: tuple[str, ...] = ()) -> list[rr.ComponentColumn]:
-    """Every field of these except images, and those of their entity and times; all of one class and, if any, device."""
+    """Every field of these items except images, entity and times; all items have the same class and, if any, device."""
     kind, found = type(items[0]), list[rr.ComponentColumn]()
     elsewhere = ("device",) * (kind in OF_DEVICES) + ("index",) * (kind in FRAMES)
     for name, column in to_columns(items, elsewhere + leave_out).items():

@@ -38,11 +38,8 @@ TEXEL_MM = 3.4
 
 @dataclass(frozen=True, slots=True)
 class Hand:
-    """Places of the drawn texels.
-
-    pads: in the device's order; corners: (row, column) corners of each one's first texel, in texels
-    rows, columns: size of the whole picture; texel_mm: (width, height) size of a texel
-    """
+    """Places of the drawn texels. pads: pads in the device's order; corners: (row, column) corners of each one's first
+    texel, in texels; rows, columns: size of the whole picture; texel_mm: (width, height) size of a texel"""
 
     pads: tuple[Pad, ...]
     corners: tuple[tuple[int, int], ...]
@@ -75,7 +72,7 @@ class Hand:
 
     @classmethod
     def of_shapes(cls, shapes: Sequence[tuple[int, ...]]) -> Hand:
-        """Pads of which nothing but their texels is known: side by side."""
+        """Pads of which only the texels are known: they are drawn side by side."""
         texel_m = (TEXEL_MM * 1e-3, TEXEL_MM * 1e-3)
         return cls.of([Pad(f"pad {at}", shape[0], shape[1], texel_m, at, at, 0) for at, shape in enumerate(shapes)])
 
@@ -111,7 +108,8 @@ class Hand:
         ]
 
     def names(self) -> list[tuple[float, float, str]]:
-        """(x, y, text) [mm]: the fingers' names over them and the parts' next to them, else each pad's over it."""
+        """(x, y, text) [mm]: names of fingers above them and of parts next to them; without fingers, each pad's name
+        above it."""
         (x, y), placed = self.texel_mm, list(zip(self.pads, self.corners, strict=True))
         over = [((left + pad.columns / 2) * x, (top - OVER) * y) for pad, (top, left) in placed]
         split = [pad.name.rpartition("_") for pad in self.pads]

@@ -26,7 +26,7 @@ FrameT = TypeVar("FrameT")
 
 
 def thinned(items: Sequence[Item]) -> list[Item]:
-    """The live view of one portion of these, which may be any number, in order of time. It has the newest picture of
+    """The live view of one portion of items, in order of time. It has the newest picture of
     each camera, made smaller, the extremes of plots, and the newest pose, but no bytes of the wire."""
     groups: dict[tuple[type, str], list[Item]] = {}
     for item in items:
@@ -61,8 +61,8 @@ def _count(frames: Sequence[Any], rate_hz: float) -> int:
 
 
 def extremes(frames: Sequence[FrameT], most: int, value: Callable[[FrameT], float]) -> list[FrameT]:
-    """A limited number of them, in order: the least and the greatest value of each of `most // 2` stretches of equal
-    length, so that no peak is left out."""
+    """At most `most` of the values, in order: the least and the greatest of each of `most // 2` stretches of equal
+    length, so that no peak is lost."""
     if len(frames) <= most:
         return list(frames)
     values = np.nan_to_num([value(frame) for frame in frames])

@@ -45,7 +45,7 @@ def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
 
 
 def log_placement(now: ResultBatch, placed: HandPlacement) -> None:
-    """All grasps that were drawn, the one that is reached, and the way to it."""
+    """Log all grasps that were drawn, the grasp that the arm reaches, and its path."""
     strips, colors, widths = [], [], []
     for T, refused in zip(placed.T_table_hands, placed.refused, strict=True):
         palm, middle, aside = T[:3, 3], T[:3, 3] + HAND_M * T[:3, 2], 0.5 * BAR_M * T[:3, 0]

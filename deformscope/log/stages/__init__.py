@@ -51,7 +51,8 @@ def prepare_stage_results(
     *,
     newest_pictures: bool = False,
 ) -> Batch:
-    """Make results ready for one stream or several: the cost is by stage, little by result, but for drawn pictures.
+    """Prepare results for one stream or several. The cost is for each stage; a single result costs little, unless
+    pictures are drawn.
 
     start_ns: host time at which `session` is 0 [ns]; latest: newest result of every stage, reused from call to call
     newest_pictures: draw and mark only the newest result of each stage

@@ -10,7 +10,8 @@ from deformscope.frames import StageResult, Stream
 
 @dataclass(frozen=True, slots=True)
 class StageGroup:
-    """pads: the tactile device, None where it is none; results: plotted; drawn: those that are marked or drawn
+    """pads: layout of the tactile device, None for another device; results: plotted; drawn: results that are marked or
+    drawn
 
     start_ns: host time at which `session` is 0 [ns]
     """

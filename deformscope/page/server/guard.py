@@ -1,4 +1,4 @@
-"""Which requests this server accepts: of a page that it served itself, in a browser that reached it by a loopback name.
+"""Which requests this server accepts: those of a page that it served, in a browser that reached it by a loopback name.
 
 Other programs of this machine and other sites in its browsers lack the token of the address. A site whose own name
 resolves to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin.
@@ -18,7 +18,7 @@ from starlette.websockets import WebSocketClose
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 LOOPBACK_NAMES = ("127.0.0.1", "localhost", "[::1]")
-"""Also through a forwarded port, whose number is another."""
+"""Names of this machine, also through a forwarded port, whose number differs."""
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -42,7 +42,7 @@ class Guard:
     """Passes on valid requests, with a path below the token; answers all others with 403, and a wrong method with 405.
 
     Connections without a valid request are strangers: closed after `REQUEST_S`, and the oldest earlier if there are
-    more than `MOST_STRANGERS`. So they take no connection from a page.
+    more than `MOST_STRANGERS`. Therefore strangers cannot use up the connections for pages.
     """
 
     def __init__(self, app: ASGIApp, token: str) -> None:

@@ -26,7 +26,7 @@ Length = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]
 
 
 class FromPage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """id: which the reply will carry"""
+    """id: number that the reply repeats"""
 
     id: Number
 
@@ -45,7 +45,7 @@ class Beat(FromPage, frozen=True, tag="beat"):
 
 
 class TakeControls(FromPage, frozen=True, tag="take-controls"):
-    """From now on this page steers, and no other."""
+    """From now on only this page steers."""
 
 
 class StartRecording(FromPage, frozen=True, tag="start-recording"):
@@ -74,7 +74,7 @@ class EndEpisode(FromPage, frozen=True, tag="end-episode"): ...
 
 
 class DiscardPart(FromPage, frozen=True, tag="discard"):
-    """The newest episode of the file, or all of it, is not to be used. Nothing is deleted."""
+    """Mark the newest episode of the file, or the whole file, as not to be used. Nothing is deleted."""
 
     what: Literal["episode", "recording"]
     reason: Words
@@ -87,7 +87,7 @@ class TareDevice(FromPage, frozen=True, tag="tare"):
 
 
 class StopRun(FromPage, frozen=True, tag="stop"):
-    """End the run. From any page, with or without the controls."""
+    """End the run. Stop the run, from any page, with or without the controls."""
 
 
 class ConfirmMove(FromPage, frozen=True, tag="confirm"):
@@ -114,7 +114,7 @@ class StartExploring(FromPage, frozen=True, tag="explore"):
 
 
 class PauseExploring(FromPage, frozen=True, tag="pause"):
-    """Begin no further touch. The one under way is ended as any other."""
+    """Begin no further touch. A touch that has begun is completed."""
 
 
 class StartSqueezing(FromPage, frozen=True, tag="squeeze"):
@@ -122,7 +122,7 @@ class StartSqueezing(FromPage, frozen=True, tag="squeeze"):
 
 
 class VetoTouch(FromPage, frozen=True, tag="veto"):
-    """Not where the plan says: it is to choose another place."""
+    """Do not touch the planned place: choose another one."""
 
 
 class TouchNext(FromPage, frozen=True, tag="touch-next"):
@@ -144,7 +144,7 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
 
 
 class OpenFit(FromPage, frozen=True, tag="open-fit"):
-    """Show the model of a camera's images, in addition to the main session. camera: None = the one before, or the
+    """Show the model of a camera's images, in addition to the main session. camera: None = the last one used, or the
     first"""
 
     parameter: Literal["beta", "theta"]
@@ -163,7 +163,8 @@ class SetFit(FromPage, frozen=True, tag="set-fit"):
 
 
 class RunFit(FromPage, frozen=True, tag="run-fit"):
-    """Fit the parameter, with its interval, with the settings. Any later setting ends it."""
+    """Fit the parameter, with its interval, with the settings. Run the whole fit; a later change of a setting ends
+    it."""
 
 
 class TakeRest(FromPage, frozen=True, tag="take-rest"):
@@ -179,8 +180,8 @@ class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
 
 
 class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
-    """The page has drawn the settings' result. number: number of the `SetFit`; after_ms: since a person changed it
-    [ms]"""
+    """The page has drawn the settings' result. number: number of the `SetFit`; after_ms: time since a person changed a
+    setting [ms]"""
 
     number: Number
     after_ms: Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
@@ -223,7 +224,8 @@ class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
 
 
 class CommandReply(ToPage, frozen=True, tag="reply"):
-    """To the command of this id. begun: the outcome will be in the remarks of a later state; words: for people"""
+    """Reply to the command with this id. begun: the outcome will be in the remarks of a later state; words: text for
+    people"""
 
     id: int
     outcome: Outcome
@@ -231,10 +233,11 @@ class CommandReply(ToPage, frozen=True, tag="reply"):
 
 
 class DriftState(msgspec.Struct, frozen=True):
-    """Drift of a force sensor since its tare, while nothing touches it. lasted_s: since then [s]; unit: N or counts
+    """Drift of a force sensor since its tare, while nothing touches it. lasted_s: time since then [s]; unit: N or
+    counts
 
-    now: by axis; line: its length at equal distances in time, from the tare to now; empty before it is known
-    loaded: the force changes faster than any drift, so something touches it; `now` and `line` are of before
+    now: present drift of each axis; line: its length at equal distances in time, from the tare to now; empty before it
+    is known; loaded: the force changes faster than any drift, so something touches it; `now` and `line` are of before
     """
 
     lasted_s: float
@@ -245,7 +248,8 @@ class DriftState(msgspec.Struct, frozen=True):
 
 
 class DeviceState(msgspec.Struct, frozen=True):
-    """One device, as its health says. state: in a word; rate_hz: readings a second [1/s]; age_s: age of the newest [s]
+    """State of one device, from its health. state: state in one word; rate_hz: readings a second [1/s]; age_s: age of
+    the newest [s]
 
     jitter_s: standard deviation of the time between readings [s]; drift: drift of a force sensor
     """
@@ -267,7 +271,7 @@ class DeviceState(msgspec.Struct, frozen=True):
 
 
 class Remark(msgspec.Struct, frozen=True):
-    """Something that happened. number: from 1; at_s: since the page's server began [s]"""
+    """Something that happened. number: from 1; at_s: time since the page's server began [s]"""
 
     number: int
     at_s: float
@@ -276,8 +280,8 @@ class Remark(msgspec.Struct, frozen=True):
 
 
 class PendingMove(msgspec.Struct, frozen=True):
-    """Something that moves when it is confirmed. number: for the confirm; what: the motion; until_s: when it expires,
-    as `PageState.now_s`; seen: the page that steers has drawn it"""
+    """Something that moves when it is confirmed. number: number that a confirmation repeats; what: the motion; until_s:
+    when it expires, on the clock of `PageState.now_s`; seen: the page that steers has drawn it"""
 
     number: int
     what: str
@@ -296,9 +300,9 @@ class NextPlace(msgspec.Struct, frozen=True):
 class ForceCurve(msgspec.Struct, frozen=True):
     """The forecast of a touch's force curve, and the measured one.
 
-    x_m, y_m: where; known: as text, the source of the forecast; force_n: forces; depth_mm, depth_low_mm,
-    depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: as measured, empty before; words: how
-    the two compare
+    x_m, y_m: where; known: source of the forecast, as text; force_n: forces; depth_mm, depth_low_mm,
+    depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: measured curve, empty before the touch;
+    words: how the two compare
     """
 
     x_m: float
@@ -322,11 +326,8 @@ class Chapter(msgspec.Struct, frozen=True):
 
 
 class Playback(msgspec.Struct, frozen=True):
-    """A recording that a page plays.
-
-    timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step time of a single step
-    layer: a file of the page that is to be shown over it, empty = none
-    """
+    """A recording that a page plays. timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step
+    time of a single step; layer: a file of the page that is to be shown over it, empty = none"""
 
     timeline: str
     until_ns: int
@@ -337,16 +338,16 @@ class Playback(msgspec.Struct, frozen=True):
 
 
 class PageState(ToPage, frozen=True, tag="state"):
-    """All that a page shows around the viewer.
+    """State that a page shows around the viewer.
 
-    now_s: since the server began [s]; title: title of the session; reason: why it stopped
-    recording: the file; recorded_since_s: when it was begun, as now_s; free_minutes: until its disk is full at the
-    present pace; episode: label of the present one; held_s: number of last seconds that can still be recorded
+    now_s: time since the server began [s]; title: title of the session; reason: why it stopped; recording: the file;
+    recorded_since_s: when the recording began, on the clock of now_s; free_minutes: time until the disk is full at the
+    present rate; episode: label of the present one; held_s: number of last seconds that can still be recorded
     commands: requests that are possible at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
     pending: waits for a confirm; next_place, curve: next place and curve of an exploration; beat_s: time without a
     `Beat` after which motions stop that a page confirmed [s]; playback: playback of a page that shows a recording; fit:
-    the one that is set on the page
+    the fit that is set on the page
     """
 
     version: int = VERSION
@@ -375,14 +376,15 @@ class PageState(ToPage, frozen=True, tag="state"):
 
 
 class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """From the page, over the way of the viewer's data: all up to this batch was drawn."""
+    """From the page, over the viewer's websocket: all batches up to this one were drawn."""
 
     batch: Number
 
 
 class PieceBatch(msgspec.Struct, frozen=True):
-    """To the page, after the pieces of a batch. behind_s: age of the drawn piece when this was sent; skipped: pieces so
-    far that were too old to be sent; until_ns: session time of the newest in it [ns], 0 = not known"""
+    """To the page, after the pieces of a batch. behind_s: age of the newest drawn piece when this batch was sent;
+    skipped: pieces so far that were too old to be sent; until_ns: session time of the newest in it [ns], 0 = not
+    known"""
 
     batch: int
     last: int

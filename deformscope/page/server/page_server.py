@@ -59,8 +59,8 @@ MessageT = TypeVar("MessageT")
 class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
-    session: the state that pages show, and the commands they give; pieces: data for the viewer in them
-    recording: a file that they play instead; adjusting: they show a fit that is set on them
+    session: the state that pages show, and the commands they give; pieces: data for the viewer in the pages
+    recording: a file that they play instead; adjusting: the pages show a fit that is set on them
     """
 
     def __init__(self, title: str = "", recording: Path | None = None, *, adjusting: bool = False) -> None:
@@ -85,7 +85,7 @@ class PageServer:
 
     @property
     def where(self) -> str:
-        """One line for people."""
+        """The page's address in one line for people."""
         return f"viewer: {self.address} (open it in a browser on this machine)"
 
     def __enter__(self) -> PageServer:
@@ -96,7 +96,7 @@ class PageServer:
         self.close()
 
     def open(self) -> None:
-        """Listen, and return once the page answers. It is served until `close`, or the end of the process."""
+        """Listen, and return once the page answers. Serve the page until `close`, or the end of the process."""
         listening = socket.create_server((LOOPBACK, 0))
         self.address = f"http://{LOOPBACK}:{listening.getsockname()[1]}/{self._token}/"
         guard = Guard(self.routes(), self._token)

@@ -51,8 +51,8 @@ class PageRun(Protocol):
     """The object that carries out the commands of pages."""
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """Carry it out, or begin with it, immediately; the outcome, as text. From the server's thread, which must not
-        wait: a slower command has begun, and its end becomes a remark."""
+        """Carry out a command, or begin with it, immediately; returns the outcome as text. From the server's thread,
+        which must not; wait: a slower command has begun, and its end becomes a remark."""
 
 
 class PageSession:
@@ -75,7 +75,7 @@ class PageSession:
 
     @property
     def state(self) -> PageState:
-        """As it is now."""
+        """The present state."""
         with self._lock:
             return msgspec.structs.replace(self._state, now_s=self._now_s())
 
@@ -88,15 +88,15 @@ class PageSession:
     # For what goes on ------------------------------------------------------------------------------------------------
 
     def bind(self, run: PageRun) -> None:
-        """From now on this one gets the commands."""
+        """From now on this run gets the commands."""
         self._run = run
 
     def bind_secondary(self, run: PageRun) -> None:
-        """From now on this one gets the commands that `show_secondary` names."""
+        """From now on this run gets the commands that `show_secondary` names."""
         self._secondary = run
 
     def show_secondary(self, commands: tuple[str, ...], **changes: Any) -> None:
-        """In addition to those of the main session, these are possible until it has stopped. changes: as `show`"""
+        """Offer these commands in addition to those of the main run, until it has stopped. changes: as `show`"""
         with self._lock:
             if self._state.phase != "stopped":
                 self._secondary_commands = commands
@@ -145,9 +145,9 @@ class PageSession:
         self.enter("recording", recording=file, recorded_since_s=self._now_s(), recorded_bytes=0, **changes)
 
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
-        """Have the page that steers confirm that this moves. One of the two is called, from any thread: `let_be` with
-        the reason if it is cancelled, or not confirmed within CONFIRM_S after the page has drawn it, and from now on if
-        the page does not report that. An earlier request is cancelled."""
+        """Have the page that steers confirm that this moves. One of the two functions is called, from any thread. It is
+        `let_be`, with the reason, if the motion is cancelled, or not confirmed within CONFIRM_S after the page has
+        drawn it. If the page does not report that, the time counts from now. An earlier request is cancelled."""
         self._drop("another move was requested")
         with self._lock:
             self._moves += 1
@@ -180,7 +180,8 @@ class PageSession:
 
     def absent(self) -> str:
         """Why no page steers at this moment: empty while the controlling page is connected and visible, and reports
-        often enough. From any thread, and immediately: called in each control period."""
+        often enough. Whether the page is absent; returns immediately, as it is called in each control period, from any
+        thread."""
         state = self._state
         if not state.controls:
             return "no page has the controls"

@@ -28,7 +28,8 @@ REST, MOST_REST_S = 0.25, 0.25
 
 @dataclass(frozen=True, slots=True)
 class ViewerPiece:
-    """One whole stream of rerun data. number: from 1; lasting: later pieces depend on it; made_s: when [s]
+    """A complete stream of rerun data, which the viewer can read alone. number: from 1; lasting: later pieces depend on
+    it; made_s: when [s]
 
     until_ns: session time of the newest that it or an earlier one holds [ns], 0 = not known
     """
@@ -44,11 +45,11 @@ class ViewerPiece:
 class PageReader:
     """Progress of a page.
 
-    last: the newest piece it was sent; skipped: pieces that were too old for it
-    sent_s, newest_s: when its last batch was sent, and when the newest piece of that was made; drawing: it is not drawn
-    shown_s: when the newest piece was made of the batch before, which it shows until then
-    needs_s: how long it took to draw the last that it has drawn; behind_s: age of its view until then
-    wants_s: when it is to get more: it has other things to do than to draw
+    last: the newest piece it was sent; skipped: pieces that were too old for it; sent_s, newest_s: when its last batch
+    was sent, and when the newest piece in it was made; drawing: the last batch is not drawn yet
+    shown_s: when the newest piece of the previous batch was made, which the page shows until then
+    needs_s: how long the page took to draw the last batch; behind_s: age of its view until then
+    wants_s: when it gets the next batch, so that it has time for other work than drawing
     """
 
     last: int = 0
@@ -149,7 +150,7 @@ class Pieces:
 
     @property
     def period_s(self) -> float:
-        """How long after the piece before one is to be made: soon where a page is ready for it, else now and then."""
+        """Time between two pieces: short if a page is ready for the next, else long."""
         with self._lock:
             now_s = self._clock()
             ready = any(not reader.drawing and now_s >= reader.wants_s for reader in self._readers)

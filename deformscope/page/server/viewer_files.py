@@ -43,12 +43,12 @@ def viewer_executable() -> Path:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Environment of rerun's processes: with it, none sends or asks anything beyond this machine."""
+    """Environment of rerun's processes: with it, they connect to no other machine."""
     return {name: value for name, value in os.environ.items() if name not in NOT_PASSED_ON} | SILENT
 
 
 class ViewerFiles:
-    """Both files of the web viewer, 43 MB that no memory holds. Found at the first request.
+    """Both files of the web viewer: 43 MB, which are not held in memory. Found at the first request.
 
     They are read from the executable itself. rerun would also serve them, but another user of this machine may take
     that port first and serve other files.
@@ -60,7 +60,7 @@ class ViewerFiles:
         self._lock = threading.Lock()
 
     def size(self, name: str) -> int:
-        """Bytes of one of `NAMES`. Raises OSError or InputError where there is none."""
+        """Bytes of one of `NAMES`. Raises OSError or InputError without such a file."""
         with self._lock:
             if self._file is None:
                 self._places = _find_files(viewer_executable())
@@ -68,8 +68,8 @@ class ViewerFiles:
             return self._places[name][1]
 
     async def parts(self, name: str) -> AsyncIterator[bytes]:
-        """The file's parts, for one of `NAMES`, after `size`. They are at hand in memory: a thread for each would take
-        longer."""
+        """The file's parts, for one of `NAMES`, after `size`. They are in the system's file cache: a thread for each
+        would take longer."""
         assert self._file is not None
         at, left = self._places[name]
         while left > 0:

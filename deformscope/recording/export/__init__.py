@@ -1,1 +1,1 @@
-"""A recording in formats of others."""
+"""A recording in other formats."""

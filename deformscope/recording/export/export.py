@@ -44,7 +44,7 @@ class ExportedFile:
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written. images: by kind, where the export is of images"""
+    """What was written. images: number of images by kind, in an export of images"""
 
     folder: Path
     files: list[ExportedFile]
@@ -65,8 +65,8 @@ class Credits:
 class ExportRequest:
     """What of a recording goes where.
 
-    only: entities, what is below them, or devices; () = all; camera: images of this device alone
-    anonymous: without what may name a person, a machine or a path; overwrite: replace an earlier export
+    only: entities, with those below them, or devices; () = all; camera: images of this device alone
+    anonymous: leave out whatever may name a person, a machine or a path; overwrite: replace an earlier export
     manifest: `export.json` in the folder is not hidden
     """
 
@@ -163,7 +163,7 @@ def _write_tables(
 
 
 def file_name(entity: str, used: Collection[str] = ()) -> str:
-    """An entity as a path of its own, below folders: devices may have any name. used: paths that others have"""
+    """The path of an entity's file below folders: devices may have any name. used: paths that others have"""
     first, _, rest = entity.partition("/")
     parts = [first, *([rest] if first in OF_DEVICES.values() else rest.split("/") if rest else ())]
     return _unused(parts, used)
@@ -213,10 +213,8 @@ def _described(stream: RecordedStream, files: Sequence[ExportedFile]) -> dict[st
 
 @contextmanager
 def _draft(folder: Path, *, overwrite: bool) -> Iterator[Path]:
-    """A folder that takes the place of FOLDER when all is written, and is gone on an error.
-
-    overwrite: what an earlier export wrote there is replaced; other files there stay
-    """
+    """A folder that takes the place of FOLDER when all is written, and is gone on an error. overwrite: what an earlier
+    export wrote there is replaced; other files there stay"""
     folder = Path(os.path.realpath(folder.expanduser()))
     is_there = folder.is_dir()  # the draft is then in it: it may be another disk
     draft = (folder if is_there else folder.parent) / f".{folder.name}.{os.getpid()}-{next(_drafts)}.part"

@@ -26,7 +26,7 @@ ImageNames = Mapping[tuple[str, str], str]
 
 @dataclass(frozen=True, slots=True)
 class ExportedImages:
-    """Files of one kind. device: that took them; what: image, depth, or color (of a depth camera)"""
+    """Files of one kind. device: the camera; what: image, depth, or color (of a depth camera)"""
 
     device: str
     what: str
@@ -35,9 +35,9 @@ class ExportedImages:
 
 
 def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tuple[str, str], int]:
-    """Number of images, by device and kind. devices: export only these devices' images; None = all
+    """Number of images, by device and kind. devices: export only these devices' images; None = all.
 
-    Raises InputError where there is none.
+    Raises InputError without images.
     """
     counts = {one: count for one, count in replay.image_counts.items() if devices is None or one[0] in devices}
     if not counts:
@@ -49,8 +49,8 @@ def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tupl
 
 
 def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Path], note: Note) -> None:
-    """Write them as `INDEX.jpg` and `INDEX.png`. folders: by device and kind; note: called with what is done, and of
-    how much."""
+    """Write them as `INDEX.jpg` and `INDEX.png`. folders: folders by device and kind; note: called with what is done,
+    and of how much."""
     for path in folders.values():
         path.mkdir(parents=True, exist_ok=True)
     devices = {device for device, _ in folders}

@@ -21,7 +21,7 @@ class ExportedColumn(msgspec.Struct, frozen=True):
 
 
 class ExportedStream(msgspec.Struct, frozen=True):
-    """A stream. kind: class of its rows; files: that hold it"""
+    """A stream. kind: class of its rows; files: files that contain it"""
 
     entity: str = ""
     kind: str = ""
@@ -30,7 +30,7 @@ class ExportedStream(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """All of it; a new one belongs to no export. devices: by name, without it
+    """The contents of an export; a new manifest belongs to no export. devices: devices by name, without the name
     topics, device_topics: topics and device topics of an MCAP, of entities and of devices"""
 
     session_starts_ns: int | None = None
@@ -50,7 +50,7 @@ class Manifest(msgspec.Struct, frozen=True):
 
 
 def read_manifest(found: Any, where: object) -> Manifest:
-    """Raises InputError for one of a newer schema, or that cannot be of ours."""
+    """Raises InputError for a manifest with a newer schema, or that deformscope cannot have written."""
     if not isinstance(found, dict) or "schema_version" not in found:
         return Manifest()
     version = found["schema_version"]

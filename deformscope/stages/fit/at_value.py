@@ -44,7 +44,7 @@ def simulate(seen: Observation, model: Model, values: FloatArray, body: Msm | No
 
 
 def errors_of(seen: Sequence[Observation], value: float, found: Sequence[Comparison]) -> AtValue:
-    """Over all particles of all observations together. found: states of each observation"""
+    """Errors over all particles of all observations. found: states of each observation"""
     each = [distances(one.simulated, one.observed) for one in found]
     every = np.concatenate([one[obs.observed] for one, obs in zip(each, seen, strict=True)])
     free = np.concatenate([one[obs.free_observed] for one, obs in zip(each, seen, strict=True)])

@@ -54,7 +54,7 @@ from deformscope.stages.msm import clusters
 __all__ = ["Calibration", "FitOptions", "Model", "Observation", "Progress", "calibrate"]
 
 BETA_LIMIT = 0.9999
-"""Highest beta that is searched: at 1 a cluster resists nothing but rigid motion of the whole."""
+"""Highest beta that is searched: at 1 a cluster does not resist linear deformation."""
 
 TURNED = 5
 """Values of the parameter, over its range, at which displacements with other axes are simulated."""
@@ -84,8 +84,8 @@ def calibrate(
 ) -> Calibration:
     """Fit one parameter to observations that share it, with its interval and verdicts.
 
-    one_motion: the observations are frames of one motion, whose errors are not independent (`motion`); pace: with it
-    they are simulated by time stepping, in order, instead of each as a static state
+    one_motion: the observations are frames of one motion, whose errors are not independent (`motion`); pace: simulate
+    the observations by time stepping, in order, instead of each as a static state
     settings: recorded with the estimate; progress: called with (what, done, all)
     """
     model, bounds = options.model, options.bounds

@@ -1,4 +1,4 @@
-"""How a creep compliance may grow with time: discrete branches, or a spectrum without end (`stages.poke.creep_law`).
+"""Models of a creep compliance over time: discrete branches, or a spectrum without end (`stages.poke.creep_law`).
 
 Each is a set of low-pass filters of the force, of strengths j_i and retardation times l_i. `Branches`: each filter has
 its own. `Endless`: those of all times follow one power of the time. The compliance grows as t^n (Nutting 1921), with n
@@ -29,7 +29,7 @@ NODES_APART, NODE_SD = 0.75, 0.6
 POWERS, POWER_SD = (0.05, 0.2, 0.35, 0.5), 0.09
 """Exponents n of a spectrum: nodes, and the deviation of a node's Gaussian."""
 BEGINS = (1.0 / 40.0, 0.5)
-"""Where a spectrum begins, over the approach's duration."""
+"""Times at which a spectrum begins, over the approach's duration."""
 ENDLESS_SPACING, ENDLESS_HOLDS = 0.9, 30.0
 """Spacing of its log times, and how many holds they reach in place of no end."""
 
@@ -75,7 +75,7 @@ class Branches:
 @dataclass(frozen=True, slots=True)
 class Endless:
     """Filters of the log times (b,), whose strengths go as l^n; parameters (2,): log of their sum within the hold, and
-    n. within: (b,) which are; methods as in `Branches`"""
+    n. within: (b,) which filters are within the record; methods as in `Branches`"""
 
     log_times: FloatArray
     within: FloatArray
@@ -88,7 +88,7 @@ class Endless:
 
     @classmethod
     def over(cls, approach_s: float, hold_s: float, begins: float, prior: float) -> Endless:
-        """begins: over the approach's duration"""
+        """begins: time at which the spectrum begins, over the approach's duration"""
         first, last = np.log(begins * approach_s), np.log(ENDLESS_HOLDS * hold_s)
         log_times = np.arange(first, max(last, first + 2.0 * ENDLESS_SPACING), ENDLESS_SPACING)
         return cls(log_times, (log_times <= max(np.log(hold_s), first)).astype(float), prior)
@@ -127,8 +127,8 @@ def _exp(log: FloatArray) -> FloatArray:
 
 
 def spectra(approach_s: float, hold_s: float, most: int) -> list[Spectrum]:
-    """All kinds of creep that are compared. They are none and up to `most` branches, each number half as probable as
-    the one before, and those without an end, which together are as probable as three [assumed]."""
+    """All models of creep that are compared: none and up to `most` branches, each number half as probable as the one
+    before. Spectra without an end together are as probable as three branches [assumed]."""
     fastest, slowest = np.log(FASTEST * approach_s), np.log(SLOWEST * hold_s)
     count = max(most + 1, 1 + round((slowest - fastest) / NODES_APART))
     nodes = np.linspace(fastest, slowest, count)

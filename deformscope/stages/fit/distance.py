@@ -33,22 +33,23 @@ def unexplained(
     """Residuals of a simulation of a motion, and of the best rigid motion: sums of squared distances over the judged
     particles, [unit^2].
 
-    rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) those whose deformed position is known
+    rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) particles whose deformed position is
+    known
     """
     rigid = rigid_positions(rest, deformed, known)
     return float(np.sum((simulated - deformed)[judged] ** 2)), float(np.sum((rigid - deformed)[judged] ** 2))
 
 
 def explained_share(left: Iterable[tuple[float, float]], size: float) -> float:
-    """Share of a motion beyond a rigid one that a simulation explains, from its parts (`unexplained`). It is 0 or less
-    if it explains nothing, and 0 without deformation. size: size of the body [unit]"""
+    """Share of a motion beyond a rigid one that a simulation explains, from its parts (`unexplained`). The share is 0
+    or less if the model explains nothing, and 0 without deformation. size: size of the body [unit]"""
     by_model, by_rigid = np.sum(list(left), axis=0)
     return float(1.0 - by_model / by_rigid) if by_rigid > (1e-9 * size) ** 2 else 0.0
 
 
 def rigid_positions(rest: FloatArray, deformed: FloatArray, fitted: BoolArray) -> FloatArray:
-    """Where the best rigid motion takes all of rest (K, d): it fits deformed (K, d) where `fitted` (K,) is True, in
-    least squares (Kabsch 1976)."""
+    """Positions of rest (K, d) after the best rigid motion: that which fits deformed (K, d) where `fitted` (K,) is
+    True, in least squares (Kabsch 1976)."""
     a, b = rest[fitted], deformed[fitted]
     u, _, vt = np.linalg.svd((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
     sign = np.ones(rest.shape[1])

@@ -6,8 +6,8 @@ Which of them lower a verdict, and why:
   of two sizes, columns swapped or mirrored, two materials: the value describes nothing in the data, so the parameter is
   unidentified.
 - Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
-  of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. These are
-  compromises that depend on how errors are summed, or on the load of the body, so at most weak.
+  of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. Such
+values are compromises that depend on how errors are summed, or on the body's load, so that the verdict is at most weak.
 - Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals: named alone.
 - A body of an unlikely size has the same beta and theta in any unit: named, and its stiffness is at most weak.
 """
@@ -36,7 +36,7 @@ from deformscope.stages.fit.plausible import LARGE_M, size_of
 from deformscope.stages.msm.solver import Msm
 
 SMALL_M = 1e-3
-"""No body of particles that a camera follows is smaller [m]."""
+"""Smallest plausible size of a body that a camera follows [m]."""
 
 NOISE_NAMED, NOISE_LOWERS = 3.0, 10.0
 """Residuals larger or smaller than the stated noise by this factor contradict it, and lower a verdict: a factor of e is
@@ -75,7 +75,7 @@ TAIL = 0.005
 """Mass of a posterior beyond a value, below which the value contradicts it."""
 
 END = 0.01
-"""Share of the interval's width: a value nearer to its end lies on it."""
+"""Share of the interval's width: a value nearer to an end counts as on it."""
 
 
 def found_in_numbers(
@@ -93,9 +93,9 @@ def found_in_numbers(
 ) -> list[Doubt]:
     """What the numbers of a fit within its bounds show.
 
-    noise: size of the residuals in units of the known noise, if any; their own noise [unit], if it is known apart from
-    a misfit; and the source of the known noise; rank: mass of the posterior below the value, where there is a
-    posterior; version: see `model.NEWEST_FIT`; seen: as in `little_explained`
+    noise: residuals in units of the known noise, if any; their own noise [unit], if it is known apart from misfit;
+    source of the known noise; rank: mass of the posterior below the value, where there is a posterior; version: see
+    `model.NEWEST_FIT`; seen: as in `little_explained`
     """
     ratio, shown, source = noise
     # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
@@ -114,7 +114,7 @@ CAUSES: tuple[DoubtCode, ...] = ("nothing-moved", "axes-swapped", "units", "two-
 
 
 def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
-    """Those that lower a verdict the most first, and of these causes before consequences."""
+    """Doubts in order: first those that lower a verdict the most, and causes before consequences."""
     rank: dict[Verdict | None, int] = {"unidentified": 0, "weak": 1, None: 2}
     return tuple(sorted(reasons, key=lambda one: (rank[one.allows], one.code not in CAUSES)))
 
@@ -137,8 +137,8 @@ def not_converged(converged: bool) -> Iterator[Doubt]:
 
 
 def little_explained(share: float, *, left_is_noise: bool = False, seen: Sequence[Observation] = ()) -> Iterator[Doubt]:
-    """share: share of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: what is left is
-    no larger than noise, for which the interval allows; seen: what was fitted, to say whether anything moved"""
+    """share: share of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: the unexplained
+    motion is no larger than noise, which the interval includes; seen: what was fitted, to say whether anything moved"""
     words = f"the model explains {max(share, 0.0):.0%} of the motion"
     if seen and (still := _still(seen, share)):
         yield Doubt("nothing-moved", still, "unidentified")
@@ -228,12 +228,12 @@ NOISE_WORDS: dict[NoiseSource, str] = {"given": "the given noise", "flow": "the 
 
 
 def noise_source(seen: Sequence[Observation]) -> NoiseSource:
-    """Where the noise of all observations is known from."""
+    """The source from which the noise of all observations is known."""
     return "residuals" if any(one.noise is None for one in seen) else seen[0].noise_source
 
 
 def noise_contradicted(ratio: float | None, source: NoiseSource) -> Iterator[Doubt]:
-    """ratio: size of the residuals against the noise from `source`; None where it is not known"""
+    """ratio: size of the residuals over the noise from `source`; None if unknown"""
     if ratio is None or 1.0 / NOISE_NAMED < ratio < NOISE_NAMED:
         return
     if ratio > 1.0:
@@ -269,7 +269,7 @@ def known_of(seen: Observation) -> BoolArray:
 
 
 def rescaled(rest: FloatArray, deformed: FloatArray) -> float:
-    """How many times as large deformed (n, d) is as rest (n, d), root mean square distance from the middle."""
+    """Size of deformed (n, d) over that of rest (n, d), as root mean square distance from the middle."""
     spread = [float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1)))) for x in (rest, deformed)]
     return spread[1] / spread[0]
 
@@ -307,8 +307,8 @@ Turn = tuple[str, FloatArray]
 
 
 def turns(dim: int) -> list[Turn]:
-    """Columns of displacements exchanged, with and without a sign, and one sign changed; without the sign of all, which
-    small motions do not show."""
+    """Displacements with exchanged columns, with and without a changed sign, and with one changed sign. A change of all
+    signs is left out, as small motions do not show it."""
     axes, eye = "xyz", np.eye(dim)
     found: list[Turn] = []
     for axis in range(dim):
@@ -325,9 +325,9 @@ def turns(dim: int) -> list[Turn]:
 
 
 def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray, version: int) -> Simulate | None:
-    """States at betas (B,) of bodies whose clusters keep more and more of their volume, so that they bulge.
+    """States at betas (B,) of bodies whose clusters conserve an increasing share of their volume, so that they bulge.
 
-    None of version 1 (`model.NEWEST_FIT`)
+    Empty for version 1 (`model.NEWEST_FIT`)
     """
     if version == 1:
         return None
@@ -350,8 +350,8 @@ def swapped_axes(
     """Whether displacements fit far better with their columns in another order, or of another sign; also as a share of
     the motion beyond a rigid one, because the exchanged part may be less than before.
 
-    bulge: the states of `bulging`: a bulge as that of rubber is no motion of another axis, so that the columns in
-    another order have to fit better than it too, None = not tried; weight: (n,) weight of each observation, default 1
+    bulge: the states of `bulging`. A bulge as that of rubber is no motion of another axis: exchanged columns have to
+    fit better than it too. None = not tried; weight: (n,) weight of each observation, default 1
     rival: squared error [unit^2] of another explanation, which other axes have to leave less than
     """
     each = np.ones(len(seen)) if weight is None else weight

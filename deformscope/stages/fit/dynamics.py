@@ -1,7 +1,7 @@
 """A motion by time stepping (Thesis Algorithm 1, eq. 3.11): held particles go from frame to frame in straight lines.
 
-Without gravity alpha and dt do not alter a static state. They decide how fast a body gets there, hence they show only
-where frames follow each other within few time steps.
+Without gravity alpha and dt do not alter a static state. They determine how fast a body reaches it, so that they matter
+only if frames follow each other within few time steps.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from deformscope.stages.msm.solver import Msm, Relaxed
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How time runs: alpha, dt [s], and when each frame was taken, (F,) [s] after the rest shape, rising."""
+    """Parameters of time: alpha, dt [s], and when each frame was taken, (F,) [s] after the rest shape, rising."""
 
     alpha: float
     dt: float
@@ -59,7 +59,7 @@ def step_through(
 
 
 class MovingSearch(Search):
-    """One parameter against the frames of one motion, in order, simulated by time stepping instead of static states."""
+    """Fits one parameter to the frames of a motion, in order, simulated by time stepping instead of static states."""
 
     def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float], pace: Pace) -> None:
         super().__init__(seen, model, bounds)

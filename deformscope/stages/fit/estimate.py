@@ -53,8 +53,8 @@ DoubtCode = Literal[
 class Doubt:
     """A reason to doubt a parameter, or its range of validity.
 
-    code: for programs, stable; text: one sentence for people, with its numbers
-    allows: the best verdict that it leaves; None: it gives the range of validity, or the interval accounts for it
+    code: stable name for programs; text: one sentence for people, with its numbers; allows: the best verdict that it
+    leaves; None: the reason states the range of validity, or the interval accounts for it
     """
 
     code: DoubtCode
@@ -63,7 +63,7 @@ class Doubt:
 
 
 def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
-    """A verdict, or the lower one that is left by the reasons to doubt it; `at-bound` says no more than `weak`."""
+    """A verdict, lowered by the reasons to doubt it; `at-bound` counts as `weak`."""
     allowed = {one.allows for one in reasons}
     if "unidentified" in allowed:
         return "unidentified"
@@ -86,7 +86,7 @@ class Curve:
 class Posterior:
     """Probability of a quantity, given the data.
 
-    parameter: (g,) rising; density: (g,), whose integral by trapezoids is 1
+    parameter: (g,) rising; density: (g,) density, whose integral by trapezoids is 1
     """
 
     parameter: FloatArray
@@ -99,7 +99,7 @@ class Posterior:
         return np.asarray(mass / mass[-1])
 
     def thinned(self, count: int) -> Posterior:
-        """At most this number of its values, evenly chosen."""
+        """The posterior at this number of its values at most, evenly chosen."""
         rows = np.unique(np.linspace(0, len(self.parameter) - 1, count).round().astype(int))
         return Posterior(self.parameter[rows], self.density[rows])
 
@@ -121,7 +121,7 @@ class Posterior:
     def shortest(self, level: float, holding: float) -> tuple[float, float]:
         """The shortest interval of the mass `level` that holds a value, the estimate.
 
-        It is the highest-density set if that set holds the estimate, and one-sided if the density is highest at a
+        It is the set of highest density if that contains the estimate, and one-sided if the density is highest at a
         bound: equal tails cannot cover there.
         """
         start = np.linspace(0.0, 1.0 - level, 401)
@@ -142,9 +142,9 @@ class Posterior:
 class Identifiability:
     """Whether the data identify the parameter.
 
-    rise: by how many standard deviations the data separate the likeliest value of the range from the least likely one
+    rise: standard deviations by which the data separate the likeliest value of the range from the least likely
     explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles).
-    It is 0 or less if misfit or noise are as large as the motion itself
+    The share is 0 or less if misfit or noise are as large as the motion
     deviation: deviation of the posterior; misfit: root mean square of the model's error, per coordinate [unit]
     """
 
@@ -160,7 +160,8 @@ class Choice:
 
     held: the parts whose motion is prescribed; alpha, dt [s]: of time stepping, None for static states, which neither
     alters; held_out, fit: mean error on particles left out, and of the same ones when fitted [the estimate's unit];
-    scatter: standard error of the first against that of the best choice; value: the parameter then; chosen: it was used
+    scatter: standard error of the first against that of the best choice; value: the parameter then; chosen: this option
+    was used
     """
 
     cluster_size: int | None = field(metadata=reported())
@@ -187,17 +188,17 @@ def _with_interval(one: tuple[float, tuple[float, float]]) -> dict[str, object]:
 class Estimate(ReportedResult):
     """One calibrated parameter with everything needed to judge it (Thesis eq. 3.18, 3.19, Algorithms 2 and 3).
 
-    value: the parameter with the lowest error; interval: at `level`, always holds `value`; one-sided at a bound
-    bounds: the range that was searched
-    verdict: on the parameter; stiffness_verdict: on stiffness, which position alone does not identify
-    stiffness: the energy's stiffness k and its interval over `interval` [N/m], where a force was given
+    value: the parameter with the lowest error; interval: interval at `level`, which always contains `value`; one-sided
+    at a bound; bounds: the range that was searched
+    verdict: verdict on the parameter; stiffness_verdict: verdict on stiffness, which positions alone do not identify
+    stiffness: the energy's stiffness k and its interval over `interval` [N/m], if a force was given
     contact_stiffness: force over the distance that the contact moved, and its interval [N/mm], where both are known
     metres_per_unit: the scale of the lengths; None where pixels have no known size
     posterior, identifiability: evidence of the interval and the verdict
-    reasons: to doubt the parameter, those that lower its verdict first
-    selection: choices of model that were tried, where some were to be chosen; selection_text: remarks on them
-    aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: over the free ones alone
-    nearest: one-sided nearest-neighbour error (eq. 4.6); unit: unit of every length here
+    reasons: reasons to doubt the parameter, first those that lower its verdict
+    selection: choices of model that were tried, where some were to be chosen; selection_text: remarks on the selection
+    aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: error over the free particles
+    only; nearest: one-sided nearest-neighbour error (eq. 4.6); unit: unit of every length here
     converged: every simulation that the value and the interval rest on reached its static state
     """
 
@@ -256,7 +257,7 @@ class Estimate(ReportedResult):
     @property
     @derived(flat=True)
     def errors_json(self) -> dict[str, float | None]:
-        """The errors, each in metres where the scale is known, and in pixels where they were measured in them."""
+        """The errors, in metres if the scale is known, and in pixels if they were measured in pixels."""
         known = {name: getattr(self, name) for name in ("aee", "aee_free", "nearest")}
         each = [lengths(name, value, self.unit, self.metres_per_unit) for name, value in known.items()]
         return {key: one[key] for place in (0, 1) for one in each for key in [[*one][place]]}

@@ -1,7 +1,7 @@
 """Algorithm 2 of the thesis as it is printed: fixed steps down a numerical slope, with its early stops.
 
 Choices that print and text leave open: the error is in centimetres, as in Thesis figure 3.11, and the slope is a
-central difference. It stops when the slope's size is below epsilon, and stays in the range.
+central difference. The search stops when the slope's size is below epsilon, and stays in the range.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ BESIDE, MOST_STEPS = 1e-3, 5000
 
 @dataclass(frozen=True, slots=True)
 class FixedSteps:
-    """value: where it stopped; error: there [cm]; steps; evaluations: evaluations of the error; stopped: why"""
+    """value: where it stopped; error: error there [cm]; steps: number of steps; evaluations: evaluations of the error;
+    stopped: why"""
 
     value: float
     error: float

@@ -15,7 +15,7 @@ from deformscope.stages.fit.residuals import Explanation
 from deformscope.stages.msm.solver import Msm
 
 FORCE_SHARE = 0.05
-"""Standard deviation of a force whose noise was not stated, as a share of it."""
+"""Standard deviation of a force without stated noise, as a share of the force."""
 
 CERTAIN = 1e-6
 """Least relative deviation of a stiffness: the resolution of the arithmetic."""
@@ -30,9 +30,9 @@ class Stiffness:
 
 
 def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float, tuple[float, float]] | None:
-    """Secant stiffness at the contact [N/mm], of all observations with a force; None where there is none.
+    """Secant stiffness at the contact [N/mm], of all observations with a force; None without one.
 
-    It is the force divided by the distance that the contact moved, the mean over its particles, with the noise of both.
+    It is the force over the mean displacement of the contact's particles, with the noise of both.
     """
     force, depth, force_sd, depth_sd = [], [], [], []
     for s in seen:
@@ -75,9 +75,9 @@ def stiffness(
     theta: FloatArray,
     misfit: Sequence[float] | None = None,
 ) -> Stiffness | None:
-    """k at each beta and theta (g,), from the measured forces of all observations; None where there is none to compare.
+    """k at each beta and theta (g,), from the measured forces of all observations; None without a force to compare.
 
-    positions: for each observation (g, K, d); misfit: misfit of each, as a share of its motion. A static state's energy
+    positions: (g, K, d) for each observation; misfit: misfit of each, as a share of its motion. A static state's energy
     is stationary, so that errors of its positions change its force to the second order: the square of that share adds
     to the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; if several forces
     scatter more than their noise, its deviation grows in proportion (Birge's ratio). Eq. 3.17 has no energy, so with
@@ -118,7 +118,7 @@ def stiffness_interval(
     level: float,
 ) -> tuple[float, tuple[float, float]] | None:
     """k at the last of some values (g,), the estimate's, and its interval over all of them with weights `share` (g,);
-    None without a comparable force. It holds the force's noise and the model's misfit."""
+    None without a comparable force. It accounts for the force's noise and the model's misfit."""
     misfit = []
     for s, one in zip(seen, explanations, strict=True):
         motion = float(np.sqrt(np.mean((s.deformed - s.rest)[s.free_observed] ** 2)))

@@ -1,7 +1,7 @@
 """Prediction error of a choice of model: error on blocks of particles that were left out of the fit.
 
 Blocks, not single particles, because neighbours share errors: a particle whose neighbours were fitted is not held out.
-And particles, not frames: errors are much the same in all frames, so a frame left out is no new trial.
+Particles are left out, not frames: errors are similar in all frames, so that a frame left out is no independent test.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FINE = 10
 
 
 TOLD_LEAST = 0.01
-"""Share of the held-out error by which two choices must differ to count as different at all."""
+"""Share of the held-out error by which two choices must differ to count as different."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def hold_out(search: Search, judged: BoolArray, block: IntArray, fold: IntArray)
 
 
 def difference(one: HeldOut, other: HeldOut) -> tuple[float, float]:
-    """By how much the first has the larger held-out error, and the standard error of that over blocks."""
+    """Held-out error of the first less that of the second, and the standard error of this difference over blocks."""
     gap = one.block - other.block
     gap = gap[np.isfinite(gap)]
     if gap.size < 2:

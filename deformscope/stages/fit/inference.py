@@ -1,17 +1,16 @@
 """The posterior of one parameter, given all candidates that a search has simulated.
 
 The prior is flat over the range that is searched. The likelihood is that of `deformscope.stages.fit.noise`, its
-hypotheses weighted and summed at each value. States between candidates are a cubic spline of them, in -log(1 - beta),
-which spreads out the range near 1. The range is narrowed until the spline's knots resolve the posterior, however narrow
-it is.
+hypotheses weighted and summed at each value. States between candidates are cubic splines over -log(1 - beta), which
+resolves the range near 1. The range is narrowed until the spline's knots resolve the posterior, however narrow it is.
 
 All residuals together identify their causes (noise, its reach, its level, misfit, a displaced tool or camera) and the
 parameter. The part that the parameter does not change shows the size of the errors that resemble it.
 
-Where misfit outweighs the noise, the few projections of the residuals that the parameter can change identify it, with
-the noise of the first step. So an estimate is as sharp as least squares there, no sharper.
-Weighting every detail by a guessed covariance (as generalised least squares does) would treat the finest part of a
-misfit as information. Fits of versions 1 and 2 took these projections always.
+If misfit exceeds the noise, a few projections of the residuals, which the parameter can change, identify it, with the
+noise of the first step. In that case an estimate is no sharper than that of least squares. Weighting every detail by a
+guessed covariance (as generalised least squares does) would treat the finest part of a misfit as information. Fits of
+versions 1 and 2 took these projections always.
 """
 
 from __future__ import annotations
@@ -41,20 +40,20 @@ KNOTS, BETWEEN = 25, 8
 ZOOMS = 10
 
 NODES_FROM = (0.15, 0.5)
-"""Widths of the range from which the effect of held positions is computed at two and at three places in it."""
+"""Widths of the range above which the effect of held positions is computed at two, and at three places."""
 
 RESOLVED = 0.3
 """The posterior is resolved where it fills this share of the range."""
 
 NARROWEST = 1e-9
-"""Range below which nothing is resolved: candidates there differ by the solver's tolerance alone."""
+"""Width of a range below which candidates differ only by the solver's tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
 class Inferred:
-    """posterior; explanations: one an observation; noise: typical white noise of a coordinate [unit]
-    rise: by how many standard deviations the data separate the likeliest value of the range from the least likely
-    converged: all simulations that it rests on have settled"""
+    """posterior; explanations: one for each observation; noise: typical white noise of a coordinate [unit]
+    rise: standard deviations by which the data separate the likeliest value of the range from the least likely
+    converged: all simulations that it uses have settled"""
 
     posterior: Posterior
     explanations: tuple[Explanation, ...]
@@ -182,7 +181,7 @@ class Inference:
 def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
     """Whether the residuals are misfit of the model rather than noise, by how likely each explanation is.
 
-    What neighbours share is no noise where it contradicts the one that was stated, or where none was.
+    Errors that neighbours share count as misfit, not noise, if they contradict the stated noise, or if none was stated.
     """
     misfit, white = 0.0, 0.0
     for part in parts:

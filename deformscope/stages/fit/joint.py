@@ -1,7 +1,7 @@
 """beta and theta together: their joint posterior on a grid that is narrowed until it resolves it.
 
-Volume is conserved by projection here: with eq. 3.17 overlapping clusters at high beta and theta diverge. What is
-simulated between knots is a cubic spline in -log(1 - beta) and theta; the likelihood is that of one parameter.
+Volume is conserved by projection here: with eq. 3.17 overlapping clusters at high beta and theta diverge. Simulated
+states between knots are cubic splines in -log(1 - beta) and theta; the likelihood is that for one parameter.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ RESOLVED, NARROWEST, ZOOMS = 0.3, 1e-7, 8
 """The grid is narrowed until the posterior fills this share of it, or to this range, at most so often."""
 
 SUMMARIES = 5
-"""Directions that stand for what beta and theta do to the particles, at most."""
+"""Most directions that represent the effect of beta and theta on the particles."""
 
 DRAWN = 24
 """Draws of the posterior that stand for it in the stiffness."""
 
 THETA_STEP = 0.02
-"""By which theta is changed for a derivative."""
+"""Step of theta for a derivative."""
 
 POLISH = 6
 """Grids of 5 x 5 that close in on the lowest error."""
@@ -95,7 +95,7 @@ class JointEstimate:
     correlation: float
 
     def as_json(self) -> dict[str, object]:
-        """The public form: what both share as in the estimate of one, and what each has under `parameters`."""
+        """The public form: common values as in the estimate of one parameter, and those of each under `parameters`."""
         own = ("value", "interval", "bounds", "verdict", "verdict_text", "reasons", "curve")
         each = {one.parameter: one.as_json() for one in (self.beta, self.theta)}
         shared = {k: v for k, v in each["beta"].items() if k not in (*own, "parameter", "posterior")}

@@ -2,7 +2,8 @@
 
 Gauss-Newton steps with finite differences, damped (Levenberg, Marquardt). Each round is two batches, one for the
 derivatives and one for steps of several lengths, of which the best is taken. For uniform noise the least sum of squares
-is the most likely. It is smooth where the average distance (Thesis eq. 3.18) is not, so that its curvature is known.
+is the most likely. The sum of squares is smooth, unlike the average distance (Thesis eq. 3.18), so that its curvature
+is known.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from scipy.special import gammaincinv, stdtrit
 from deformscope.arrays import BoolArray, FloatArray
 
 Simulate = Callable[[FloatArray], FloatArray]
-"""From parameters (B, m) to the compared values (B, n); NaN if a candidate has no reliable simulation."""
+"""Computes the compared values (B, n) from parameters (B, m); NaN if a candidate has no reliable simulation."""
 
 DAMPINGS = (0.0, 1e-3, 1e-1, 1e1)
 """Tried in every round, as shares of the derivatives' squares."""
@@ -31,7 +32,7 @@ SETTLED = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Minimum:
-    """Where the sum of squares is least.
+    """The parameters with the least sum of squares.
 
     at: (m,) parameters; simulated: (n,) there; jacobian: (n, m); residual: (n,) observed - simulated
     inside: (m,) whether it is away from both bounds; converged: the steps ended without the limit
@@ -96,9 +97,9 @@ def minimise(
 class Noise:
     """Variation between repeats of an observation.
 
-    deviation: deviation of one observed number; shared: how many times more the mean of all varies than if their errors
-    were independent (variances); held: (r, n) variation of the simulation in repeats of the prescribed positions'
-    noise; none (0, n) if they are exact
+    deviation: deviation of one observed number; shared: variance of the mean of all numbers, over that with independent
+    errors; held: (r, n) variation of the simulation in repeats of the prescribed positions' noise; none (0, n) if they
+    are exact
     """
 
     deviation: float
@@ -132,8 +133,8 @@ def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried:
     """The noise that observed and prescribed positions share, by the residuals (n,), but not below `least`: the stated
     noise, or the resolution of numbers.
 
-    held: (r, n) effect of prescribed positions with noise of the size `tried` on the simulation: part of the residuals
-    is theirs, so that the noise is smaller than those
+    held: (r, n) effect on the simulation of prescribed positions with noise of the size `tried`, which explains a part
+    of the residuals
     """
     share = float(np.mean(held**2)) / tried**2 if len(held) else 0.0
     deviation = max(deviation_of(residual, parameters) / float(np.sqrt(1.0 + share)), least)
@@ -152,5 +153,5 @@ def half_width(covariance: FloatArray, level: float, freedom: int) -> FloatArray
 
 
 def worse_than(level: float, parameters: int = 1) -> float:
-    """By how many noise variances a sum of squares may exceed the least one, in `level` of all repeats."""
+    """Number of noise variances by which a sum of squares may exceed the least, in `level` of all repeats."""
     return float(2.0 * gammaincinv(0.5 * parameters, level))  # chi-squared

@@ -35,7 +35,7 @@ def touched_of(rest: FloatArray, deformed: FloatArray, held: IntArray) -> IntArr
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One manipulation: a rest shape, what it became, and what was held.
+    """One manipulation: a rest shape, the deformed shape, and the held particles.
 
     rest, deformed: (K, d), d = 2 or 3 [unit]; held: (n,) indices whose deformed position is prescribed
     observed: (K,) particles that were seen in `deformed`
@@ -45,8 +45,8 @@ class Observation:
     force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
     deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
-    tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) where its axis met the body [unit], which
-    particles show only within their spacing, if it is known
+    tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) place where the tip's axis met the body
+    [unit], if known; particles show it only to within their spacing
     held_shift: standard deviation of the common error of all held positions [unit]: of a robot's or a fixture's
     registration; None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
     loose: held particles whose position is no measurement but estimated, None = none
@@ -97,7 +97,7 @@ class Observation:
 
     @property
     def touched(self) -> IntArray:
-        """(m,) particles that something pressed: `contact`, or the held ones that moved where it is not known."""
+        """(m,) particles that something pressed: `contact`, or, if that is unknown, the held particles that moved."""
         return touched_of(self.rest, self.deformed, self.held) if self.contact is None else self.contact
 
     @property
@@ -108,10 +108,10 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What is fitted: which parameter, and everything about the simulation that stays fixed.
+    """Which parameter is fitted, and the fixed settings of the simulation.
 
     cluster_size: particles a side of the overlapping clusters; None = one cluster of all particles
-    beta, theta: the value of the one that is not fitted; alpha does not change a static state and is recorded only
+    beta, theta: value of the parameter that is not fitted; alpha does not change a static state and is only recorded
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
     overlapping clusters
     version: version of how errors are explained, see `NEWEST_FIT`
@@ -144,7 +144,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class FitOptions:
-    """How the parameter of `model` is found within `bounds`, and how sure of it one can be.
+    """How the parameter of `model` is found within `bounds`, and the level of its interval.
 
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3).
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only along its path

@@ -1,4 +1,4 @@
-"""One moment of a motion: positions of its particles, and the values of its parameters for them."""
+"""One frame of a motion: positions of its particles, and the parameters that were fitted to them."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class ParticleMoment:
 class FieldMoment:
     """Relative stiffness of each place at one moment, as in `calibrate field` for a frame.
 
-    place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: spacing of the particles [px]
-    stiffness: (C,) over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak
+    place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: spacing of the particles [px]; stiffness:
+    (C,) stiffness over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak
     ratio, ratio_interval: stiffest over softest; verdict: as in a `FieldEstimate`; explained: share of the motion
     """
 

@@ -15,8 +15,8 @@ from deformscope.stages.fit.estimate import LengthUnit, NoiseSource
 class Motion:
     """A recorded motion.
 
-    rest: (K, d) before any load; position: (T, K, d) at each frame [unit of rest]; NaN where a particle was not seen
-    held: (T, K) particles whose position is prescribed in a frame
+    rest: (K, d) before any load; position: (T, K, d) positions at each frame [unit of rest]; NaN where a particle was
+    not seen; held: (T, K) particles whose position is prescribed in a frame
     duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
     shape, cell: the particles' lattice, None without one
     noise: standard deviation of a coordinate; None: from the residuals; noise_source: where it is known from

@@ -4,15 +4,15 @@ The residual at a parameter's true value, observed - simulated at the free parti
 effect of wrong prescribed positions on the simulation. The errors (e, e_held) of all particles are
 
     white noise, of the stated size times a scale that the residuals correct, and a smooth random field (the same in
-    each coordinate). The field is an error of measurement that neighbours share, as in optical flow, in free and
-    prescribed particles alike; or misfit of the model, in the free ones alone.
+    each coordinate). The field is either an error of measurement that neighbours share, as in optical flow, in free and
+prescribed particles. Or it is misfit of the model, only in free particles.
 
 Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood. Whether the
 prescribed positions were measured too is another choice if unstated. The scale is integrated (Laplace) with a
 log-normal prior about 1, or a flat one where no noise was stated.
 
-With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. It is never formed: that is the marginal of a flat
-e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1. The eigenvectors of the field make this diagonal, one
+With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. P G P^T is never formed: it is the marginal over a
+flat e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1. The eigenvectors of the field make this diagonal, one
 decomposition for all sizes of the field, all residuals and all coordinates.
 
 In addition a tool or a camera may displace all positions together (`deformscope.stages.fit.systematic`): the effect of
@@ -56,7 +56,7 @@ SHARED_MOST = 1e8
 a difference between neighbours, and there may be next to no other white noise."""
 
 MISFIT_MOST_UNKNOWN = 100.0
-"""As `FIELD_SIZES`, where no noise was stated: beyond, white noise would be read off the smallest of residuals."""
+"""As `FIELD_SIZES`, if no noise was stated: beyond it, the smallest residuals would determine the white noise."""
 
 MISFIT_ROUGH = 0.05
 """Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and if
@@ -64,7 +64,7 @@ they are large their finest part must not count as information."""
 
 PRIOR_NO_FIELD = 0.5
 PRIOR_HELD_EXACT = 0.15
-"""Prior weight of exact prescribed positions where it is not stated whether they were measured."""
+"""Prior weight of exact prescribed positions, if it is not stated whether they were measured."""
 
 EXACT = 1e-3
 """Noise of prescribed positions that are as good as exact, as a share of the others'."""
@@ -79,7 +79,7 @@ SCALE_SETTLED = 1e-9
 """A step of the scale's logarithm shorter than this is the last."""
 
 SCALE_ROUNDS = 6
-"""Rounds that find the noise's scale from what errors of tool and camera leave, which depends on it."""
+"""Rounds of finding the noise's scale: the residuals without errors of tool and camera depend on it."""
 
 OFFS = ((1.0, 1.0, 0.35), (2.5, 1.0, 0.15), (1.0, 2.5, 0.35), (2.5, 2.5, 0.15))
 """Possible standard deviations of errors of camera and tool, in units of `systematic`'s, and their prior: a
@@ -103,13 +103,13 @@ PRODUCTS_AT_ONCE = 2_000_000
 class Measured:
     """The particles of one observation, and the stated sizes of their errors.
 
-    rest: (n, d) free observed particles; held_rest: (k, d) prescribed ones, whose k d coordinates are the directions of
-    a response; None if m random combinations, noise included, represent too many of them; noise, held_noise: (n,), (k,)
-    deviation of a coordinate, None if unknown; held_measured: whether the prescribed positions carry noise, None = not
-    known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
+    rest: (n, d) free observed particles; held_rest: (k, d) prescribed particles at rest, whose k d coordinates are the
+    directions of a response; None if m random combinations, including noise, represent too many directions; noise,
+    held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed positions
+    carry noise, None = not known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed ones that may be anywhere near, None = none
     touched: (k,) prescribed ones that something moved, None where `held_rest` is
-    shift: deviation of what all that is held is off by, as one [unit]
+    shift: deviation of the common offset of all held particles [unit]
     version: see `model.NEWEST_FIT`
     """
 
@@ -137,7 +137,7 @@ class NoiseHypotheses:
 
     held: the prescribed positions carry noise; shared: the smooth field is one of measurement, which they carry too if
     they carry noise
-    field: which of `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
+    field: index in `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
     camera, tool: their errors' deviation in units of the usual one
     """
 
@@ -185,7 +185,8 @@ class _Basis:
 
 
 Field = tuple[int, float, bool, bool]
-"""Which correlation and its length; whether prescribed positions are noisy; whether they have the field too."""
+"""A smooth field: its correlation and length, whether prescribed positions are noisy, and whether they have the field
+too."""
 
 
 class ErrorModel:
@@ -247,7 +248,7 @@ class ErrorModel:
 
     def modes(self, response: FloatArray, *, held: bool) -> FloatArray:
         """(n, d, q) what errors of the tool and the camera, one deviation each, do to the residuals, by a response
-        (n, d, m); held: those of the camera move the prescribed positions too."""
+        (n, d, m); held: errors of the camera displace the prescribed positions too."""
         rest, at, touched = self.measured.rest, self.measured.held_rest, self.measured.touched
         n, d = rest.shape
         if at is None or touched is None:
@@ -300,7 +301,7 @@ class ErrorModel:
     ) -> Products:
         """chi2 of all sums of some residuals (r, n, d); of more than there are coordinates, `few` makes fewer.
 
-        settle: each residual is that of a value of the parameter, and `log_scale` is found by the best of them
+        settle: each residual belongs to a value of the parameter, and the best of them determines `log_scale`
         """
         every = self.hypotheses
         rows = np.arange(len(every.size)) if chosen is None else chosen
@@ -481,8 +482,8 @@ def independent(points: FloatArray, length: float) -> float:
 
 
 def shared_over(points: FloatArray, residual: FloatArray, spacing: float) -> float:
-    """Length over which residuals (n, d) of points share errors, by the correlation of neighbours; 0 where noise alone
-    makes neighbours as alike, in 95 % of cases."""
+    """Length over which residuals (n, d) of points share errors, from the correlation of neighbours; 0 if noise alone
+    explains that correlation in 95 % of cases."""
     pairs = cKDTree(points).query_pairs(NEIGHBOURS * spacing, output_type="ndarray")
     square = float(np.mean(residual**2))
     if not len(pairs) or square <= 0.0:

@@ -1,11 +1,11 @@
-"""Particles whose observed position is no measurement of them: tracks that were lost, or that jumped to another place.
+"""Particles whose observed position is wrong: tracks that were lost, or that jumped to another place.
 
-They hardly change the value of the lowest average error (a mean of distances resembles a median), but a likelihood of
-Gaussian errors. So each particle is compared with its neighbours at that value. Residuals of a fit, noise apart, are
-smooth, for a model's misfit, a shared error or a beta that has not converged. A particle whose residual lies far
-outside theirs is left out as if it were unseen, the fit is repeated, and so on until none changes. The more there are,
-the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data hardly an
-observation loses a particle. Smaller outliers stay in, where they count as noise.
+They hardly change the value of the lowest average error (a mean of distances resembles a median), but they change a
+likelihood of Gaussian errors. Therefore each particle is compared with its neighbours at that value. Residuals of a
+fit, noise apart, are smooth, for a model's misfit, a shared error or a beta that has not converged. A particle whose
+residual lies far outside theirs is left out as if it were unseen, the fit is repeated, and so on until none changes.
+The more there are, the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data
+hardly an observation loses a particle. Smaller outliers stay in, where they count as noise.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PARTICLES_LEAST = 12
 """Fewer free particles than this do not show which of them is wrong."""
 
 SHARE_MOST = 0.45
-"""Where more than this share looks wrong, it is the model that is: none is left out."""
+"""Largest share of outliers: if more particles look wrong, the model is wrong, and no particle is left out."""
 
 LEAST = 1e-3
 """Deviation in spacings that residuals are taken to have at least: smaller outliers are not worth leaving out."""
@@ -45,7 +45,7 @@ LEAST = 1e-3
 ROUNDS = 5
 
 STOPPED = 0.8
-"""A track counts as lost, not wrong, if its end lies on the way that the model expects, short of this share of it."""
+"""A track counts as lost, not wrong, if it ends on its expected way, before this share of it."""
 
 BEHIND_GAIN, BEHIND_ROUNDS = 10.0, 50
 """Gain in twice the log likelihood that lost tracks need together if none of them is an outlier alone; rounds to their
@@ -73,12 +73,12 @@ class LeftOut:
 
 
 def left_out_json(left_out: Sequence[LeftOut]) -> dict[str, object]:
-    """As a fit's settings have it, where any was left out."""
+    """Settings of a fit about particles that were left out; empty without any."""
     return {"left_out": [one.as_json() for one in left_out]} if any(one.count for one in left_out) else {}
 
 
 Fitted = Callable[[Sequence[Observation]], Sequence[FloatArray]]
-"""Positions (K, d) of each observation at the lowest error of those that are handed to it."""
+"""Computes positions (K, d) of each given observation at the lowest error."""
 
 
 def without_outliers(
@@ -122,8 +122,8 @@ def outlying(
     """(n,) which residuals (n, d) of particles at rest (n, d) lie far outside those of their neighbours.
 
     noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation; known: (n,) outliers that are
-    known already, with which no other particle is compared; way: (n, d) that the model expects, on which lost tracks
-    stay behind
+    known already, with which no other particle is compared; way: (n, d) displacement that the model expects, on which
+    lost tracks stay behind
     """
     n, d = rest.shape
     none = np.zeros(n, dtype=bool)

@@ -42,7 +42,7 @@ def check_metres(rest: FloatArray, noise: FloatArray | None = None) -> None:
 
 
 def check_same_unit(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> None:
-    """Refuses deformed positions (K, d), of which some are known (K,), that are in another unit than rest (K, d)."""
+    """Refuses deformed positions (K, d), known where `known` (K,), in another unit than rest (K, d)."""
     moved = deformed[known] - rigid_positions(rest, deformed, known)[known]
     size, far = size_of(rest), float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
     if far > FARTHEST * size:

@@ -1,10 +1,10 @@
 """Prescribed particles that are not where they are said to be.
 
-A simulation follows its held particles, so a wrong one has no residual of its own, as a free one has; it displaces the
-free ones around it. So each held particle gets a displacement as an unknown, in addition to the parameter and to all
-other explanations of the residuals (`deformscope.stages.fit.noise`). If twice the logarithm of the likelihood gains far
-more by that than noise explains, the particle counts as wrong. Its position is estimated, and the remaining error is a
-part of the interval, as the noise of the other held ones is.
+A simulation follows its held particles, so that a wrong one has no residual, but displaces the free particles around
+it. Therefore each held particle gets a displacement as an unknown, in addition to the parameter and the other
+explanations of the residuals (`deformscope.stages.fit.noise`). If twice the log likelihood gains far more than noise
+explains, the particle counts as wrong. Its position is then estimated, and the remaining error is a part of the
+interval, like the noise of the other held particles.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ LEAST = 0.05
 """Displacement below which a held particle counts as right [spacings]."""
 
 SHARE_MOST = 0.34
-"""Largest share of held particles that counts as off. If more seem off, another cause is assumed."""
+"""Largest share of held particles that counts as off. Largest share of wrong particles: if more seem wrong, another
+cause is assumed."""
 
 ROUNDS = 4
 

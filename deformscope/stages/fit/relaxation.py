@@ -15,8 +15,9 @@ KEPT_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 DOUBTED = 0.5
 """Probability of an unseen relaxed state from which that is a reason."""
 OPEN = 0.15
-"""As much, from which intervals are open toward it: at .25 a quarter of those of power laws that have no reason stay
-closed, at .1 half of those of two branches open (`studies.creep`, seeds 3000 to 3059)."""
+"""Probability of unseen relaxation from which intervals are open at that end. At .25 a quarter of the intervals of
+power laws without a reason stay closed; at .1 half of those of two branches are open (`studies.creep`, seeds 3000 to
+3059)."""
 NEWEST_RELAXATION = 2
 """How intervals of relaxation end. 2: open from the probability `OPEN` on. 1, as in older recordings: with a reason."""
 SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
@@ -28,8 +29,8 @@ def relaxation_modes(strength: FloatArray, retarded_s: FloatArray) -> tuple[Floa
     """Relaxation rates (d, m) [1/s] of branches with strengths and retardation times (d, b), their modes (d, b, m), in
     sqrt(j_i l_i) E_i, and the displacement's drive of each (d, m).
 
-    Under a displacement y, dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In sqrt(j_i l_i) E_i that is a
-    symmetric matrix, whose eigenvectors are orthogonal.
+    Under a displacement y, dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In terms of sqrt(j_i l_i) E_i the
+    matrix is symmetric, so that its eigenvectors are orthogonal.
     """
     drive = np.sqrt(strength / retarded_s)
     rates = drive[:, :, None] * drive[:, None, :] + np.eye(strength.shape[1]) / retarded_s[:, :, None]
@@ -95,10 +96,10 @@ def kept_of(
 class RelaxationSeen:
     """The part of relaxation that a record shows.
 
-    reasons: to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that nothing ends
-    open: whether these together exceed `OPEN`
-    within: (d,) draws of which all relaxes within the record; share: (d,) share of the modulus that relaxes, of endless
-    creep within the record
+    reasons: reasons to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that
+    nothing ends; open: whether these together exceed `OPEN`
+    within: (d,) draws that relax completely within the record; share: (d,) share of the modulus that relaxes, of
+    endless creep within the record
     """
 
     reasons: tuple[Doubt, ...]

@@ -58,11 +58,10 @@ MOST_HELD, SKETCHED = 200, 100
 class Explanation:
     """The errors of one observation, each model with its weight, (h,).
 
-    weight: by the tempered likelihood, as the parameter is inferred; likely: by the likelihood itself, with the weights
-    of predicted errors
+    weight: weight by the tempered likelihood, for the parameter; likely: weight by the likelihood, for predicted errors
     white: deviation of the white noise, as a multiple of the stated one (or in the unit of the rest shape)
-    field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: by prescribed
-    particles, hence measurement and not misfit; held: the prescribed positions were noisy
+    field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: prescribed particles
+    have the field too, so that it is measurement and not misfit; held: the prescribed positions were noisy
     """
 
     weight: FloatArray
@@ -79,7 +78,7 @@ class Explanation:
 
 
 class Residuals:
-    """One observation: its free particles that count, its errors, and the effect of its held ones."""
+    """One observation: its free particles that count, its errors, and the effect of its held particles."""
 
     def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator, version: int) -> None:
         self.seen, self.body = seen, body
@@ -142,7 +141,7 @@ class Residuals:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
 
         base: (K, d) static state at `parameter`, the key of stored responses; relax: states for held positions
-        exact: none is found where the held positions were stated to be exact
+        exact: no response is computed if the held positions were stated to be exact
         """
         if exact and self.measured.held_measured is False and self.measured.loose is None:
             return np.zeros((len(self.judged), self.observed.shape[1], 0))

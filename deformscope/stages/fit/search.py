@@ -26,7 +26,7 @@ Progress = Callable[[str, int, int], None]
 class Tried:
     """Every candidate simulated so far, in rising order.
 
-    parameter: (g,); positions: for each observation (g, K, d); converged, usable (not diverged): (g,)
+    parameter: (g,); positions: (g, K, d) for each observation; converged, usable (not diverged): (g,)
     """
 
     parameter: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -36,7 +36,7 @@ class Tried:
 
 
 class Search:
-    """One parameter against one or more observations that share it.
+    """Finds one parameter for one or more observations that share it.
 
     weight: (observations,) how much each counts, in the error and in the posterior
     """
@@ -93,7 +93,7 @@ class Search:
         return [found[row] for row in range(len(self.seen))]
 
     def only(self, rows: IntArray, weight: FloatArray) -> Search:
-        """The same search over the observations at rows (n,), weighted by `weight` (n,), with the candidates so far."""
+        """The search over only the observations at rows (n,), weighted by `weight` (n,), with the candidates so far."""
         some = copy.copy(self)
         some.seen = [self.seen[row] for row in rows]
         some.bodies = [self.bodies[row] for row in rows]
@@ -195,7 +195,7 @@ class Search:
         The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
         minimum. Here the slope comes from two neighbours simulated around each point, the step from the slope's own
         change (secant), limited to the bracket in which the slope changes sign. It stops when that bracket is narrower
-        than `tolerance`, or at a bound that the slope pushes against.
+        than `tolerance`, or at a bound if the error falls toward it.
         """
         low, high = (self.stretch(b) for b in self.bounds)
         h = 1e-3 * (high - low)
@@ -256,8 +256,8 @@ class Search:
 
 
 def beta_of(stretched: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-    """beta (n,) of values of -log(1 - beta), within its bounds and exactly at them: verdicts ask if they are
-    reached."""
+    """beta (n,) from values of -log(1 - beta), within its bounds and exactly at them: verdicts compare with the
+    bounds."""
     low, high = bounds
     inner = np.where(stretched <= -np.log1p(-low), low, np.clip(-np.expm1(-stretched), low, high))
     return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))

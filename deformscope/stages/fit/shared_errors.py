@@ -3,22 +3,23 @@
 Frames are not independent. Advected particles carry their errors along, and the model's misfit is much the same in
 neighbouring frames. Adding up the frames' log likelihoods as independent ones would shrink the interval as
 1/sqrt(frames). Here the sum is a *composite likelihood* (Varin, Reid and Firth 2011), sum_t w_t log L_t. It is scaled
-so that its curvature is that of its score's variance, as a true likelihood's is (Chandler and Bate 2007; Pauli, Racugno
-and Ventura 2011). With C_ts the correlation of two frames' errors and a_t the information of frame t alone:
+so that its curvature equals its score's variance, as for a true likelihood (Chandler and Bate 2007; Pauli, Racugno and
+Ventura 2011). C_ts is the correlation of two frames' errors, and a_t the information of frame t alone:
 
     C_ts = far + (1 - far) near^|t - s|      errors that all frames share, and errors that drift from frame to frame
     w a = v, v >= 0 the sharpest sum: the largest (v'a)^2 / v'C v;  sum_t w_t log L_t scaled by v'a / v'C v
 
-Fully shared errors leave the one most informative frame, with weight 1; independent ones count every frame in full;
-those of a walk from frame to frame leave mostly the last. C is estimated from the residuals: the correlation, between
-frames, of the scores of patches of particles larger than the length of the flow's shared errors. It is uncertain, and
-too small a value gives false confidence. The weights among frames use its estimate, their scale its upper bound over
-resampled patches, and errors count as fully shared with too few patches to judge.
+With fully shared errors only the most informative frame counts, with weight 1; with independent errors every frame
+counts fully; with a random walk over frames mostly the last one. C is estimated from the residuals: the correlation,
+between frames, of the scores of patches of particles larger than the length of the flow's shared errors. C is
+uncertain, and too small a value makes intervals too narrow. The weights among frames use its estimate, their scale its
+upper bound over resampled patches, and errors count as fully shared with too few patches to judge.
 
 Measured on sheets of 8 to 12 particles per side in 6 frames (40 per kind). With independent noise in each frame the 90
-% intervals cover 97 %, are 0.72 times as wide as the last frame's, and the rms error is 0.3 of it. With noise that all
-frames share (87 %) both are those of the last frame. With a walk's (95 %) the rms error is 1.02 of the last frame's
-(1.13 on 60 others), which alone would be the best there: the cost of estimating C.
+% intervals cover 97 %, have 0.72 times the width and 0.3 times the rms error of the last frame alone. With noise that
+all frames share they cover 87 %; width and error are those of the last frame. With a random walk they cover 95 %, and
+the rms error is 1.02 times that of the last frame (1.13 on 60 others), which alone would be best: the cost of
+estimating C.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ FULLY = Shared(RHO_MOST, RHO_MOST, RHO_MOST, 0.0)
 class Together:
     """The information of frames together.
 
-    weight: (F,) weight of each frame's error and log likelihood; 1 = as an observation of its own
+    weight: (F,) weight of each frame's error and log likelihood; 1 = like a separate observation
     information: (F,) information of each frame alone on the parameter, in standard deviations over `STEP` of the range
     shared: how the frames' errors correlate
     """

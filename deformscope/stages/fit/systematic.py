@@ -6,9 +6,9 @@
   direction, or a drift. Bent displacements, such as those by a lens, are left to the smooth fields of
 `deformscope.stages.fit.noise`.
 
-Each has a Gaussian prior, so that they add a covariance of low rank to that of the noise. They are always included. A
-tool's displacement is hardly distinguishable from another parameter in the residuals, so that evidence would decide
-against an existing tool error (`python -m studies beta`, docs/results/coverage.md).
+Each displacement has a Gaussian prior, so that together they add a covariance of low rank to that of the noise. These
+displacements are always included. The effect of a tool's displacement on the residuals resembles that of a parameter,
+so that evidence would decide against an existing tool error (`python -m studies beta`, docs/results/coverage.md).
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray
 
 TOOL_SHIFT = 0.04
-"""Standard deviation of a shift along each axis, and of a turn's effect on the farthest particle [spacings]. With that
-of the camera chosen on tuning seeds (`studies.seeds`), bodies of `studies.independent`."""
+"""Standard deviation of a shift along each axis, and of a turn's effect on the farthest particle [spacings]. Deviation
+of the tool's displacement; like that of the camera it was chosen on tuning seeds (`studies.seeds`), on bodies of
+`studies.independent`."""
 
 CAMERA_SLOPE = 0.005
 """Deviation of each part of a linear displacement, as a share of the distance."""
 
 
 def tool_modes(held: FloatArray, touched: BoolArray) -> FloatArray:
-    """(k, d, q) shifts and turns of held particles (k, d), of which some are touched (k,), by 1 at the farthest one."""
+    """(k, d, q) shifts and turns of held particles (k, d), touched where (k,) is true, by 1 at the farthest
+    particle."""
     d = held.shape[1]
     found = []
     for group in (touched, ~touched):

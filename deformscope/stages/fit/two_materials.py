@@ -2,10 +2,11 @@
 
 The body is split in several ways: across each of its axes, into the parts near to the push and far from it, and into an
 inclusion, at one of several places, and the rest. For each split the residuals get one more term, a beta that is larger
-on one side and smaller on the other. It is added to the fitted parameters and to the other explanations (noise, its
-reach, misfit, wrong prescribed positions: `deformscope.stages.fit.noise`). Twice the logarithm of the likelihood's gain
-is the statistic of a likelihood ratio test (a score test, as the states are linear in the betas about the fit). One
-that gains more than noise does is fitted in full, by simulation, and has to leave much less of the residuals.
+on one side and smaller on the other. The difference of betas is added to the fitted parameters and to the other
+explanations (noise, its reach, misfit, wrong prescribed positions: `deformscope.stages.fit.noise`). Twice the logarithm
+of the likelihood's gain is the statistic of a likelihood ratio test (a score test, as the states are linear in the
+betas about the fit). A split that explains more than noise does is fitted by simulation, and has to reduce the
+residuals much more.
 """
 
 from __future__ import annotations
@@ -99,11 +100,11 @@ def _inclusions(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> 
 
 @dataclass(frozen=True, slots=True)
 class Local:
-    """One observation about its fit.
+    """One observation, linearised at its fit.
 
-    part: its particles and error model; residual: (n, d) at the fit; response: (n, d, m) there, to held positions
-    fitted: (q, n, d) derivatives by the parameters fitted; apart: (s, n, d) by a difference between the parts of each
-    split; weight: weight of the observation
+    part: its particles and error model; residual: (n, d) residual at the fit; response: (n, d, m) there, to held
+    positions; fitted: (q, n, d) derivatives by the parameters fitted; apart: (s, n, d) derivatives by a difference
+    between the parts of each split; weight: weight of the observation
     """
 
     part: Residuals
@@ -229,8 +230,8 @@ class FittedBody:
 def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: float = np.inf) -> Iterator[Doubt]:
     """Whether two betas explain data that one, fitted to all bodies, does not.
 
-    beta: the one; top: the highest that is searched; rival: squared error [unit^2] of another explanation, which two
-    betas have to leave less than
+    beta: the single beta of the fit; top: the highest that is searched; rival: squared error [unit^2] of another
+    explanation, which two betas have to leave less than
     """
     every = [{way.names: way for way in splits(body.part.seen, body.grouped)} for body in bodies]
     names = [name for name in every[0] if all(name in one for one in every)]

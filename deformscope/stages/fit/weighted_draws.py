@@ -14,7 +14,7 @@ DRAWS = 2000
 """Weighted draws from a heavier-tailed proposal."""
 PROPOSAL_FREEDOM = 5.0
 FEWEST_EFFECTIVE = 40.0
-"""Where fewer weighted draws than these count in effect, unweighted ones about the best fit are taken."""
+"""If the effective number of weighted draws is smaller, unweighted draws about the best fit are used."""
 DRAWS_OF_ALL, TEMPERED, FREEDOM_OF_ALL = 4000, 0.6, 4.0
 """Number of draws of all choices of all models; power of their evidence, which is only roughly known, by which choices
 are drawn; degrees of freedom of the proposal."""
@@ -70,11 +70,11 @@ def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.
 
 @dataclass(frozen=True, slots=True)
 class DrawnModel:
-    """One model in many choices, that differ by their priors alone.
+    """One model with many choices that differ only in their priors.
 
     mean: (c, k) mean of the Gaussian priors of each choice, where the search begins; spread: (k,) deviations, infinite:
-    none; prior: probability of all choices together, each alike; residuals: (d, k) to (d, m), without priors
-    linear: (d, k) to these and their derivatives (d, k, m)
+    none; prior: probability of all choices together; each is equally probable; residuals: computes residuals (d, m)
+    from parameters (d, k), without priors; linear: computes from (d, k) the residuals and their derivatives (d, k, m)
     """
 
     mean: FloatArray

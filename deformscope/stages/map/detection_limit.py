@@ -1,11 +1,10 @@
 """Detection limit of touches: the largest circle without a touch, and inclusions that the map does not show.
 
 An inclusion is a disc of some radius, twice as stiff or twice as soft as its surroundings. Its centre may be anywhere
-on the surface if all of it lies there, each place with equal probability. The touches are taken to read as the map
-explains
+with equal probability, if the whole inclusion is below the surface. The touches are taken to read as the map explains
 them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as with any
-region), in standard deviations of them. So a touch inside excludes it, and one at its rim leaves it open. Rigid parts
-have no
+region), in standard deviations of them. Therefore a touch inside excludes it, and a touch at its rim does not. Rigid
+parts have no
 inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
@@ -39,7 +38,7 @@ CENTRE_CELL_M = 0.02
 class UnseenInclusions:
     """Inclusions of one radius that may be there unseen, after the touches.
 
-    probability: that there is one; weight: (c,) that it is at each of the centres, of 1 in all
+    probability: probability that there is one; weight: (c,) probability of each centre, 1 in total
     """
 
     def __init__(self, posterior: RegionPosterior, radius_m: float) -> None:
@@ -74,7 +73,7 @@ class UnseenInclusions:
 def detection_limit(
     posterior: RegionPosterior, made_m: FloatArray, radii_m: Iterable[float] = INCLUSION_RADII_M
 ) -> DetectionLimit:
-    """Computes the detection limit. made_m: (n, 2) where it was touched, also where that gave nothing [m]"""
+    """Computes the detection limit. made_m: (n, 2) places of all touches, including those without a result [m]"""
     size, centres = np.asarray(posterior.grid.size_m), posterior.grid.centres_m
     circle = np.minimum(centres, size - centres).min(axis=1)
     if len(made_m):

@@ -46,7 +46,7 @@ class SurfaceEstimate:
 class TouchEstimate:
     """Measurement of one touch.
 
-    number: from 1; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
+    number: its number, from 1; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
     approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
     fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began, on the same axis
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
@@ -56,7 +56,7 @@ class TouchEstimate:
     beta, beta_interval, beta_verdict: beta, beta interval and beta verdict of the MSM fitted to the dent, None = not
     fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
-    speed_m_s: at which the tip came down in contact, None = not known: foam that creeps is the stiffer the faster
+    speed_m_s: speed of the approach in contact, None = unknown: creeping foam is stiffer at higher speed
     creep: the foam's creep by the touch's hold and retract, None = not requested, or not fitted
     thickness_m: thickness of the foam there, as it was seen; level_n_per_mm: its stiffness on level foam of the stated
     thickness, which is mapped; both None if the foam is assumed to be that
@@ -157,7 +157,7 @@ class TouchEstimate:
 
     @property
     def interval_text(self) -> str:
-        """The interval of the stiffness; empty where there is none."""
+        """The interval of the stiffness as text; empty without one."""
         if not self.usable or self.rigid:
             return ""
         low, high = self.stiffness_interval
@@ -174,13 +174,13 @@ class TouchEstimate:
 
 @dataclass(frozen=True, slots=True)
 class MapRegion:
-    """A region of a map: a place where all is alike.
+    """A region of a map: a part of the surface with one stiffness.
 
-    stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) 90 % interval; rigid: the former is a lower bound
-    modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam with this stiffness. It is shown without the
-    interval, which does not cover foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times stiffer. None
-    with an unknown thickness, the interval also for a bound
-    loss, loss_interval: (2,) share of a touch's energy; None where it is not mapped
+    stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) 90 % interval; rigid: stiffness_n_per_mm is a lower bound
+    modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam with this stiffness. The modulus is shown
+    without its interval, which does not cover foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times
+    stiffer. The modulus is None if the thickness is unknown, its interval also for a bound
+    loss, loss_interval: (2,) share of a touch's energy that is lost; None if not mapped
     """
 
     stiffness_n_per_mm: float = field(
@@ -204,12 +204,12 @@ class MapRegion:
 
     @property
     def loss_text(self) -> str:
-        """Its energy loss in a touch; empty if it was not mapped."""
+        """The region's energy loss in a touch as text; empty if it was not mapped."""
         return "" if self.loss is None else f"loses {format_value(self, 'loss')}"
 
     @property
     def modulus_text(self) -> str:
-        """Its modulus; empty if it was not separated from stiffness, or is a bound."""
+        """The region's modulus as text; empty if it was not separated from stiffness, or is a bound."""
         return "" if self.modulus_pa is None or self.rigid else f"about {self.modulus_pa / 1e3:.3g} kPa"
 
 
@@ -222,29 +222,30 @@ REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no
 
 @dataclass(frozen=True, slots=True)
 class MapEstimate:
-    """The maps after a number of touches, and every number that is reported of them: terminal, JSON, panel, pictures
-    and replay take them from here.
+    """The maps after a number of touches, and all numbers about them that terminal, JSON, panel, pictures and replay
+    show.
 
     stiffness_n_per_mm: (rows, columns) median; stiffness_log_sd: deviation of its logarithm
-    beta, beta_sd: (rows, columns), None before two touches gave one
+    beta, beta_sd: (rows, columns) map of beta and its deviation, None until two touches have a beta
     labels: (rows, columns) region of each cell, 0 the softest, -1 without regions
     label_probability: probability of that label, the doubt about the number of regions and about `gradual` included
-    region_count: 0 without regions; at_least: there may be more, it is the largest number that is distinguished
-    verdict: "regions" or "gradual"; probability: probability of verdict and region_count (`RegionMap.claimed`)
+    region_count: 0 without regions; at_least: `region_count` is the largest number that is distinguished, so that there
+    may be more; verdict: "regions" or "gradual"; probability: probability of both (`RegionMap.claimed`)
     level_n_per_mm: (region_count,) stiffness of each region; level_interval_n_per_mm: (region_count, 2) 90 % interval
     level_rigid: (region_count,) regions whose level is a lower bound, at which the interval begins; it is open above
-    contacts_m: (n, 2) touches so far; tip_radius_m: tip radius of the touching tip
-    travel_m: over the surface, in straight lines from its corner (0, 0), where planning begins, from touch to touch
+    contacts_m: (n, 2) touches so far; tip_radius_m: tip radius of the touching tip; travel_m: travel over the surface
+    in straight lines, from its corner (0, 0), where planning begins, from touch to touch
     level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
     its 90 %, a lower bound for rigid parts; None with an unknown thickness
-    levelled_m: all stiffness is as on a level layer so thick [m], None = apparent
+    levelled_m: thickness of the level layer to which all stiffness is converted [m], None = apparent stiffness
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
     level_loss: (region_count,) loss of each region, level_loss_interval: (region_count, 2) of 90 %; all four None
     unless the regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the touches,
     the levels its means, none of them a bound
     isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
     `probability` is then that of as many regions by stiffness; None = the regions are of stiffness, or of the loss
-    truth_labels: where it is known; iou, boundary_m: against it; boundary_m is None where one has no boundary
+    truth_labels: where it is known; iou, boundary_m: agreement with the truth; boundary_m is None if either has no
+    boundary
     """
 
     touches: int
@@ -315,7 +316,7 @@ class MapEstimate:
 
 @dataclass(frozen=True, slots=True)
 class MissProbability:
-    """With which probability an inclusion of a radius [m] is missed."""
+    """The probability that an inclusion of a radius [m] is missed."""
 
     radius_m: float = field(metadata=reported(unit="m"))
     probability: float = field(metadata=reported())
@@ -326,10 +327,10 @@ class DetectionLimit:
     """Detection limit of the touches so far.
 
     untouched_m, untouched_at_m: radius and centre (2,) of the largest circle on the surface without a touch [m]
-    lump_radius_m: (n,) radii of inclusions that fit on the surface, rising [m]; lump_probability: (n,) that one of
-    these exists, undetected by the touches; it was `prior` before any touch
+    lump_radius_m: (n,) radii of inclusions that fit on the surface, rising [m]; lump_probability: (n,) probability that
+    one of this radius exists undetected; it was `prior` before any touch
     contrast: ratio of their stiffness to that of their surroundings, or the inverse
-    deepest_m: from the surface to their uppermost points, at most; None = they reach from top to bottom
+    deepest_m: largest depth of their uppermost points below the surface; None = they reach from top to bottom
     """
 
     untouched_m: float = field(metadata=reported(unit="m"))
@@ -356,22 +357,22 @@ class InclusionsResult:
     """Posterior of inclusions below a homogeneous surface, by the touches so far (`stages.map.inclusion_posterior`).
 
     centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
-    radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) rather than soft; probability: (k,) probability
-    of each
+    radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) whether each is stiffer than the foam, not
+    softer; probability: (k,) probability of each
     depth: depth of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty if it is not identified
     covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: cell size of that
     map; size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found,
     were inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
-    prior, contrast, deepest_m: assumptions. Before any touch an inclusion exists with probability `prior`. It is at
-    least `contrast` times as stiff or as soft as the foam. Its uppermost point is at most `deepest_m` down [m]
+    prior, contrast, deepest_m: assumptions. Before any touch an inclusion exists with probability `prior`. An inclusion
+    is at least `contrast` times as stiff or as soft as the foam. Its uppermost point is at most `deepest_m` down [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
-    truth_m: (m, 4) where it is known: x, y, radius, depth of each [m]
+    truth_m: (m, 4) true x, y, radius, depth of each [m], if known
     """
 
     @property
     @derived(older_key="lumps")
     def found(self) -> list[dict[str, Any]]:
-        """Each that was found."""
+        """Each inclusion that was found."""
         names = ("centre_m", "within_m", "radius_m", "radius_interval_m", "stiff", "probability", "depth")
         return [{name: getattr(self, name)[number] for name in names} for number in range(len(self))]
 
@@ -449,10 +450,10 @@ class InclusionsResult:
 class PlannedTouch:
     """Place of the next touch, and its reason.
 
-    target_m: (2,), None = no further touch; excluded: cells that may not be touched
+    target_m: (2,) place, None = no further touch; excluded: cells that may not be touched
     gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: unit of
     `gain`, as in `plan.TouchChoice`
-    reason: in words; stop_reason: why none follows; missed: by the touches so far, None where it was not computed
+    reason: in words; stop_reason: why none follows; missed: detection limit of the touches so far, None if not computed
     """
 
     target_m: FloatArray | None
@@ -473,7 +474,7 @@ class TouchForecast:
     lowest point, down to it [m]; set_force_n: pressed with
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force, as one touch is expected to measure it in 90 %
     force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) depth, lower end and upper end of the dent at each, and
-    its interval [m]; touches: those of the estimate
+    its interval [m]; touches: touches of the estimate
     """
 
     xyz_m: FloatArray
@@ -508,8 +509,8 @@ class StageFailure:
     """A stage failed on one touch: the exploration continues without its result.
 
     stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
-    touch: from 1, 0 = before the first
-    reason: in one line; trace: place of the failure, for developers
+    touch: its number from 1, 0 = before the first
+    reason: reason in one line; trace: place of the failure, for developers
     """
 
     stage: str = field(metadata=reported())

@@ -3,9 +3,10 @@
     field = fit_field(places_m, log_stiffness, log_sd)
     found = field.on(grid)                 # mean and deviation on cells of 0.5 cm
 
-Each touch has its own variance; the further scatter of touches at one place is the *nugget*, the same for all. A few
-touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`). The prediction averages over their
-posterior, not only its mode, so that a map of three touches has its full uncertainty.
+Each touch has its own variance. The additional scatter of touches at one place is the *nugget*, the same for all
+touches. A few touches do not identify the hyper-parameters: each has a weak prior (`FieldPrior`). The prediction
+averages over the hyper-parameters' posterior, not only its mode, so that a map of three touches has its full
+uncertainty.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class FieldPrior:
     """Log-normal priors of the hyper-parameters: a median, and a spread in natural logarithms.
 
     sigma_e: deviation of the field [its unit]; length_m [m]; nugget: deviation from touch to touch at one place
-    level_sd: deviation of the constant mean around that of the touches; large, so that touches alone determine it The
+    level_sd: deviation of the constant mean around that of the touches; large, so that only touches determine it. The
     defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and the scatter
     of touches in `stages.regions.touch_error`. For beta, 0 to 1, `BETA_PRIOR`.
     """
@@ -118,8 +119,8 @@ class Field:
 
     places_m: (n, 2) [m]; value, sd: (n,) value and standard deviation of the touches; level: the constant that the mean
     varies around
-    kernel, nugget: likeliest; log_likelihood: marginal, at these; at_bound: which of "sigma_e", "length", "nugget" came
-    to rest at the end of its range; states: hyper-parameters of the average, one alone if they are fixed
+    kernel, nugget: likeliest; log_likelihood: marginal log likelihood at these; at_bound: which of "sigma_e", "length",
+    "nugget" are at an end of their range; states: hyper-parameters of the average, one alone if they are fixed
     """
 
     places_m: FloatArray
@@ -166,8 +167,8 @@ def fit_field(
 
     kernel, nugget: used if given, else estimated by marginal likelihood under `prior`; several touches at one place are
     replicates and identify the nugget
-    average: over the posterior of the hyper-parameters; else the most probable ones count as known Raises InputError
-    for no touch, and values that are not finite.
+    average: average over the posterior of the hyper-parameters; otherwise the most probable ones count as known. Raises
+    InputError without a touch, and for values that are not finite.
     """
     places, value, sd = (np.asarray(one, dtype=np.float64) for one in (places_m, value, sd))
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):

@@ -15,10 +15,10 @@ NAMES = (*(f"F{axis} [N]" for axis in "xyz"), *(f"{axis} [m]" for axis in "xyz")
 class ForcePose:
     """Readings of force sensor and arm of a touch.
 
-    host_ns: (n,) when each force came, on the host's clock; values: (n, 9) force on the tip [N], position of its middle
-    [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated between
-    the arm's states before and after: the force comes more often. Before the first state and after the last one they
-    are as there.
+    host_ns: (n,) when each force arrived, on the host's clock; values: (n, 9) force on the tip [N], position of its
+    middle [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated
+    between the arm's states before and after: the force comes more often. Before the first state and after the last one
+    they are as there.
     """
 
     host_ns: IntArray
@@ -28,8 +28,8 @@ class ForcePose:
 def force_pose(host_ns: IntArray, force_n: FloatArray, state_ns: IntArray, T_surface_tip: FloatArray) -> ForcePose:
     """Forces (n, 3) [N] with the pose at their times: positions linearly, rotations along the shortest turn (slerp).
 
-    state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation vector may be a whole turn from the one of at
-    most half a turn. The one nearest to the first is returned, so that rows do not jump.
+    state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation is given by several rotation vectors, which
+    differ by whole turns. The vector nearest to the first is returned, so that rows do not jump.
     """
     from scipy.spatial.transform import Rotation, Slerp
 

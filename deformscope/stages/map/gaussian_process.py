@@ -17,7 +17,7 @@ from deformscope.errors import InputError
 @dataclass(frozen=True, slots=True)
 class Kernel:
     """The squared exponential kernel (Thesis eq. 4.5). sigma_e: deviation of the process [its unit]; sigma_w: width,
-    sqrt(2) times the length scale [m]
+    sqrt(2) times the length scale [m].
 
     Raises InputError for values that are not above 0.
     """

@@ -1,9 +1,9 @@
 """The marginal likelihood of a Gaussian process by all of its points, in a basis of sines (Solin and Särkkä 2020).
 
 On a box around the data the kernel is nearly a sum over sines, each weighed by the kernel's spectral density at its
-frequency. Only these weights depend on the kernel. So the sums over points are computed once, and each trial of the
-hyper-parameters costs as much for a million points as for a thousand. For products of sines even that sum is cheap: sin
-a sin b = (cos(a - b) - cos(a + b)) / 2. So sums of cosines at every point give all products of two sines.
+frequency. Only these weights depend on the kernel. Therefore sums over points are computed once, and a trial of
+hyper-parameters costs the same for a thousand and for a million points. For products of sines even that sum is cheap:
+sin a sin b = (cos(a - b) - cos(a + b)) / 2. Therefore sums of cosines over points give all products of two sines.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HIGHEST = 4.0
 highest."""
 
 MOST_SINES = 1600
-"""Products of sines at most: one trial then takes 0.2 s. It bounds the length from below."""
+"""Products of sines at most: one trial then takes 0.2 s. Largest number of sines: it bounds the length from below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,8 @@ class WeightedBasis:
 
 @dataclass(frozen=True, slots=True)
 class ListedPoints:
-    """A few points whose noise is known. basis: (k, m) and value: (k,), both by 1 / noise; log_noise: as above"""
+    """A few points whose noise is known. basis: (k, m), value: (k,), both multiplied by 1 / noise; log_noise: as
+    above"""
 
     basis: FloatArray
     value: FloatArray

@@ -1,9 +1,9 @@
 """Next touches for inclusions, and the end of the search: `explore --goal inclusions`.
 
 While no inclusion is detected: the place whose touch most lowers the miss probability per second. For every remaining
-hypothesis, it compares the expected reading there with that of the foam alone, in standard deviations given the other
-touches. With a detected one: the place with the most information about which inclusion it is. It stops where an
-inclusion of the smallest size, and of any larger one, is missed with less than `PlanOptions.missed`.
+hypothesis, the plan compares the expected reading there with that of foam alone, in standard deviations given the other
+touches. With a detected inclusion: the place with the most information about it. It stops when inclusions of the
+smallest and of any larger size are missed with less than `PlanOptions.missed`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from deformscope.stages.map.plan import ALLOWED, PlanOptions, StopReason, TouchC
 from deformscope.stages.regions.touches import MapGrid
 
 FELT = 0.6
-"""From this probability of an inclusion on, the next touch is to identify it."""
+"""Probability of an inclusion from which the next touch is chosen to identify it."""
 FEWEST = 3
 """Touches before it stops."""
 AT_ONCE = 64
-"""Places that are weighed at once, with some 50 000 inclusions each: no more memory than that takes."""
+"""Number of places that are evaluated at once, with some 50 000 inclusions each: it bounds the memory."""
 LEAST_VARIANCE = 2e-5
 """Smallest variance of a reading's log: 0.4 % deviation."""
 
@@ -98,7 +98,7 @@ def detection_probability(posterior: InclusionPosterior, places_m: FloatArray) -
 
 
 def information_gain(posterior: InclusionPosterior, places_m: FloatArray) -> FloatArray:
-    """(p,) about how many nats touches at places (p, 2) say about which inclusion there is, if any."""
+    """(p,) approximate information [nats] of touches at places (p, 2) about which inclusion there is, if any."""
     state = posterior.state
     weight = state.exists * state.posterior
     spread = sum(one**2 @ weight - (one @ weight) ** 2 for one in _readings(posterior, places_m))

@@ -42,15 +42,17 @@ RADII_M = (0.01, 0.015, 0.02, 0.025, 0.03, 0.04)
 DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
 """Depths of the uppermost points."""
 DEEP_M = 0.0125
-"""An inclusion is called deep where its uppermost point is farther down, shallow where it is not."""
+"""An inclusion is called deep if its uppermost point is farther down than this, else shallow."""
 TIMES = (4.0, 20.0)
 """Ratio of stiffness, or its inverse."""
 SCATTERS = (0.004, 0.008, 0.016, 0.032, 0.064, 0.12)
 """Deviations of log stiffness that are summed over, each as likely: from cast foam to 12 %."""
 LENGTHS_M = (0.025, 0.04, 0.065, 0.1)
-"""Over which foam varies, likewise: some centimetres. Variation over less than an inclusion's size is one."""
+"""Lengths over which foam varies, equally probable: some centimetres. Variation over less than an inclusion's size is
+one."""
 APART = (0.0, 0.03, 0.3)
-"""Shares of the scatter's variance that are each touch's own, likewise: from none, in foam that varies smoothly."""
+"""Shares of the scatter's variance that touches do not share, equally probable: from none, in foam that varies
+smoothly."""
 FOOTPRINT_DOUBT = 0.15
 """Relative error of an inclusion's effect on touches, common to all: the accuracy of the footprint."""
 LEVEL_SD, LEAST_SD = 3.0, 0.002
@@ -81,8 +83,8 @@ Z_90 = 1.6449
 class Background:
     """Variation of foam without inclusions: a Gaussian field of log stiffness.
 
-    scatter: its deviation; length_m: over which it changes (squared exponential); apart: share of its variance that is
-    each touch's own
+    scatter: its deviation; length_m: length over which it changes (squared exponential); apart: share of its variance
+    that is each touch's own
     """
 
     scatter: float
@@ -91,7 +93,7 @@ class Background:
 
     @property
     def shape(self) -> tuple[float, float]:
-        """All but the scatter."""
+        """The background without its scatter."""
         return self.length_m, self.apart
 
     def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
@@ -135,10 +137,10 @@ class InclusionPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InclusionHypotheses:
-    """Inclusions that there may be, of every kind at every place: `j` of them.
+    """All `j` inclusions that are considered, of every kind at every place.
 
-    centre_m: (j, 2); radius_m, depth_m, share: (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior, 1 in
-    all
+    centre_m: (j, 2); radius_m, depth_m, share: (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior
+    probability, 1 in total
     """
 
     centre_m: FloatArray
@@ -149,8 +151,8 @@ class InclusionHypotheses:
 
     @classmethod
     def on(cls, size_m: tuple[float, float], radii_m: Sequence[float]) -> InclusionHypotheses:
-        """On a surface: each radius as likely, and of each radius every place, depth and contrast; of a place one after
-        the other."""
+        """Hypotheses on a surface: all radii are equally likely, and all places, depths and contrasts of a radius.
+        Those of one place are adjacent."""
         cell_m = max(CENTRE_CELL_M, float(np.sqrt(size_m[0] * size_m[1] / MOST_CENTRES)))
         stiff = np.array([contrast_share(one) for one in TIMES])
         kinds = np.stack(np.meshgrid(DEPTHS_M, np.concatenate([stiff, -stiff]), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -214,9 +216,9 @@ class FoundInclusion:
     """An inclusion that the touches make probable.
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: its
-    radius and the 90 % interval [m]; stiff: it is stiffer than the foam, not softer; probability: that there is one
-    deep: probability that it is (DEEP_M); log_shift: its effect on log stiffness right above it
-    posterior: (j,) over the guesses
+    radius and the 90 % interval [m]; stiff: it is stiffer than the foam, not softer; probability: probability that
+    there is one; deep: probability that it is (DEEP_M); log_shift: its effect on log stiffness right above it
+    posterior: (j,) probability of each hypothesis
     """
 
     centre_m: FloatArray
@@ -231,7 +233,7 @@ class FoundInclusion:
 
     @property
     def depth(self) -> str:
-        """In a word; empty if it is not identified."""
+        """The depth in a word; empty if it is not identified."""
         return "deep" if self.deep >= SURE_DEPTH else "shallow" if self.deep <= 1.0 - SURE_DEPTH else ""
 
 
@@ -239,9 +241,9 @@ class FoundInclusion:
 class LeftOver:
     """Residuals of t touches after the found inclusions.
 
-    places_m: (t, 2); read: (t,) log stiffness, without the found ones; noise: (t, t) its covariance, but for scatter
-    and level; bent: (t,) exponents, without the found ones and the part due to stiffness; bent_noise: (t, t) its
-    covariance, but for the level
+    places_m: (t, 2); read: (t,) log stiffness, without the found ones; noise: (t, t) its covariance, without scatter
+    and level; bent: (t,) exponents, without the found ones and the part due to stiffness; bent_noise: (t, t) covariance
+    of exponents, without the level
     """
 
     places_m: FloatArray
@@ -268,7 +270,7 @@ class LeftOver:
         return cls(places_m=places, read=read, noise=noise, bent=bent - STIFFER * about, bent_noise=bent_noise)
 
     def without(self, felt: InclusionShifts, weight: FloatArray) -> LeftOver:
-        """Less an inclusion of the posterior (j,), with the doubt about it."""
+        """Residuals without an inclusion of the posterior (j,), with its uncertainty."""
 
         def less(each: FloatArray) -> tuple[FloatArray, FloatArray]:
             """(t,) mean of the shifts (t, j), and (t, t) the doubt about them."""
@@ -285,7 +287,7 @@ class LeftOver:
         )
 
     def exponents_whitened(self, lumps: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(t,), (t, j) the exponents, and the effects of inclusions (t, j) on them, in independent deviations."""
+        """The exponents (t,), and the effects of inclusions (t, j) on them, in units of independent deviations."""
         root = np.linalg.cholesky(self.bent_noise + EXPONENT_LEVEL_SD**2)
         whitened = solve_triangular(root, np.column_stack([self.bent, lumps]), lower=True)
         return whitened[:, 0], whitened[:, 1:]
@@ -299,9 +301,9 @@ class LeftOver:
 class InclusionState:
     """Posterior after the found inclusions: whether there is one more.
 
-    odds_log: (j,) logarithm of each guess's likelihood over that of none; open: (j,) guesses that stay apart from all
-    that were found; posterior: (j,) posterior of one more, its kinds and places, 1 in all; exists: that there is one
-    more, of all radii
+    odds_log: (j,) logarithm of each hypothesis's likelihood over that without an inclusion; open: (j,) guesses that
+    stay apart from all that were found; posterior: (j,) posterior of kind and place of one more inclusion, 1 in total;
+    exists: probability that there is one more, of any radius
     backgrounds: (b,) posterior of `BACKGROUNDS`
     """
 

@@ -1,9 +1,9 @@
 """Maps by the share of its energy that a touch loses, in place of stiffness: foams that are equally stiff may differ.
 
 The share is used by its logarithm, as stiffness is, in which regions differ and touches have relative errors. Shares
-below LEAST_LOSS count as it, so that elastic and rigid parts are one material. It is of the touch as made: its speed
-and the duration of its hold, which are the same for all touches of an exploration. The gain of the force has no effect,
-and neither has the shape of the surface, which changes stored and returned energy alike.
+below LEAST_LOSS count as LEAST_LOSS, so that elastic and rigid parts are one material. The loss depends on the touch's
+speed and the duration of its hold, which are the same for all touches of an exploration. The gain of the force has no
+effect, and neither has the shape of the surface, which changes stored and returned energy alike.
 """
 
 from __future__ import annotations

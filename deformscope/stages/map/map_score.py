@@ -31,7 +31,7 @@ class TrueMap:
 
     @property
     def region_count(self) -> int:
-        """0 where there are none."""
+        """Number of regions, 0 without regions."""
         return 0 if self.labels is None else len(self.level)
 
     @property
@@ -44,7 +44,7 @@ class TrueMap:
 
 @dataclass(frozen=True, slots=True)
 class MapScore:
-    """A map against the truth. Without a truth it is None; shares are from 0 to 1.
+    """A map against the truth. A score without a truth is None; shares are from 0 to 1.
 
     region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are; iou: `match_regions`;
     least_iou: least IoU of the smallest true region with its match; boundary_m: `boundary_distance`
@@ -132,7 +132,7 @@ def score_map(shown: RegionMap, truth: TrueMap) -> MapScore:
 
 
 def called_labels(shown: RegionMap) -> IntArray:
-    """(rows, columns) labels to be matched with others: one region everywhere where a map has none."""
+    """(rows, columns) labels for matching with others: a map without regions has a single one."""
     return np.maximum(shown.labels, 0)
 
 

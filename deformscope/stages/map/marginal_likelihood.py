@@ -42,7 +42,7 @@ farther."""
 MOST_ROUNDS = 12
 
 NEAR_BOUND = 2e-3
-"""Nearer to a bound than this (in logs) is at it."""
+"""Distance from a bound (in logs) below which a value counts as at the bound."""
 
 SETTLED = 1e-3
 """Log likelihood that another step need not gain."""
@@ -70,7 +70,7 @@ class Observations:
 
 @dataclass(frozen=True, slots=True)
 class FixedHyperparameters:
-    """Hyper-parameters that the user fixed; None: to be learned."""
+    """Hyper-parameters that the user fixed; None: it is learned."""
 
     sigma_e: float | None = None
     sigma_w: float | None = None
@@ -83,11 +83,12 @@ NAMES = ("sigma_e", "length", "noise_scale")
 def learn(
     free: Observations, known: Observations, given: FixedHyperparameters, start: Hyperparameters | None = None
 ) -> Hyperparameters:
-    """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: whose noise is known.
+    """The likeliest hyper-parameters. free: points whose noise is known up to one factor; known: observations whose
+    noise is known.
 
-    start: estimates from nearly the same points, if any; else a few lengths are tried first If all are given nothing is
-    fitted, and the likelihood is NaN. Raises InputError where a given sigma_w is too short for the others to be
-    learned.
+    start: estimates from nearly the same points, if any; otherwise a few lengths are tried first. If all
+    hyper-parameters are given, none is fitted, and the likelihood is NaN. Raises InputError where a given sigma_w is
+    too short for the others to be learned.
     """
     if not len(free.value):
         given = dataclasses.replace(given, noise_scale=1.0)

@@ -30,13 +30,13 @@ class SurfaceMeasurement:
 class TouchMeasurement:
     """Measurement of a touch.
 
-    xy_m: (2,) where it was to be; normal: (3,) that it went along
-    time_s: (n,) rising; position_m: (n, 3) middle of the ball as the arm reports; force_n: (n, 3) on it; surface frame
-    after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force, rather than the depth
-    seen_ns: until when they were seen, on the robot's clock; 0 = nothing was seen
-    loading, held: number of samples up to the set force, and up to the retract; None without a creep measurement: then
-    all samples are up to the set force
-    pixels: that after_m is of; force_pose: at the force's rate; None = not requested, or not measured at it
+    xy_m: (2,) planned place; normal: (3,) direction of the touch, outwards; time_s: (n,) rising; position_m: (n, 3)
+    middle of the ball as the arm reports; force_n: (n, 3) force on it; surface frame
+    after_m: (k, 3) points seen while it pressed, without the robot; reached: the set force was reached
+    seen_ns: when they were last seen, on the robot's clock; 0 = never; loading, held: number of samples up to the set
+    force, and up to the retract; None without a creep measurement: then all samples are up to the set force
+    pixels: pixels from which after_m was computed; force_pose: force and pose at the force's rate; None = not
+    requested, or not measured at that rate
     """
 
     xy_m: FloatArray
@@ -54,7 +54,7 @@ class TouchMeasurement:
 
     @property
     def approach(self) -> TouchMeasurement:
-        """The same without its hold and its way back."""
+        """The measurement without its hold and its way back."""
         if self.loading is None:
             return self
         time_s, position_m, force_n = (one[: self.loading] for one in (self.time_s, self.position_m, self.force_n))
@@ -65,8 +65,8 @@ class TouchMeasurement:
 class LookFrames:
     """The frames from which a look at the surface is computed.
 
-    camera, depth_ns (k,): depth images; arm, arm_ns: the arm's state in all of them, and before the first touch
-    arm_model: as the vendor calls it; focal_px, center_px: (x, y) focal length and centre of the camera
+    camera, depth_ns (k,): depth images; arm, arm_ns: the arm's states in all these frames, and before the first touch
+    arm_model: the vendor's name of the arm; focal_px, center_px: (x, y) focal length and centre of the camera
     """
 
     camera: str
@@ -80,14 +80,14 @@ class LookFrames:
 
 @dataclass(frozen=True, slots=True)
 class TouchFrames:
-    """Which frames a touch is computed from.
+    """The frames from which a touch is computed.
 
-    xy_m: (2,) where it was to be; normal: (3,) that it went along; reached: the set force, rather than the depth
+    xy_m: (2,) planned place; normal: (3,) direction of the touch, outwards; reached: the set force was reached
     arm, arm_ns (n,): states from the approach until the force was reached
     wrench, wrench_ns, wrench_ticks (m,): usable readings; pose_ns (m,): the newest state of the arm then
-    tare_n: (3,) their readings in free air before [N]
+    tare_n: (3,) reading in free air before the touch [N]
     camera, depth_ns (k,): images of the dent; depth_arm_ns: (k,) the arm's state in each
-    seen_ns: until when it pressed still; end_ns: the arm's state after it
+    seen_ns: last time at which the tip pressed without moving; end_ns: the arm's state after it
     held_ns: (h,) states from the set force until the tip was back, None without a creep measurement
     """
 

@@ -26,7 +26,7 @@ DENTED = 0.1
 class SeenDent:
     """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
 
-    before, after: (p, 3) at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
+    before, after: (p, 3) points at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
     sd_m: (p,) deviation of the heights under it
     """
 
@@ -52,7 +52,7 @@ class SeenDent:
 class Hyperparameters:
     """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal, of all points
     at_bound: those of "sigma_e", "length", "noise_scale" that ended at a bound of the search
-    trials: how often the likelihood was found"""
+    trials: how often the likelihood was computed"""
 
     kernel: Kernel
     noise_scale: float
@@ -80,7 +80,8 @@ class TrainedField:
 class TouchSurface:
     """The surface under a touch as a process of observed points and of virtual tactile points (Thesis eq. 4.3, 4.4).
 
-    dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: by the process under touch
+    dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: hyper-parameters that the
+    process under touch learned
     """
 
     dent: SeenDent
@@ -102,11 +103,11 @@ class LookPerception:
 class TouchPerception:
     """Input of a touch's estimate, and its training data; each None if missing.
 
-    number: from 1; masks: masks of its depth images, but for those that showed nothing of the surface; surface: under
-    it; error: over beta [m]: by the thesis's models the mean distance of simulated points from the nearest observed one
-    (eq. 4.6), least at its estimate; else of particles from the points that they stand for, while the estimate weighs
-    these by their noise; estimate: beta of it, one of those tried
-    stiffness: as the map takes it, with a weight of 1 / log_sd squared; beta: training data of the field of beta
+    number: its number, from 1; masks: masks of its depth images, without those that did not show the surface; surface:
+    under it; error: error over beta [m]. In the thesis's models it is the mean distance of simulated points from the
+    nearest observed one (eq. 4.6), least at its estimate. Else it is that of particles from the points that they
+    represent, while the estimate weighs these by their noise; estimate: estimated beta, one of the tried values
+    stiffness: value that the map uses, with a weight of 1 / log_sd squared; beta: training data of the field of beta
     """
 
     number: int = field(metadata=FROM_ZERO)
@@ -119,7 +120,7 @@ class TouchPerception:
 
     @property
     def error_m(self) -> float:
-        """At the estimate."""
+        """Error at the estimate."""
         assert self.error is not None
         assert self.estimate is not None
         return float(self.error.aee[np.argmin(np.abs(self.error.parameter - self.estimate))])

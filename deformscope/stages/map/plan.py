@@ -80,13 +80,13 @@ class PlanOptions:
     touch_s, speed_m_s: costs of touch and route
     threshold: threshold of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
-    from which the number of regions is no longer in doubt; budget: touches in all
+    from which the number of regions is no longer in doubt; budget: most touches
     inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected one below which
     the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
     missed: where inclusions alone are sought: probability of a missed one, below which enough is known
     (`inclusion_plan`)
-    version: version of what touches are expected to read: 1, as in older recordings, has the scatter that is shared
-    with earlier touches at their very places alone, 2 also near them
+    version: version of the expected readings of touches: 1 (older recordings) shares scatter with earlier touches only
+    at the same places, 2 also near them
     """
 
     planner: Planner = "regions"
@@ -120,7 +120,7 @@ class TouchChoice:
     gain: expected of each place, nan where excluded; unit: unit of gain ("label": share of cells that get the right
     label); missed: detection limit of the touches so far
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
-    reason: in words
+    reason: reason in words
     """
 
     grid: MapGrid
@@ -147,7 +147,7 @@ def plan_touch(
 ) -> TouchChoice:
     """The next touch.
 
-    tip_m: (2,) where the tip is now, default the last touch, else the surface's corner [m]
+    tip_m: (2,) present place of the tip, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
     reachable: (rows, columns) reachable share of `posterior.grid`; thesis: the field of the planner "thesis"; seed:
     seed of random planners
@@ -202,8 +202,8 @@ def plan_touch(
 def information(hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float) -> FloatArray:
     """(p,) mutual information of touches and the surface [nat].
 
-    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), in bins: a little less
-    than without them.
+    It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), computed in bins, which
+    make it slightly smaller.
     """
     chance, weight = _outcomes(hypotheses, touches, blur_m, OUTCOMES)
     together = np.tensordot(chance, weight, axes=(1, 0))
@@ -275,7 +275,7 @@ def exclusions(
     places: FloatArray, touched: FloatArray, cells: MapGrid, reachable: BoolArray | None, options: PlanOptions
 ) -> IntArray:
     """(p,) codes of places (p, 2): where a touch may be made, and why not elsewhere. touched: (n, 2) places of earlier
-    touches; cells: that `reachable` is given on"""
+    touches; cells: grid of `reachable`"""
     excluded = np.full(len(places), ALLOWED)
     if len(touched):
         nearest = np.hypot(*(places[:, None] - touched).transpose(2, 0, 1)).min(axis=1)

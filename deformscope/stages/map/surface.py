@@ -26,7 +26,7 @@ from deformscope.stages.regions.touches import MapGrid
 FEWEST = 3
 
 UNIT_NOISE_M = 1e-3
-"""The noise of every point where none is given, before its factor is learned [m]."""
+"""The noise of points without given noise, before its factor is learned [m]."""
 
 MOST_INDUCING = 6000
 """Lattices of inducing points with more are refused: their equations would take minutes."""
@@ -110,7 +110,7 @@ def fit_surface(
     (sigma_n of Thesis eq. 4.3 is fixed by noise_m filled with it and noise_scale=1)
     within_m: the (low, high) places at which the surface will be evaluated, default the points' own box; beyond it the
     process falls back to its prior within about a length
-    outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again
+    outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again.
     Raises InputError for too few points, values that are not finite, and a kernel too short for the box.
     """
     free, known = _checked(points_m, noise_m, UNIT_NOISE_M), _checked(known_m, known_noise_m, None)

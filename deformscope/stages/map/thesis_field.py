@@ -30,7 +30,7 @@ set of experiments"). With this sigma_e, Th = 0.06 is a share of the variance be
 where a touch dents a circle of 2.3 cm, on a grid of 1 cm. They take 4 to 6 at 0.5 m, 5 to 7 at 0.4 m."""
 
 FINE_SIGMA_W_M = 0.5
-"""The same on the thesis's grid of 0.5 cm, on which a dent has four times as many places, each of which counts as a
+"""sigma_w on the thesis's grid of 0.5 cm, on which a dent has four times as many places, each of which counts as a
 measurement: 3 touches for 21 of 24 tuning seeds, 4 for the others (0.6 m: 2 for 5 of them; 0.45 m: 4 to 6 for 23)."""
 
 FIRST_SHARE = (0.25, 0.5)
@@ -89,8 +89,8 @@ class ThesisField:
 
 @dataclass(frozen=True, slots=True)
 class Contoured:
-    """The field cut along its isopleths. labels: (rows, columns), 0 the one of the largest beta; probability: (rows,
-    columns) that beta lies between the isopleths of its label, by the field's own variance"""
+    """The field cut along its isopleths. labels: (rows, columns) regions, 0 that of the largest beta; probability:
+    (rows, columns) probability that beta is between the isopleths of its label, by the field's variance"""
 
     labels: IntArray
     probability: FloatArray

@@ -69,8 +69,8 @@ class SurfaceHeights(Protocol):
 class BallContact:
     """A ball pressed into a surface from above, as arm and force sensor report it.
 
-    lowest_m: (3,) its foremost point; radius_m: radius of the ball; depth_m: how far that point sank since contact [m]
-    force_n: [N], None if unknown
+    lowest_m: (3,) lowest point of the ball; radius_m: radius of the ball; depth_m: how far that point sank since
+    contact [m]; force_n: force [N], None if unknown
     """
 
     lowest_m: FloatArray
@@ -115,15 +115,16 @@ def fit_touch(
     cluster_size: int = CLUSTER_SIZE,
     sample_m: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> TouchBeta:
-    """beta of layers of material below the surface, their bottom held, all that the ball touches held to it.
+    """beta of layers of material below the surface. Their bottom is held, and all particles that the ball touches are
+    held to it.
 
     world: the surface before, a process of all points seen then: it gives the heights at rest, not the dent
     after_m: (n, 3) raw points seen while the ball pressed, the robot's taken away [m]
     thickness_m: thickness of the foam [m]; sample_m: (low, high) edges of the foam, default the world's box The
-    lattice's spacing is the patch's radius. So the patch always has four columns, and a coarse lattice has the same
-    effect on beta for soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to 120
-    kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError for
-    too few points around the touch.
+    lattice's spacing is the patch's radius. Therefore the patch always has four columns, and a coarse lattice has the
+    same effect on beta for soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to
+    120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError
+    for too few points around the touch.
     """
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m
@@ -205,8 +206,8 @@ def _contact(touch: BallContact) -> tuple[FloatArray, FloatArray]:
 def dent_of(
     world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray, cell_m: float = COARSE_GRID_M
 ) -> SeenDent:
-    """The square of `THESIS_SIDE_M` around a place (2,) [m]. world, touched: the surface before and under touch, the
-    latter with the tactile points; cell_m: cell size of the grid"""
+    """The dent in a square of `THESIS_SIDE_M` around a place (2,) [m]. world, touched: the surface before and under
+    touch, the second with the tactile points; cell_m: cell size of the grid"""
     grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), cell_m)
     places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
     rest, under = world.at(places_m), touched.at(places_m)
@@ -221,10 +222,10 @@ def swept_betas(step: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class ThesisBeta:
-    """beta by a lattice whose edges are fixed and of which one particle is held (Thesis 4.3).
+    """beta of a lattice with fixed edges and one held particle (Thesis 4.3).
 
     curve: error over beta (eq. 4.6) [m]; depth_m: depth of the particle held; simulated_m: (p, 3) the particles of the
-    surface at beta; converged: the state at beta settled; dent: the fitted one; note: on its trend
+    surface at beta; converged: the state at beta settled; dent: the fitted one; note: remark on its trend
     """
 
     beta: float
@@ -251,11 +252,12 @@ def thesis_beta(
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
     thickness_m: layers down to a ground that is held, this far below; default a single layer, as in the thesis
-    cluster_size: particles a side; None: one cluster of all, which deforms quadratically (the thesis's "no cluster")
+    cluster_size: particles a side; None: one cluster of all particles, which deforms quadratically (the thesis's "no
+    cluster")
     step: step of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any
     beta: on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents.
-    One held particle of a volume lattice follows firmness: 0.55 to 0.14 there. Raises InputError where the lowest point
-    is at the square's edge.
+    With one held particle of a volume lattice, beta depends on firmness: 0.55 to 0.14 there. Raises InputError where
+    the lowest point is at the square's edge.
     """
     before, after, shape = dent.before, dent.after, dent.shape
     lowest = int(np.argmax(dent.sunk_m))

@@ -24,7 +24,7 @@ from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import TOLERANCE, Msm, Relaxed
 
 RANGE = np.linspace(0.0, -np.log1p(-0.99), 13)
-"""Values of -log(1 - beta): of these, the same along all axes, the best is where the search starts."""
+"""Values of -log(1 - beta), the same along all axes; the search starts from the best of them."""
 
 DIFFERENCE = 2e-3
 """Change of -log(1 - beta), for derivatives."""

@@ -27,9 +27,9 @@ ACROSS_VIEW = "one view, or a plane of particles, shows nothing along the third 
 class AxisEstimate(ReportedResult):
     """Betas along the axes of a material (linear clusters, theta = 0).
 
-    axes: (d, d) columns; value: (d,); interval: (d, 2) at `level`; correlation: (d, d) correlation of -log(1 - beta)
-    verdict: (d,) verdict of each, as for one beta; reasons: (d,) to doubt each, including those of all
-    anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
+    axes: (d, d) columns; value: (d,); interval: (d, 2) interval at `level`; correlation: (d, d) correlation of -log(1 -
+    beta); verdict: (d,) verdict of each, as for one beta; reasons: (d,) reasons to doubt each, including those that
+    concern all; anisotropic: one beta for all axes is ruled out (p_isotropic below 1 %)
     beta: the best single one, and p_isotropic: probability of this additional error if it were true
     identifiability: (d,) identifiability of each axis, its rise with fixed betas along the others
     aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)

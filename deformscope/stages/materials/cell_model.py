@@ -35,7 +35,7 @@ NU_STEP = 1e-4
 
 
 def lattice_cells(shape: tuple[int, ...], cell: IntArray) -> IntArray:
-    """(C, 2^d) the particles at each cell's corners, of the cells that have all of them. cell: (K,) place of each
+    """(C, 2^d) particles at the corners of each cell that has all of them. cell: (K,) place of each
     particle in a lattice of `shape`"""
     index = np.full(int(np.prod(shape)), -1)
     index[cell] = np.arange(len(cell))
@@ -88,7 +88,7 @@ def elasticity(d: int, nu: float, bent: FloatArray | None = None) -> FloatArray:
     """(3, 3) or (6, 6) stresses of strains (engineering shear) at Young's modulus 1; plane stress for d = 2.
 
     bent: (m,) upper triangle of a symmetric matrix that is added to the law's logarithm, in a basis in which turning
-    the axes is a rotation (Mandel: shear times sqrt 2). It gives an anisotropic material, positive definite for any
+    the axes is a rotation (Mandel: shear times sqrt 2). The material is anisotropic, and positive definite for any
     numbers
     """
     if d == 2:

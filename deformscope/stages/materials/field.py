@@ -7,9 +7,9 @@ cell is fitted too, in the same places.
 
 How far a smooth field hangs together is chosen by blocks of particles left out. Evidence decides whether a few
 materials with borders describe it better: the density with which every number was predicted from those before it, less
-the cost of a border of that length. It also decides whether places differ at all: alternatives are one material, one
-that is stiffer along a direction, and one that was observed with a smooth error. An interval holds every description
-that this does not rule out, so that a place without information retains its prior.
+the cost of a border of that length. It also decides whether places differ. The alternatives are one material, one that
+is stiffer along a direction, and one that was observed with a smooth error. An interval includes every description that
+the data do not rule out, so that a place without information retains its prior.
 """
 
 from __future__ import annotations
@@ -93,13 +93,13 @@ EXPLAINABLE = 1e-12
 """Share of the largest displacement, squared, that there is at least to be explained."""
 
 SPLITS = (0.25, 0.5, 0.75)
-"""Where a body that looks uniform is split, in shares of its places along each axis."""
+"""Places at which a body that looks uniform is split, as shares of its extent along each axis."""
 
 DRAWS = 40
 """Draws of the field, for the scale that a force gives."""
 
 DETERMINED_LEAST = 0.5
-"""Share of the places that must be determined, so that the whole has another verdict than unidentified."""
+"""Share of the places that must be determined for another verdict on the whole than unidentified."""
 
 DIRECTIONS = 360
 """Directions of an anisotropic material that are tried."""

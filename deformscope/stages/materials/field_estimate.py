@@ -39,7 +39,7 @@ class DirectionalStiffness:
 
 
 def directions_text(found: DirectionalStiffness | None) -> str:
-    """Ratio and direction; empty where there are none."""
+    """Ratio and direction as text; empty without them."""
     if found is None:
         return ""
     along = ", ".join(f"{one:.2f}" for one in found.stiffest)
@@ -52,17 +52,17 @@ class FieldEstimate(ReportedResult):
 
     place: (C, d) middles of the cells [unit]; spacing: spacing of the particles [unit]
     stiffness: (C,) stiffness of each place over the geometric mean of all, interval: (C, 2) at `level`, verdicts: (C,)
-    material: (C,) which of the materials, from the softest on; -1 where the field is smooth
+    material: (C,) index of the material, from the softest; -1 where the field is smooth
     ratio: stiffest over softest, and its interval
     beta: (C,) beta of clusters of 2^d particles, beta_interval: (C, 2); beta_ratio: largest 1 - beta over the smallest
     absolute: (C,) stiffness of a cell [N per unit], absolute_interval: (C, 2); None without a force
     directions: directions of one anisotropic material, else None
     verdict: "uniform", "anisotropic" (one material, stiffer along a direction), "materials", "gradual"; "unidentified"
     if the data do not determine most of the places
-    reasons: to doubt it
+    reasons: reasons to doubt it
     poisson, poisson_sd: Poisson's ratio; reach: reach of the smooth field [spacings]
-    held_out: (h,) error of left-out data, chi2 for each number, of each of `tried` (borders as they were found from
-    all); probability: (h,) probability of each by its evidence; plausible: (h,) whether intervals hold it
+    held_out: (h,) error of left-out data, chi2 for each number, of each of `tried` (with the borders found from all
+    data); probability: (h,) probability of each by its evidence; plausible: (h,) whether intervals hold it
     noise, noise_reach: noise and noise reach of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error
     (Thesis eq. 3.18) of the elastic body and of the engine with its betas [unit]
     explained: share of the motion beyond a rigid one that the elastic body explains
@@ -137,7 +137,7 @@ class FieldEstimate(ReportedResult):
     @property
     @derived(key="held_out")
     def held_out_json(self) -> list[dict[str, object]]:
-        """Each kind of field that was tried."""
+        """JSON of each kind of field that was tried."""
         each = zip(self.tried, self.held_out, self.probability, self.plausible, strict=True)
         return [dict(zip(("field", "chi2", "probability", "plausible"), one, strict=True)) for one in each]
 

@@ -1,7 +1,7 @@
 """A body of cells fitted to one deformation: Gauss-Newton, the noise that is likeliest, and blocks left out.
 
-Before the data, the logarithms of stiffness are a Gaussian random field of standard deviation `SPREAD` (a factor of 3),
-however alike the body looks, or one number for each of a few materials.
+Before the data, the logarithms of stiffness are either a Gaussian random field of standard deviation `SPREAD` (a factor
+of 3), or one number for each of a few materials.
 
 Neighbours share errors of measurement, as in optical flow, and held positions are measured too. Their covariance is
 white noise or a random field, with the reach and smoothness of highest evidence, and a size that is found the same way.
@@ -65,7 +65,7 @@ MOST_STEP = 1.5
 """Largest change of a log stiffness in one step."""
 
 LEAST_MOTION = 1e-6
-"""Smallest motion, as a share of a spacing: less is no deformation at all."""
+"""Smallest motion that counts as deformation, as a share of a spacing."""
 
 MOST_CELLS = 2500
 """Cells that are fitted at most: time grows with their cube, and 2500 take minutes."""
@@ -73,9 +73,9 @@ MOST_CELLS = 2500
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Errors of measurement. reach: how far neighbours share them [spacings], 0 = each particle has its own; size:
-    deviation of a coordinate [spacings]; smooth: their correlation is Gaussian, else Matern 3/2; own: share of the
-    variance that no neighbour shares"""
+    """Errors of measurement. reach: distance over which neighbours share errors [spacings], 0 = independent errors;
+    size: deviation of a coordinate [spacings]; smooth: their correlation is Gaussian, else Matern 3/2; own: share of
+    the variance that no neighbour shares"""
 
     reach: float
     size: float
@@ -118,7 +118,7 @@ class FieldFit:
     anisotropy (`cell_model.elasticity`), of "smooth error" the displacements that are errors (`smooth_modes`).
 
     cells: (C, 2^d); place: (C, d) [unit]; held: (n,) particles whose displacement is prescribed; displacement: (K, d)
-    without the rigid motion [spacings]; rows: (m,) indices of its numbers that are judged; target: (m,)
+    displacement without the rigid motion [spacings]; rows: (m,) indices of its numbers that are judged; target: (m,)
     """
 
     def __init__(self, seen: Observation, law: Law, rival: Rival = "none") -> None:
@@ -153,7 +153,7 @@ class FieldFit:
         return self._with_common(root)
 
     def levels(self, label: IntArray, border: IntArray | None = None) -> StiffnessPrior:
-        """One number for each material. label: (C,) from 0; border: cells that a border may pass through"""
+        """One number for each material. label: (C,) its index, from 0; border: cells that a border may pass through"""
         root = 2.0 * SPREAD * np.eye(int(label.max()) + 1)[label]
         if border is not None:
             root = np.hstack([root, BORDER_SPREAD * np.eye(len(label))[:, border]])
@@ -204,7 +204,7 @@ class FieldFit:
         return self._half * (1.0 + float(np.tanh(at[len(self.cells)] / self._half - 1.0)))
 
     def nu_sd(self, at: FloatArray, sd: float) -> float:
-        """Standard deviation of Poisson's ratio at parameters (p,), of that of its own."""
+        """Standard deviation of Poisson's ratio at parameters (p,), from the deviation of its parameter."""
         return self._bend(at) * sd
 
     @property
@@ -233,7 +233,7 @@ class FieldFit:
         return np.asarray(noise.size * np.linalg.cholesky(total + 1e-9 * np.eye(len(total))))
 
     def fit(self, prior: StiffnessPrior, noise: NoiseModel, start: FloatArray | None = None) -> FieldPoint:
-        """The likeliest parameters (p,) under a prior and a noise. start: (p,), from which they are sought"""
+        """The likeliest parameters (p,) under a prior and a noise. start: (p,) parameters from which they are sought"""
         z: FloatArray = np.zeros(prior.root.shape[1])
         if start is not None:
             z = np.asarray(np.linalg.lstsq(prior.root, start - prior.mean, rcond=1e-6)[0])
@@ -380,7 +380,7 @@ def likeliest_noise(
     """Errors with the highest evidence for any field, and its logarithm: the density with which every number was
     predicted from those before it.
 
-    near: whose reach, and the next ones of its kind, they have; None = any
+    near: noise whose reach, or the next reaches of its kind, are tried; None = any
     """
     noises = NOISES
     if near is not None:

@@ -90,7 +90,8 @@ def split(label: IntArray, value: FloatArray, weight: FloatArray) -> list[IntArr
 
 
 def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArray]]:
-    """For each axis, labels (C,) with one of the materials cut in two across it, wherever it can be. place: (C, d)"""
+    """For each axis, labels (C,) with one of the materials cut in two across it, at every possible place. place: (C,
+    d)"""
     found: list[list[IntArray]] = []
     for along in place.T:
         rows = np.unique(np.round(along / spacing, 3))
@@ -104,7 +105,7 @@ def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArr
 def gain(prior: StiffnessPrior, gram: FloatArray, wanted: FloatArray) -> float:
     """Reduction of chi2 by the parameters of a prior, less the prior's penalty.
 
-    gram, wanted: (C + 1, C + 1) and (C + 1,) products of the derivatives with themselves and with the targets
+    gram, wanted: (C + 1, C + 1), (C + 1,) products of the derivatives with each other and with the targets
     """
     inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
     along = prior.root.T @ (wanted - gram @ prior.mean)

@@ -1,7 +1,7 @@
 """The yield strain of a body from its recorded motion: its strain before the release, which it did not have before.
 
 The motion is a history of static states (no inertia): frame by frame the prescribed particles follow the observation,
-clusters flow (`msm.materials`), and the free particles are compared. Without `creep` a load acts as long as it takes;
+clusters flow (`msm.materials`), and the free particles are compared. Without `creep` a load acts until the body rests;
 with it, for the time to the next frame.
 """
 
@@ -74,7 +74,7 @@ SURE = 0.99
 class YieldOptions:
     """Known and unknown parameters.
 
-    beta: None, to be found along with the yield strain; creep: "none" (loads act as long as it takes), "fit", or a rate
+    beta: None = fitted together with the yield strain; creep: "none" (loads act until the body rests), "fit", or a rate
     [1/s]; maximum: bound of the plastic strain; level: level of the intervals; seed: seed of the noise of held
     positions; version: see `NEWEST_FIT`
     """
@@ -102,10 +102,10 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     """The yield strain, with beta and creep if requested, of least squared error over all frames.
 
     The interval of the yield strain holds every value whose squared error, with beta and creep at their best, exceeds
-    the least by no more than noise does in `level` of all repeats. It is open above, and the verdict `unidentified`, if
-    an elastic body is not ruled out at 99 %; also `unidentified` if the model explains too little of the motion. Noise
-    includes that of observed and of prescribed positions. Errors that neighbours or frames share, as those of a model
-    that misfits are, widen the interval.
+    the least by no more than noise does in `level` of all repeats. If an elastic body is not ruled out at 99 %, the
+    interval is open above and the verdict is `unidentified`. The verdict is also `unidentified` if the model explains
+    too little of the motion. Noise includes that of observed and of prescribed positions. Errors that neighbours or
+    frames share, as those of a model that misfits are, widen the interval.
     """
     options = options or YieldOptions()
     fit = _YieldFit(motion, options)

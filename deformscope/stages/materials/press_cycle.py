@@ -1,8 +1,7 @@
-"""When a motion is loaded most, and from when on nothing loads it: by displacement, by force, or as it is named.
+"""When a motion has its largest load, and when its load ends: by displacement, by force, or as given by the user.
 
 The pressed particles move along the push and come back after the release; nothing loads them any more once they rest
-again. A camera alone cannot see whether a tool that rests still presses, so that a force, where there is one, decides
-instead.
+again. A camera cannot show whether a resting tool still presses, so that a force, if there is one, decides instead.
 """
 
 from __future__ import annotations
@@ -70,10 +69,10 @@ class PressCycle(ReportedResult):
 def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
     """(T,) displacement of the pressed particles along the push.
 
-    moved: (T, K, d) displacements of all particles, NaN where one was not seen; pressed: those that were pressed
+    moved: (T, K, d) displacements of all particles, NaN where one was not seen; pressed: particles that were pressed
 
-    Particles below a tool are easily lost when it lifts. So the share of the push in each frame is that of all
-    particles that were tracked throughout, and its size that of the pressed ones at the deepest.
+    Particles below a tool are easily lost when it lifts. Therefore the share of the push in each frame is computed from
+    all particles tracked throughout, and its size from the pressed particles at the largest depth.
     """
     amplitude, loaded, _ = share_of_push(moved)
     down = moved[loaded, pressed]
@@ -85,8 +84,8 @@ def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
 
 
 def share_of_push(moved: FloatArray) -> tuple[FloatArray, int, BoolArray]:
-    """(T,) each frame's share of the largest displacement, the frame of the latter, and the particles (K,) that were
-    tracked in all frames, which determine it.
+    """Each frame's share (T,) of the largest displacement, the frame of that displacement, and the particles (K,) that
+    were tracked in all frames, which determine the shares.
 
     moved: (T, K, d) displacements, NaN where a particle was not seen
     """
@@ -122,8 +121,8 @@ def find_cycle(
 ) -> PressCycle:
     """The loaded and the unloaded frame of a course (T,).
 
-    noise: deviation of the course; time_s: (T,) times of the frames, for a force; given: both frames, if named Raises
-    InputError for a motion without a push, or without its end.
+    noise: deviation of the course; time_s: (T,) times of the frames, for a force; given: both frames, if the user named
+    them. Raises InputError for a motion without a push, or without its end.
     """
     last = len(course) - 1
     if given is not None:
@@ -169,8 +168,8 @@ def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:
     """Indices (n,) of at most this number of frames, rising: even along the loading, with the loaded, the unloaded and
     the last one.
 
-    The first frame, at rest, is none of them: a history of loads depends on the way, not on how long it took. between:
-    also along the unloading, for materials that flow with time; next to a lifting tool, tracks are least accurate
+    The first frame, at rest, is left out: a history of loads depends on the way, not on its duration. between: include
+    frames of the unloading, for materials that flow with time; tracks next to a lifting tool are least accurate
     """
     last = len(cycle.course) - 1
     known = {cycle.loaded, cycle.unloaded, (cycle.unloaded + last + 1) // 2, last}

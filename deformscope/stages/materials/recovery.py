@@ -1,18 +1,18 @@
 """Recovery of a body after its release: relaxing share of its modulus, relaxation time, and permanent set.
 
-If every modulus of a body relaxes alike and Poisson's ratio is constant, one shape of its displacement grows and
-shrinks with time (the correspondence principle: Lee 1955). Its share a(t) of the largest follows
+If all moduli of a body relax by the same share and Poisson's ratio is constant, its displacement has one shape, which
+grows and shrinks with time (the correspondence principle: Lee 1955). Its share a(t) of the largest follows
 
     a(t) = f(t) + sum_i j_i E_i(t) + p max a,      dE_i/dt = (f - E_i) / l_i
 
 with the force f as a share of the immediate force of the same dent. Each branch is a low-pass filter of the force, of
 strength j_i and retardation time l_i (`stages.poke.creep`), and p the permanent share. While a tool prescribes a(t)
-only a force shows f; once it is off f is 0, and the rest recovers by the branches' memory. So a motion without force is
-fitted by its recovery alone, and one with force by its relaxation too, which shows the stiffness.
+only a force shows f; once it is off f is 0, and the rest recovers by the branches' memory. Therefore a motion without
+force is fitted by its recovery only, and one with force by its relaxation too, which shows the stiffness.
 
-None to three branches, and a spectrum that reaches no plateau (`stages.fit.creep_spectra`), with and without a set,
-are compared by their evidence and averaged. A process that outlasts the record is a reason, and a bound; a smaller
-probability of it opens intervals.
+Models with zero to three branches, and with a spectrum that reaches no plateau (`stages.fit.creep_spectra`), each with
+and without a set, are averaged by their evidence. A process that outlasts the record is a reason, and a bound; a
+smaller probability of it opens intervals.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def fit_recovery(
     time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
     the frame from which the law holds without a force; force_n: (T,) force of the tool [N], and the deviation of one
     sample; largest: displacement of the pressed particles then
-    version: see `NEWEST_RELAXATION`
+    version: see `NEWEST_RELAXATION`.
 
     Raises InputError if too little was recorded after the release, and no force before it.
     """

@@ -13,7 +13,7 @@ from deformscope.stages.fit.estimate import Doubt, LengthUnit, Verdict, converge
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A fitted number with its interval; None: an end that the data leave open. given: it was not fitted."""
+    """A fitted number with its interval; None: an end that the data do not determine. given: it was not fitted."""
 
     value: float
     interval: tuple[float, float | None]
@@ -30,12 +30,12 @@ class Parameter:
 class YieldEstimate(ReportedResult):
     """Results of yielding from a motion.
 
-    yield_strain: |S - I|_2 above which it flows. If the verdict is `unidentified` its interval has no upper end: no
-    yield strain above the lower one contradicts the motion
-    verdict: by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); reasons: to doubt it,
-    which may lower its verdict
+    yield_strain: |S - I|_2 above which it flows. If the verdict is `unidentified`, its interval has no upper end: no
+    yield strain above the lower end contradicts the motion
+    verdict: verdict by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); reasons: reasons
+    to doubt it, which may lower its verdict
     explained: share of the motion beyond a rigid one that the model explains (sums of squares; free particles)
-    largest_strain: that any cluster would have seen had nothing yielded
+    largest_strain: largest strain of any cluster if nothing had yielded
     set: root mean square distance between the last frame simulated with and without yielding, at its free particles
     deviation, elastic_deviation: root mean square of a coordinate's residual, at the best and without yielding
     aee, elastic_aee: average Euclidean error over all observed particles and frames

@@ -22,7 +22,7 @@ class BodyRest:
 
     position: (K, d); mass: (K,); free: (K,) bool; counts: (K,) clusters of each
     metric: (K,) N_i m_i over the mean mass, in which the goal map is symmetric; 0 where held
-    slipping: (K,) free but along `held_axis`; -1: none is
+    slipping: (K,) particles that are held only along `held_axis`; -1: none
     """
 
     position: FloatArray
@@ -49,7 +49,7 @@ class Parameters:
 
 @dataclass(frozen=True, slots=True)
 class RestArrays:
-    """Rest data of C clusters (or of one that stands for all): see `reference.RestCluster`.
+    """Rest data of C clusters (or of one, if all are equal): see `reference.RestCluster`.
 
     a_qq: (C, d, d) moments over their trace; null: (C, d, r); span: (C, d, d), columns beyond span_count (C,) are 0
     root: (C, d, d); lift: (C, d, r)
@@ -98,7 +98,7 @@ class Operator(ABC):
 
     arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
     clusters; maps: the clusters' goal maps; beta_stride: see `Parameters`
-    threads: that keep to one group of candidates in the kernels `resident` that stay; 0 where there are none
+    threads: number of threads of one group of candidates in the kernels `resident`; 0 without such kernels
     """
 
     beta_stride: int
@@ -140,7 +140,7 @@ class Operator(ABC):
         return self._kept[volume]
 
     def unkept(self) -> Any:
-        """For a `residual` that leaves nothing."""
+        """Release arrays that only `residual` needs."""
         if -1 not in self._kept:
             kept = self.arrays.Kept()
             kept.turned = kept.compliance = kept.frame = self.maps

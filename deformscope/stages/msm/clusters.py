@@ -12,8 +12,8 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 
 FLAT_MOMENT_RATIO = 1e-4
-"""A rest cluster is flat in a direction whose second moment is below this share of its largest (extent below 1 %).
-There its fit is not determined, so it is left out (pseudo-inverse) instead of being amplified."""
+"""A rest cluster is flat in a direction whose second moment is below this share of its largest (extent below 1 %). A
+direction flatter than this does not determine the fit, so that it is left out (pseudo-inverse) instead of amplified."""
 
 
 class Clusters:
@@ -117,12 +117,12 @@ def single(particle_count: int) -> Clusters:
 
 
 def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -> Clusters:
-    """All windows of `size` particles per side, stride 1, over a lattice that may have holes (Thesis fig. 3.6).
+    """Clusters of all windows of `size` particles per side, stride 1, over a lattice that may have holes (Thesis fig.
+    3.6).
 
-    rest: (K, d) rest positions; shape: lattice, last axis fastest; cell: (K,) flat index of each particle.
-    `size` is clipped to the lattice. A window stays if its present particles span as many directions as a full one.
-    A particle in no window (thin walls next to holes) has the smallest cluster of nearest neighbours that spans them
-    too.
+    rest: (K, d) rest positions; shape: lattice, last axis fastest; cell: (K,) flat index of each particle. `size` is
+    clipped to the lattice. A window stays if its present particles span as many directions as a full one. A particle in
+    no window (thin walls next to holes) has the smallest cluster of nearest neighbours that spans them too.
     """
     dims = tuple(int(n) for n in shape)
     if size < 2:

@@ -15,7 +15,7 @@ from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import TOLERANCE, Msm
 
 LARGEST = 0.9999
-"""Largest beta tried: at 1 nothing but the linear fit is left, and most bodies have no single static state."""
+"""Largest beta tried: at 1 only the linear fit is left, and most bodies have no unique static state."""
 
 STATE_TOLERANCE = 1e-5
 """Tolerance of the search's static states, as a share of the body's extent; the last one is relaxed to its default."""
@@ -26,8 +26,8 @@ DERIVATIVE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """value: beta; position: (K, d) its static state [m]; aee: mean distance to the observed positions [m] (Thesis eq.
-    3.18)
+    """value: beta; position: (K, d) static state at that value [m]; aee: mean distance to the observed positions [m]
+    (Thesis eq. 3.18)
 
     evaluations: static states that were followed; converged: the last step of beta was below the tolerance
     """
@@ -41,7 +41,8 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class FitBoth:
-    """beta, theta; position: (K, d) their static state [m]; aee: mean distance to the observed positions [m] (eq. 3.18)
+    """beta, theta; position: (K, d) static state at these values [m]; aee: mean distance to the observed positions [m]
+    (eq. 3.18)
 
     evaluations: static states that were followed; converged: no step is left that promises to lower the error
     """
@@ -65,11 +66,11 @@ def fit_beta(
 ) -> Fit:
     """The beta in [0, 0.9999] at which the average Euclidean error (Thesis eq. 3.18) is least, for theta = 0.
 
-    Its derivative is known at every static state (implicit differentiation). Its zero is found by secants within the
-    interval of betas with opposite signs. Where the error has several minima, the one downhill from `start` is found; a
-    sweep sees them all.
+    Its derivative is known at every static state (implicit differentiation). The derivative's zero is found by secants
+    within an interval of betas whose derivatives have opposite signs. If the error has several minima, the one downhill
+    from `start` is found; a sweep finds all.
 
-    held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: on beta
+    held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: tolerance of beta
     """
     method: Newton = body._method(Newton, 1, 0)
     seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=1))

@@ -43,7 +43,7 @@ STAY = 256
 """Evaluations of a persistent kernel before it returns for a check."""
 
 TURN = 8
-"""Evaluations of a search for beta in one launch; most searches need no more."""
+"""Number of evaluations of a search for beta in one launch; most searches need no more."""
 
 REPLAYS = {"cpu": 1, "cuda": 8}
 """Iterations between checks of which candidates still run. On a GPU, each check waits for the device."""
@@ -119,7 +119,7 @@ class Iteration:
             self._progress(int(np.count_nonzero(self.state.state.numpy()[: self.layout.candidates] != k.RUNNING)))
 
     def put(self, u: FloatArray) -> None:
-        """Starts at displacements (B or 1, K, d); the rounding error of a residual grows with them."""
+        """Set the start to displacements (B or 1, K, d); the rounding error of a residual grows with them."""
         self.layout.put(u, self.u)
         set_first(self.state.floor, ROUNDING[self.layout.scalar] * max(1.0, float(np.abs(u).max(initial=0.0))))
 
@@ -182,8 +182,8 @@ class Iteration:
         self._graphs[key] = capture.graph
 
     def derive_goals(self, by: int, volume: int, out: Field) -> None:
-        """Derivative of every free particle's goal by beta or theta at `u` into `out`; volume: how it is conserved, by
-        theta also where that is 0."""
+        """Derivative of every free particle's goal by beta or theta at `u` into `out`; volume: how volume is conserved;
+        derivatives by theta are given also at theta = 0."""
         parameters = replace(self.parameters, volume=volume)
         self.operator.residual(self.u, out, parameters, self._every_group, what=by)
 
@@ -256,7 +256,7 @@ class Newton(Iteration):
     ) -> Ended:
         """The static states; tolerance and result in particle spacings.
 
-        start: displacements (B or 1, K, d); None: from where `u` is; until: as for `_watch`
+        start: displacements (B or 1, K, d); None: from the present `u`; until: as in `_watch`
         """
         state = self.state
         self._watch(progress, until)
@@ -526,7 +526,7 @@ class Anderson(Iteration):
 
 
 def set_first(array: Any, value: float) -> None:
-    """Sets the first entry of an array, which is all that is read of it; on a CPU without a launch."""
+    """Sets the first entry of an array, the only one that is read; on a CPU without a launch."""
     if array.device.is_cpu:
         array.numpy()[0] = value
     else:

@@ -7,8 +7,8 @@ which all have ended is skipped.
 Kernels that stay do all passes of a step, and all steps, or many evaluations of a relaxation, in one launch. A block of
 threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a GPU that
 saves the launches between passes, which cost more than a small body's work, and a pass's output is still cached when
-the next reads it. On a CPU a block is one thread, and there are no launches to save at any size. There every launch, a
-single evaluation too, goes through one copy of all passes in one module: compilation dominates the first start.
+the next reads it. On a CPU a block is one thread. There every launch, even of a single evaluation, uses the same module
+with all passes, because compilation dominates the first start.
 """
 
 import functools
@@ -30,7 +30,8 @@ REACH = 1.0
 """Spacings that no particle ever goes beyond in one Newton step: rotations are not straight."""
 
 PATIENCE = 20
-"""Newton steps near rounding without half the best residual so far, after which a candidate has stalled."""
+"""Number of Newton steps near rounding that do not halve the best residual, after which a candidate counts as
+stalled."""
 
 SHARP = 1e-2
 """Share to which a solve reduces its residual before its smallest curvature counts as the smallest."""
@@ -618,7 +619,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     """Kernels that stay, for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a
     GPU.
 
-    `goals`, a single evaluation, is on a CPU alone: a GPU has `lattice_kernels` for it.
+    `goals`, a single evaluation, exists only on a CPU: a GPU has `lattice_kernels` for it.
     """
     on_cpu = width > 1
     numbers = wp.array(dtype=scalar)

@@ -27,7 +27,7 @@ _FORCED = os.environ.get(FORCE_BITS, "512" if __cpu_features__.get("AVX512F") el
 if _FORCED not in ("256", "512"):
     raise InputError(f"{FORCE_BITS} = 256 or 512", repr(_FORCED))
 VECTOR_BITS = int(_FORCED)
-"""Bits of a vector of this processor. Where half of the lanes fit, a step takes 1.2 to 1.3 times as long."""
+"""Bits of a vector of this processor. Width of the vectors. With half of it a step takes 1.2 to 1.3 times as long."""
 
 LANES = {wp.float32: VECTOR_BITS // 32, wp.float64: VECTOR_BITS // 64}
 """Numbers that a CPU's vector units take side by side."""
@@ -37,9 +37,9 @@ CPU_FLAGS = (
     + (f" -mprefer-vector-width={VECTOR_BITS}" if platform.machine() in ("x86_64", "AMD64") else "")
     + " -mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
 )
-"""For modules of lanes. Compilers use half of an Intel processor's 512 bits by default. Warp's own flags also cap the
-recursion of the vectorizer, which leaves most of the lanes scalar. Without the high threshold, matrices of lanes go
-through memory at every call."""
+"""Compiler flags for modules of lanes. Compilers use half of an Intel processor's 512 bits by default. Warp's own flags
+also cap the recursion of the vectorizer, which leaves most of the lanes scalar. Without the high threshold, matrices of
+lanes go through memory at every call."""
 
 Ints, Doubles = wp.array(dtype=int), wp.array(dtype=wp.float64)
 """Types of arrays that kernels take."""

@@ -18,7 +18,8 @@ from deformscope.stages.msm.iteration_kernels import THREADS, resident_kernels_f
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
 
 REGULAR = 1e-6
-"""Largest distance of a particle from its place in an even lattice, in spacings, for it to count as on it."""
+"""Largest distance of a particle from its place in an even lattice, in spacings, at which the lattice counts as
+even."""
 
 FITTED, AT_ONCE = 100_000, 16_384
 """Particles that a lattice's edges are fitted to, and of which places are compared at once (they fit into a cache)."""
@@ -76,7 +77,7 @@ class LatticeBody(Body):
         self._place = slice(None) if clusters.in_order else self.cell
 
     def at_cells(self, values: FloatArray | BoolArray | float, dtype: Any = np.float64, spare: int = 0) -> FloatArray:
-        """Numbers of the particles, (K,), at their cells, 0 at others; `spare` more at the end."""
+        """Values (K,) of the particles at their cells, 0 at other cells; `spare` more at the end."""
         made = np.zeros(self.count + spare, dtype=dtype)
         made[: self.count][self._place] = values
         return made
@@ -108,7 +109,7 @@ class LatticeBody(Body):
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mass (n,), mean offset [cells] (n, 3) and second moments about it [spacings^2] (n, d, d) of the windows.
 
-        One row stands for all where they are alike, else there is one for each cell (0 where no cluster is).
+        One row if all clusters are equal, else one for each cell (0 where no cluster is).
         """
         if self.alike:
             mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones_like(self.corner[:1, :1, :1])

@@ -7,7 +7,7 @@ subtracting the one that leaves. With `run` = 1 it sums one window only, which s
 
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
 its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places without a cluster
-and a particle stay 0 for ever, so that every window may run over the edges without a test.
+or a particle always stay 0, so that windows may extend beyond the edges without a test.
 """
 
 import functools
@@ -50,7 +50,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
     window: cells of a cluster along every axis, each summed separately, narrow ones along two axes together: a GPU then
-    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, as the grid says
+    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, given by the grid
     """
     numbers = wp.array(dtype=scalar)
     Motion = motion_for(scalar)

@@ -15,16 +15,16 @@ Field: TypeAlias = "wp.array[Any]"
 """Numbers on a device, of a scalar type that is chosen at run time."""
 
 ABREAST_FROM = 4
-"""Number of candidates from which a CPU takes them side by side, and no longer the cells of one."""
+"""Number of candidates from which a CPU's lanes hold candidates, not the cells of one candidate."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A field has rows (components) `stride` numbers apart. In a row, groups of candidates are `group` numbers apart
-    from `front` on; in a group, place follows place; at a place there are `abreast` candidates.
+    """A field has rows (components) `stride` numbers apart. In a row, groups of candidates begin at `front` and are
+    `group` numbers apart. A group is a sequence of places, each with `abreast` candidates.
 
-    width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: in a group
-    place: (K,) place of each particle
+    width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: number of places in a
+    group; place: (K,) place of each particle
     """
 
     candidates: int
@@ -91,8 +91,8 @@ class Layout:
 def widths(
     candidates: int, scalar: type[Any], device: str, *, cells_in_lanes: bool, filled: bool = False
 ) -> tuple[int, int]:
-    """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU. filled: only where candidates
-    fill the lanes: fewer take as long as many, and each as long as the slowest"""
+    """Width and candidates abreast for a device: plain numbers on a GPU, lanes on a CPU. filled: only widths whose
+    lanes the candidates fill: fewer candidates take as long as many, and all as long as the slowest"""
     if not device.startswith("cpu"):
         return 1, 1
     width = LANES[scalar]

@@ -15,10 +15,11 @@ Linear fit, theta = 0.
 **Plasticity.** Müller et al. 2005, section 4.5: each cluster has a plastic deformation S^p, I at first. With the polar
 decomposition A = R S of its fit, S^p <- [I + dt creep (S - I)] S^p where |S - I|_2 > yield; then det S^p is made 1
 again (area in the plane; a flat cluster keeps the measure of what it spans), and |S^p - I|_2 is at most
-`maximum`. The rest vectors are S^p q. Where the paper is incomplete, this module decides:
+`maximum`. The rest vectors are S^p q. Where the paper is incomplete, this module does as follows:
 
 - S is the stretch sqrt(A^T A), turned inside out: its smallest value negative; the flow stops short of turning S^p.
-- To the bound, S^p goes along I + s (S^p - I), det made 1, so that both hold: the paper's scaling alone breaks det = 1.
+- S^p is brought to the bound along I + s (S^p - I) with its determinant set to 1, so that both conditions hold: the
+paper's scaling alone violates det = 1.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class AxisBeta:
 
 @dataclass(frozen=True, slots=True)
 class Plasticity:
-    """When and how a cluster yields; each a number, or (B,) one for each candidate.
+    """When and how a cluster yields; each value is a number, or (B,) one for each candidate.
 
     yield_strain: |S - I|_2 above which it flows; creep: [1/s] share of S - I that becomes permanent in a second
     maximum: largest |S^p - I|_2

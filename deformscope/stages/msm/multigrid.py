@@ -1,16 +1,16 @@
 """A preconditioner for the linear equations of lattice bodies: geometric multigrid, in float32.
 
 A coarse level is a lattice body of its own, with clusters on about half the particles along each axis. Its operator
-costs as little as that of the body, for any width of the clusters, and nothing is assembled. Without conservation a
+costs as little as that of the body, for any width of the clusters, and no matrix is assembled. Without conservation a
 body's energy is E_A + (1 - beta) (E_R - E_A): the residual of the best affine map, and the part of the affine map that
 no rotation fits. The first grows with second derivatives of the displacement, the second with strain, so clusters that
 reach twice as far weigh them differently. A coarse level has the factors that preserve both energies of smooth
 displacements: it is a multiple of an operator of another beta, which may be below 0. Conserved volume is strain, too.
 
 A cycle is symmetric: Chebyshev's iteration before and after the coarse correction, whose interpolation (linear) and
-restriction are transposed. No held particle moves, and no coarse one next to it. All levels are linearised where the
-fine one is. Any positive definite preconditioner gives the same solution, so simplifications here can cost only
-iterations.
+restriction are transposed. Neither held particles nor coarse ones next to them move. All levels are linearised at the
+state of the fine one. Any positive definite preconditioner gives the same solution, so simplifications here can cost
+only iterations.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ NARROWEST, FEWEST = 5, 150
 """Cells along an axis, and in all, below which a level is not coarsened further."""
 
 STIFFER = 1.25
-"""By which a coarse level's energies are raised: corrections that are too small cost less than those too large."""
+"""Factor on a coarse level's energies: corrections that are too small cost fewer iterations than those that are too
+large."""
 
 DEGREE, RANGE = 2, 5.0
 """Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
@@ -65,9 +66,9 @@ class CoarseRest:
     """A lattice, and how it interpolates to the next finer one.
 
     present, held: (n0, n1, n2); mass: the same, over the mean mass of the body; corner: the same, where clusters are
-    window: (3,); edges: (3, d) from a cell to the next along each axis [spacings]
-    affine, strain: factors of the two energies; weights: (n, n0), (m, n1), (l, n2) from its planes to the finer ones,
-    along each axis; spread: (n0, n1, n2) how much of the finer level's particles interpolates from each cell
+    window: (3,); edges: (3, d) vectors from a cell to the next along each axis [spacings]; affine, strain: factors of
+    the two energies; weights: (n, n0), (m, n1), (l, n2) interpolation from its planes to the finer ones, along each
+    axis; spread: (n0, n1, n2) sum of the weights with which finer particles interpolate from each cell
     """
 
     present: BoolArray
@@ -95,7 +96,7 @@ class CoarseRest:
 
 
 def coarser(fine: CoarseRest) -> CoarseRest | None:
-    """The next level, None where there is none."""
+    """The next level, None without one."""
     shape = fine.present.shape
     if any(1 < n < NARROWEST for n in shape) or fine.present.size <= FEWEST:
         return None

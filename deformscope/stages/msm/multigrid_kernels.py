@@ -17,7 +17,7 @@ from deformscope.stages.msm.members import kernel_in, members
 
 @wp.struct
 class Cells:
-    """Where a field keeps the cells of a lattice: see `layout.Layout`."""
+    """Places of a lattice's cells in a field: see `layout.Layout`."""
 
     front: int
     group: int
@@ -30,8 +30,8 @@ class Cells:
 
 @wp.struct
 class Transfer:
-    """Linear interpolation between two lattices, or its transpose. It has, for each plane of the target, axis after
-    axis, the planes of the source with the same numbering, and their weights, from `begin` on."""
+    """Linear interpolation between two lattices, or its transpose. For each plane of the target, axis after axis, it
+    has the planes of the source and their weights, starting at `begin`."""
 
     begin: Ints
     plane: Ints

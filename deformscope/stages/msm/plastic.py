@@ -36,8 +36,8 @@ class Loaded:
 class PlasticMsm:
     """B candidates of a body whose clusters yield (see `materials`), with their plastic deformations.
 
-    body: any clusters and basis; it runs by index lists; size: B; law: whose numbers can differ between candidates
-    axes: (d, d) the material's axes, where beta is to be an `AxisBeta` (linear basis, theta = 0)
+    body: any clusters and basis; it runs by index lists; size: B; law: law of plasticity, whose numbers can differ
+    between candidates; axes: (d, d) the material's axes, where beta is to be an `AxisBeta` (linear basis, theta = 0)
     """
 
     def __init__(self, body: Msm, law: Plasticity, size: int = 1, *, axes: FloatArray | None = None) -> None:
@@ -79,12 +79,12 @@ class PlasticMsm:
     ) -> Loaded:
         """The static states under a load that is held, from where the candidates are.
 
-        duration: None, as long as it takes. S^p flows, in each cluster just until its strain is the yield strain (or as
-        close as det S^p = 1 allows), and the body relaxes. It ends when nothing flows by more than `settled` times the
-        yield strain. Creep does not matter then. With a duration [s], S^p flows once by duration * creep of S - I, but
-        not past the yield strain, and the body relaxes.
+        duration: None = until the body rests. S^p flows, in each cluster just until its strain is the yield strain (or
+        as close as det S^p = 1 allows), and the body relaxes. It ends when nothing flows by more than `settled` times
+        the yield strain. Creep does not matter then. With a duration [s], S^p flows once by duration * creep of S - I,
+        but not past the yield strain, and the body relaxes.
 
-        held_position: (n, d) or (B, n, d) [m]; beta, theta, volume, tolerance: as for `Msm.relax`
+        held_position: (n, d) or (B, n, d) [m]; beta, theta, volume, tolerance: as in `Msm.relax`
         """
         body, dim = self.body, self.body.dim
         if not body.free.any():
@@ -150,7 +150,7 @@ class PlasticMsm:
         return np.asarray(method.layout.get(method.residual, body.dim) * body.scale)
 
     def start(self, position: FloatArray | None = None) -> None:
-        """Without velocity, at `position` (K, d) or (B, K, d), default where it is; S^p stays."""
+        """Start without velocity at `position` (K, d) or (B, K, d), default the present one; S^p is unchanged."""
         if position is not None:
             self._position = np.broadcast_to(position, self._position.shape).copy()
         self._moving = None

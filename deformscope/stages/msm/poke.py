@@ -36,7 +36,7 @@ SLIDE = 1.6
 class Tip:
     """A tip: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
 
-    slips: particles under it move freely sideways; else they stick to it
+    slips: particles under the tip move freely sideways; otherwise they stick to it
     """
 
     shape: TipShape
@@ -66,7 +66,7 @@ class Tip:
         it.
 
         spacing: spacing of the particles at these places: a disc then includes those just outside its rim, so that the
-        touched area is about its own
+        touched area is about that of the disc
         """
         grace = 1.0 + 1e-6
         if self.shape == "flat":
@@ -102,8 +102,8 @@ class Poke:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """The simulation's parameters. cluster_size: particles a side; None = one cluster of all; volume: how theta
-    conserves it; eq. 3.17 ("scale") has no energy, so there forces are those of the projection."""
+    """The simulation's parameters. cluster_size: particles along a side; None = one cluster of all; volume: how theta
+    conserves it; eq. 3.17 ("scale") has no energy, so that its forces are those of the projection."""
 
     beta: float
     theta: float = 0.0
@@ -195,7 +195,7 @@ def press(
 @dataclass(frozen=True, slots=True)
 class PokedBody:
     """A body whose touched particles are held, under B laws: position (B, K, d); pull: (B, m, d) reaction at each of
-    them per unit of k; hold: (B, m, d) where they came to be; converged: (B,)"""
+    them per unit of k; hold: (B, m, d) final places of the held particles; converged: (B,)"""
 
     position: FloatArray
     pull: FloatArray
@@ -207,7 +207,7 @@ def hold(
     scene: PokeSetup, touched: IntArray, law: Law, precision: Precision, device: str, *, slips: bool = False
 ) -> Msm:
     """The scene's body with the fixed and the touched particles held, in this order. touched: (n,) indices; slips: they
-    are held along the tip's direction alone, where that is an axis and the body of several clusters"""
+    are held only along the tip's direction, if that is an axis and the body has several clusters"""
     axis = int(np.abs(scene.toward).argmax())
     slipping = (touched, axis) if slips and abs(scene.toward[axis]) == 1.0 and scene.clusters.count > 1 else None
     held, basis = np.concatenate([scene.fixed, touched]), law.basis

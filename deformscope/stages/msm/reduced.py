@@ -1,7 +1,7 @@
 """A body that is one cluster: its static state without its particles.
 
-Every free particle of a static state lies at t + T q~_i. So T (d, terms) and t represent all of them, and the equations
-need only sums over the particles. With mass shares m_i, lengths in cluster radii, and
+Every free particle of a static state lies at t + T q~_i. Therefore T (d, terms) and t represent all particles, and the
+equations need only sums over them. With mass shares m_i, lengths in cluster radii, and
 
 - G = sum_all m q~ q~^T; C = sum_held m (q~ - q~_held mean) (q~ - q~_held mean)^T; H = the same with p for the first
   factor; J = [I, 0], which picks the linear terms,
@@ -57,8 +57,8 @@ class Equilibrium:
     transform: (B, d, terms) [m]; translation: (B, d) [m]; iterations: (B,) Newton's steps
     residual: (B,) root mean square of goal - place over all particles, from separately evaluated equations [m]
     error: (B,) length of the last Newton step [m]: how far the state before it was from the solution
-    converged: (B,) both are below the tolerance; diverged: (B,) no state was found to
-    which the goals of eq. 3.17 pull back: a body turned inside out has none, and runs away in time stepping
+    converged: (B,) both are below the tolerance; diverged: (B,) no stable state of eq. 3.17 was found: a body turned
+    inside out has none, and diverges in time stepping
     """
 
     transform: FloatArray
@@ -182,8 +182,8 @@ class OneCluster:
         held particles does not move. With theta > 0 Newton's steps begin at the start. If they converge to no valid
         state, the state is the one that follows from theta = 0 without a jump.
 
-        beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest
-        tolerance: on `residual` and `error`, as a share of the cluster's radius, but no less than `SMALLEST_TOLERANCE`
+        beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest; tolerance: tolerance of
+        `residual` and `error`, as a share of the cluster's radius, at least `SMALLEST_TOLERANCE`
         """
         size = max(
             np.size(beta), np.size(theta), len(held.moments), 1 if start is None else start.size // self.rest.size
@@ -206,7 +206,7 @@ class OneCluster:
         )
 
     def positions(self, equilibrium: Equilibrium, held: HeldMoments) -> FloatArray:
-        """Where every particle is, (B, K, d) [m]; held ones where they were put."""
+        """Positions (B, K, d) [m] of all particles; held ones have their prescribed positions."""
         out = self._expanded(equilibrium.transform, equilibrium.translation)
         out[:, self.held] = held.position
         return out
@@ -222,7 +222,7 @@ class OneCluster:
     ) -> tuple[FloatArray, FloatArray]:
         """How every particle of static states moves with beta and with theta, two of (B, K, d) [m]; held ones stay.
 
-        By implicit differentiation, with Newton's own matrix. beta, theta: (B,) or one
+        Derivatives of the state by implicit differentiation, with Newton's matrix. beta, theta: (B,) or one
         """
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius

@@ -1,8 +1,8 @@
 """Warp kernels of a body that is one cluster, where a static state has a handful of unknowns; the equations are in
 `deformscope.stages.msm.reduced`.
 
-One thread solves one candidate from start to end, in float64. All that a candidate brings and takes is one row of
-numbers each, so that a call copies once in and once out.
+One thread solves one candidate from start to end, in float64. A candidate's input and output are one row of numbers
+each, so that a call copies once in and once out.
 """
 
 import functools
@@ -31,7 +31,7 @@ ATTEMPTS = 4
 """Times that a state balanced by a rotation which is not the best one is left for another."""
 
 FINEST_PATH = 1.0 / 256.0
-"""Where Newton's steps fail at theta, it is approached in parts; a part smaller than this share ends the search."""
+"""If Newton's steps fail at theta, theta is approached in parts; a part smaller than this share ends the search."""
 
 
 @functools.cache

@@ -14,8 +14,8 @@ Where the equations are incomplete, this module decides, for degenerate clusters
 Volume is conserved by one of two rules. Without conservation (theta = 0) they are the same, and both give A_theta the
 rest volume at theta = 1:
 
-- "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. It derives from no energy: its effect on a
-  compressed cluster amplifies every displacement, so overlapping clusters at high beta and theta diverge.
+- "scale" is eq. 3.17, faithful to the thesis: A is divided by a number. Eq. 3.17 derives from no energy. In a
+compressed cluster it amplifies every displacement, so that overlapping clusters at high beta and theta diverge.
 - "project" goes the share theta of the distance from the fit to the nearest fit of the rest volume. Its goals are the
   gradient of an energy that no step to them raises, so it cannot diverge; theta weights the pull to the rest volume.
   Choose it for overlapping clusters, and where stability counts more than the thesis's numbers.
@@ -45,8 +45,8 @@ NO_ROTATION = 1e-6
 class RestCluster:
     """Constants of one cluster.
 
-    index: (n,) its particles; mass: (n,); q: (n, d) from the mass centre, in units of the cluster's radius (eq. 3.8)
-    q_basis: (n, r) q or q~ of eq. 3.14, mean-centred; inverse: (r, r) pseudo-inverse of sum m q~ q~^T
+    index: (n,) its particles; mass: (n,); q: (n, d) positions relative to the mass centre, in units of the cluster's
+    radius (eq. 3.8); q_basis: (n, r) q or q~ of eq. 3.14, mean-centred; inverse: (r, r) pseudo-inverse of sum m q~ q~^T
     span: (d, k) orthonormal directions that it spans; radius: root mean square distance from its centre
     root: (d, d) with A root = B, in which the cost of changing A is a plain distance, |dB|^2 up to a factor, and the
     measures of A and B are equal; only its first k columns are not 0

@@ -33,7 +33,7 @@ TOLERANCE = {"float64": 1e-9, "float32": 3e-5}
 """Default tolerance of `relax`, as a share of the body's extent."""
 
 LINEAR_TOLERANCE = {"float64": 1e-10, "float32": 1e-5}
-"""To which a derivative's linear equations are solved, as a share of their right-hand side."""
+"""Tolerance of a derivative's linear equations, as a share of their right-hand side."""
 
 PARTICLES_AT_ONCE = 2_000_000
 """Particles of all candidates together that `relax` holds at once: at most some 2 GB; more are taken in turns."""
@@ -45,8 +45,8 @@ MOVES = 200
 """Moves that held particles make at most in time stepping; of more steps, several pass at each place."""
 
 RESUMED_ITERATIONS = 32_000
-"""Least number of iterations for a second beginning. It starts near its solution, but at beta .95 to .99, with weak
-restoring forces, pressed bodies need up to 13 000."""
+"""Least number of iterations for a second beginning. Largest number of iterations of a resumed search. It starts near
+its solution, but at beta .95 to .99 pressed bodies, with weak restoring forces, need up to 13 000."""
 
 TRIED_STEPS = 3000
 """Time steps within which a body that eq. 3.17 leaves no stable state has run away."""
@@ -87,7 +87,8 @@ class Relaxed:
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """How static states move with their parameters: by beta and by theta (B, K, d) [m]; converged: all were solved."""
+    """How static states move with their parameters: by beta and by theta (B, K, d) [m]; converged: all equations were
+    solved."""
 
     beta: FloatArray
     theta: FloatArray
@@ -151,14 +152,14 @@ class Moving:
 
     @property
     def diverged(self) -> BoolArray:
-        """(B,) bodies of which a particle would have left by 10 000 spacings: not to be used."""
+        """(B,) bodies in which a particle would have moved by 10 000 spacings: they must not be used."""
         return np.asarray(self.ran_away.numpy()[: self.layout.candidates] != 0)
 
 
 class Msm:
     """A body of particles in overlapping clusters, ready to be simulated for many candidates at once.
 
-    rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles belong together; held: (n,) indices of the
+    rest: (K, d) positions at rest, d = 2 or 3; clusters: which particles form clusters; held: (n,) indices of the
     particles whose position is prescribed; mass: (K,), default 1 each; basis: "linear" (also rigid, with beta = 0) or
     "quadratic"; slipping: the held particles that are held along one axis alone, and that axis: static states of more
     than one cluster find their lateral positions; precision: precision of the state; device: "cpu", "cuda:0"...
@@ -215,8 +216,7 @@ class Msm:
         return self._double if large else self._body
 
     def variant(self, *, axes: FloatArray | None = None, plastic: bool = False) -> Msm:
-        """This body, by index lists, for the additions of `materials`: betas along `axes` (d, d), clusters that
-        yield."""
+        """This body with index lists, for `materials`: betas along `axes` (d, d), or clusters that yield."""
         if axes is not None and self._basis != "linear":
             raise ValueError("expected a linear basis with a beta along each axis; got a quadratic one")
         made = self._alike()
@@ -224,7 +224,7 @@ class Msm:
         return made
 
     def holding(self, held: IntArray | Sequence[int]) -> Msm:
-        """This body with the positions of other particles prescribed, (n,)."""
+        """This body with the positions of other particles (n,) prescribed."""
         made = self._alike()
         made._hold(held)
         return made
@@ -347,8 +347,8 @@ class Msm:
 
         With theta = 0, and with the volume conserved by projection, they are minima of an energy, found by Newton's
         steps (conjugate gradients); eq. 3.17 has no energy, so there the goal map is accelerated (Anderson), in float64
-        always. Both stop on an estimate of the distance to go. One cluster of all particles is
-        solved in its own few unknowns.
+        always. Both stop when the estimated distance from the static state is small enough. One cluster of all
+        particles is solved in its own few unknowns.
 
         A symmetric start stays symmetric, as in time stepping: a strut pressed along its axis stays straight where it
         would buckle. With eq. 3.17 and strong compression a static state can have clusters turned inside out: check the
@@ -358,9 +358,9 @@ class Msm:
         beta: a number, (B,), (B, C) for each cluster, or `AxisBeta` (linear basis, theta = 0)
         volume: "scale" (eq. 3.17) or "project" (stable): see `reference`
         start: (K, d) or (B, K, d), default rest
-        tolerance: on the estimated distance from the static state, as a share of the body's extent
+        tolerance: largest estimated distance from the static state, as a share of the body's extent
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
-        candidates that eq. 3.17 keeps from converging have a second beginning, at the state without conservation
+        candidates that do not converge with eq. 3.17 start again at the state without conservation
         progress: called with (candidates done, candidates) now and then, also within one long solve
         limit_s: after this time, checked every few iterations, candidates that still run end as `out_of_time`
         """
@@ -540,7 +540,7 @@ class Msm:
     ) -> Gradient:
         """Gradient of a function of static states, given its own by positions: one symmetric solve for all parameters.
 
-        position: as for `sensitivity`; cotangent: (K, d) or (B, K, d), the function's derivative by each coordinate
+        position: as in `sensitivity`; cotangent: (K, d) or (B, K, d), the function's derivative by each coordinate
         (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
         the derivatives by beta and theta are solved for, and those by cluster are not given (nan).
         """
@@ -633,7 +633,7 @@ class Msm:
         return self.positions(state)
 
     def positions(self, state: Moving) -> FloatArray:
-        """Where the particles of stepped bodies are, (B, K, d)."""
+        """Positions (B, K, d) of the particles of stepped bodies."""
         return self.rest + state.layout.get(state.u, self.dim) * self.scale
 
     def advance(
@@ -686,7 +686,7 @@ class Msm:
         """Force of each particle on its support, per unit of the body's stiffness k [m]: (B, K, d).
 
         It is the gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters. Volume is conserved
-        by projection, since eq. 3.17 has no energy. At a static state it is 0 at the free particles.
+        by projection, since eq. 3.17 has no energy. At a static state the reaction is 0 at the free particles.
         position: (K, d) or (B, K, d)
         """
         pull = self._unheld.residual(position, beta, theta, volume="project")

@@ -12,8 +12,9 @@ from deformscope.arrays import BoolArray, FloatArray
 class StateSweep:
     """A lattice of particles in the plane, or one layer of one in space, seen from the side.
 
-    over: which parameter; value: (n,) value of it; rest: (rows, columns, 2), position: (n, rows, columns, 2) [m]; held:
-    (rows, columns) particles whose position is prescribed; measure: (n,) measure of the body, which `measured` names
+    over: name of the parameter; value: (n,) values of it; rest: (rows, columns, 2), position: (n, rows, columns, 2)
+    [m]; held: (rows, columns) particles whose position is prescribed; measure: (n,) measure of the body, which
+    `measured` names
     """
 
     name: str
@@ -33,6 +34,6 @@ class StateSweep:
 
 @dataclass(frozen=True, slots=True)
 class StateSweeps:
-    """Several of them, for one view."""
+    """Several sweeps, for one view."""
 
     sweeps: tuple[StateSweep, ...]

@@ -1,4 +1,4 @@
-"""A rigid tip on an elastic half-space: the closed forms that one would reach for first.
+"""A rigid tip on an elastic half-space, in closed form, for comparison with the model.
 
 Boussinesq, Hertz, Sneddon: no thickness, no friction, small strain. force identifies E* = E / (1 - nu^2) alone; nu
 enters the sideways motion.

@@ -40,8 +40,8 @@ class PokeComparison:
 @dataclass(frozen=True, slots=True)
 class PooledPokes:
     """Errors of the model on several measured pokes. surface_error, force_error: root mean square, of the depth and of
-    the measured force; forces: pokes whose force was measured and predicted; held: how many of these 90 % intervals
-    hold it; width: median of the intervals' widths, of the predicted force; None without forces"""
+    the measured force; forces: pokes whose force was measured and predicted; held: in how many of these the 90 %
+    interval contains the force; width: median of the intervals' widths, of the predicted force; None without forces"""
 
     pokes: int
     surface_error: float
@@ -52,7 +52,7 @@ class PooledPokes:
 
 
 def together(compared: Sequence[PokeComparison]) -> PooledPokes:
-    """All of them, at least one."""
+    """The pooled errors of all comparisons, at least one."""
     surface = [one.scores[0].surface_error for one in compared]
     off, held, width = [], 0, []
     for one in compared:

@@ -64,14 +64,14 @@ class ContactFit:
 
     stiffness_n_per_mm: force over depth at `at_force_n` (apparent stiffness), with its 90 % `interval_n_per_mm`; of a
     `rigid` place a lower bound, whose interval is open above; log_stiffness, log_sd: its natural log and standard
-    deviation. The latter combines `own_log_sd`, the error of this touch alone, with errors that all touches of a
-    session share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
-    at_force_n: the set force, also if the approach ended before it: the law is extrapolated to it, so that all touches
-    compare; depth_m: depth of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach,
-    which grows into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and
-    log_stiffness; peak_force_n: along the normal, tare taken off
+    deviation. `log_sd` combines `own_log_sd`, the error of this touch alone, with errors that all touches of a session
+    share: `arm_log_sd`, for one deviation of the arm's compliance, and the gain of the force
+    at_force_n: the set force; if the approach ended before it, the law is extrapolated, so that all touches compare;
+    depth_m: depth of the dent at `at_force_n`; contact_m: where contact began, on the axis of the approach, which grows
+    into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and log_stiffness;
+    peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
-    samples: that were fitted
+    samples: number of samples that were fitted
     peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`
     """
 
@@ -117,10 +117,10 @@ def fit_approach(
 ) -> ContactFit:
     """Fit the law to an approach, from before contact to the peak of the force; later samples are left out.
 
-    time_s: (n,) rising [s]; position_m: (n, 3) position of the tip as the arm says [m]; force_n: (n, 3) on the tip [N],
-    all in one frame; normal: (3,) out of the surface; tip: its shape, which gives the prior mean of p
-    set_force_n: force at which the stiffness is taken. If the approach ended before, as by its depth, the fitted law is
-    extrapolated to it, and is less certain there
+    time_s: (n,) rising [s]; position_m: (n, 3) position of the tip as the arm says [m]; force_n: (n, 3) force on the
+    tip [N], all in one frame; normal: (3,) outward normal of the surface; tip: its shape, which gives the prior mean of
+    p; set_force_n: force at which the stiffness is taken. If the approach ended before that force, for example by its
+    depth, the law is extrapolated and less certain
     arm: how the arm yields, from `calibrate_compliance`; default a stiff arm that scatters by 0.1 mm
     force_sd_n: noise of the force, default as it scatters before contact
     exponent_sd: deviation of the prior of p; least_share: share of the set force, from which samples are fitted
@@ -207,10 +207,10 @@ def peak_rate(
     samples, or if no such sequence of them lasts: times that repeat, as after a stall, give no rate.
 
     A rate is the slope of a straight line through RATE_SAMPLES successive samples, by least squares (the first
-    derivative of Savitzky and Golay 1964). Where the force bends, it is the mean over them. The steepest of many noisy
-    slopes is too steep, so samples are split (Cox 1975, Biometrika 62, 441). Every other one determines the time of the
-    fastest rise, those between the rate at that time. Their noise, of deviation `force_sd_n` each, is taken to be
-    independent.
+    derivative of Savitzky and Golay 1964). If the force bends, the rate is the mean over these samples. The steepest of
+    many noisy slopes is too steep, so samples are split (Cox 1975, Biometrika 62, 441). Every other sample determines
+    the time of the fastest rise, and the samples between them the rate at that time. Their noise, each with deviation
+    `force_sd_n`, is assumed to be independent.
     """
     if len(time_s) < RATE_SAMPLES:
         return None, None

@@ -10,10 +10,11 @@ foam by
 compliance is a low-pass filter of the force with strength j_i and retardation time l_i. Forces are treated as exact and
 places are fitted, as in `contact`: the arm's scatter dominates. Relaxation times t_i follow from those of creep.
 
-None to three branches, and spectra that reach no plateau, are compared by their evidence and averaged. A hold
-determines creep within its duration. If a branch probably outlasts it, or creep has no end, a reason reports that. The
-dependent values are then bounds. A smaller probability opens their intervals. The remaining force after a time within
-the hold is always reported. Approach speed needs no correction: the filters use the times of the force.
+Models with zero to three branches, and with spectra that reach no plateau, are averaged by their evidence. A hold
+determines creep within its duration. If a branch probably lasts longer than the hold, or creep has no end, a reason
+reports that. The dependent values are then bounds. A smaller probability opens their intervals. The remaining force
+after a time within the hold is always reported. Approach speed needs no correction: the filters use the times of the
+force.
 
 The ball's retract does not follow this law (Ting 1966) and is not fitted. The energy loss of a cycle is the work of the
 measured forces on the approach less that on the retract.
@@ -81,7 +82,7 @@ class CreepFit:
     """A touch's measurement of a foam's creep; every interval holds 90 %.
 
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
-    deviation of the log of the latter; the relaxed one is None with a reason
+    deviation of the log of the relaxed value, which is None with a reason
     share: share of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighted by its
     share, of the relaxation within the hold; with a reason both are lower bounds. If the relaxed state is unseen with
     a probability above `relaxation.OPEN`, their intervals are open above, and that of the relaxed stiffness begins at
@@ -93,7 +94,8 @@ class CreepFit:
     loss: energy that the cycle lost over that of the approach; None if the retract was not recorded
     held_s: how long the force was held; speed_m_s: speed of the approach in contact
     verdict: "slipping": the tip slid over the surface, and other values are doubtful; "plastic": a permanent dent;
-    "elastic": less than ELASTIC_MOST relaxes; "viscous": more does; "unidentified": none is SURE; why: in words
+    "elastic": less than ELASTIC_MOST relaxes; "viscous": more relaxes; "unidentified": no other verdict reaches the
+    probability SURE; why: why, in words
     viscous, plastic, slipping: probabilities of each, None if the touch does not determine it
     kept, kept_interval: permanent share of the dent, beyond relaxation; None without the retract
     slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
@@ -179,10 +181,10 @@ def fit_creep(
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
     time_s (n,), position_m (n, 3), force_n (n, 3), normal (3,), set_force_n, arm: as in `contact.fit_approach`
-    radius_m: radius of a ball, whose dents are not small relative to it; None: the law is a power at all depths
+    radius_m: radius of a ball, whose dents are not small relative to it; None: the law is a power law at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
-    version: see `NEWEST_RELAXATION`
+    version: see `NEWEST_RELAXATION`.
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
     """
@@ -352,8 +354,8 @@ def cycle_loss(
     """Share of the energy of the way in and of the hold that the way out did not give back, and its 90 % interval.
 
     z_m, force_n: (n,) z and force of a whole touch along the normal, zero of the force taken off; held: samples until
-    the way back; clock_sd: deviation of the force's times against the place's, in samples. None where the force did not
-    come back to nothing. Energy stored in the arm is no work on the foam.
+    the way back; clock_sd: deviation of the force's times against the place's, in samples. None if the force did not
+    return to 0. Energy stored in the arm is no work on the foam.
     """
     peak = float(force_n[:held].max())
     z_m = z_m - arm.compliance_m_per_n * force_n

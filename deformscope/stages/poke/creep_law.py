@@ -43,8 +43,9 @@ LOG_TIMES, TIMES = (np.log(0.002), np.log(4000.0)), 100
 
 @dataclass(frozen=True, slots=True)
 class CreepSamples:
-    """time_s, z_m, force_n: (m,) from the first sample to the end of the hold, which is averaged; count: (m,) how many
-    each is the mean of; first: index of the first fitted one; loading: up to which they lead to the set force"""
+    """time_s, z_m, force_n: (m,) samples from the first to the end of the hold, which is averaged; count: (m,) number
+    of readings averaged in each; first: index of the first fitted one; loading: up to which they lead to the set
+    force"""
 
     time_s: FloatArray
     z_m: FloatArray
@@ -69,7 +70,7 @@ class CreepSamples:
 class CreepDraws:
     """Weighted draws: weight (d,), which adds up to 1; z0, D0 [m], log of the relaxed dent over D0, p, deviations of
     the arm's compliance, mean relaxation time [s], all (d,); j_i and l_i [s] (d, b), with strength 0 for absent
-    branches; branches (d,): how many there are; endless (d,): the spectrum has no end"""
+    branches; branches: (d,) their number; endless (d,): the spectrum has no end"""
 
     weight: FloatArray
     start_m: FloatArray

@@ -1,8 +1,8 @@
 """Residual of fitted layers on the surface around a tip, by the pokes that they were fitted to.
 
 A lattice of clusters has systematic errors: with any law, the surface around a tip moves inwards too far and rounds off
-too little. That is alike at all pokes of a surface, so that unseen ones are predicted with it: the model's discrepancy,
-estimated with its parameters (Kennedy and O'Hagan 2001).
+too little. It is similar at all pokes of a surface, so that it improves predictions of unseen ones: the model's
+discrepancy, estimated together with its parameters (Kennedy and O'Hagan 2001).
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from deformscope.arrays import FloatArray
 from deformscope.stages.msm.poke import Tip
 
 DISTANCES = np.array([0.0, 0.06, 0.12, 0.2, 0.3, 0.4, 0.6, 0.9])
-"""From the tip's edge, as shares of the thickness; between them it is linear, beyond the last nothing."""
+"""Distances from the tip's edge, as shares of the thickness; the residual is linear between them, and 0 beyond the
+last."""
 
 PRIOR_SD = 0.05
 """Deviation of the residual, as a share of the depth, that is expected where nothing was seen."""

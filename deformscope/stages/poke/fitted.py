@@ -48,7 +48,7 @@ ALONG_AXIS = float(np.cos(np.radians(10.0)))
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """A law that follows the pokes about as well. stiffness: (p,) [N/m] that goes with it at the pokes with force;
+    """A law that follows the pokes about as well. stiffness: (p,) stiffness [N/m] of this law at the pokes with force;
     surface_error: share of the depth"""
 
     law: Law
@@ -67,7 +67,7 @@ class FittedModel:
     stiffness: (p,) k there [N/m]; field_kind: kind of the surface between the pokes when the model was fitted
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
-    same on pokes left out of the fit, nan with one poke; rivals: other laws that do about as well
+    same on pokes left out of the fit, nan with one poke; rivals: other laws that fit about as well
     fitted_depth: fitted depth of the deepest poke that was fitted [m]; fitted_strain: the largest depth over tip width;
     nan: unknown
     residual: the law's residual on the surface around the tip of every fitted poke
@@ -143,8 +143,8 @@ class FittedModel:
     def transfer_deviation(self, tip: Tip, depth: float, rivals: float = 0.0) -> float:
         """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted.
 
-        rivals: deviation of rival laws' predictions. They fit the same pokes and differ at other tips. Both are the
-        same uncertainty of the tip, so that the larger of the two counts, not both
+        rivals: deviation of rival laws' predictions. They fit the same pokes and differ at other tips. Both describe
+        the same uncertainty of the tip, so that only the larger one counts
         """
         other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
         deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0

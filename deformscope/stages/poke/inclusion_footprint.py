@@ -9,7 +9,7 @@ changes the dent by its share in twice that energy over force times dent (to fir
 its response to a uniform strain. Eshelby (1957) gives the response of a ball with the same Poisson's ratio 0.2: h = (c
 - 1) / (1 + (c - 1) / 2) of c times the modulus; a rigid one 2, a hole -2.
 
-So the footprint is as wide as inclusion, depth and contact make it, and no constant of it is fitted but CALIBRATED.
+Therefore inclusion, depth and contact determine its width, and only the constant CALIBRATED is fitted.
 Not modelled: the strain is not uniform over the inclusion, and the foam is no half-space.
 """
 
@@ -33,9 +33,9 @@ CONTACT_STEP = 0.02
 NEAREST, FARTHEST, NODES = 0.1, 60.0, 70
 """Range of the energy's grid, in contact radii, and its nodes each way."""
 ACROSS = 9
-"""Points across an inclusion, of a lattice in it."""
+"""Number of points of a lattice across an inclusion."""
 MOST_SHARE = 0.85
-"""No inclusion takes more of a dent."""
+"""Largest share of a dent that an inclusion can have."""
 
 
 def contact_radius(dent_m: float, tip_radius_m: float) -> float:
@@ -58,9 +58,9 @@ def inclusion_shift(share: FloatArray | float, footprint: FloatArray) -> FloatAr
 def footprint(contact_m: float, radii_m: FloatArray, depths_m: FloatArray, aside_m: FloatArray) -> FloatArray:
     """(r, d, s) share of a dent due to the foam in the place of an inclusion, before any contrast.
 
-    contact_m: radius of the contact; radii_m: (r,) radii of inclusions; depths_m: (d,) from the surface to their
-    uppermost points;
-    aside_m: (s,) from the touch to above their middles, all [m]
+    contact_m: radius of the contact; radii_m: (r,) radii of inclusions; depths_m: (d,) depths of their uppermost points
+    below the surface;
+    aside_m: (s,) horizontal distances from the touch to their middles, all [m]
     """
     if not contact_m > 0.0:
         raise InputError("a contact's radius above 0 m", f"{contact_m}")

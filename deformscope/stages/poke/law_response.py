@@ -19,7 +19,7 @@ from deformscope.stages.poke.contact import EXPONENT
 
 CONTACTS = (0.3, 0.65, 1.0)
 """Radii of the contact over that at the set force (Hertz: proportional to F^(1/3)), between which shifts are computed
-parabolas: from the least force that is fitted."""
+parabolas: samples from the least force that is fitted."""
 LEAST_SHARE = 0.02
 """Share of the set force from which a free exponent is fitted: 0.1 N of 5 are five times the sensors' noise. The
 exponent is then known to 0.026, from 0.05 on to 0.034."""

@@ -16,7 +16,7 @@ from deformscope.stages.poke.contact import Z_90, layer_modulus
 AROUND_M, MARGIN_M = 0.10, 0.02
 """The table counts between these distances from the surface, beyond its visible sides."""
 WITHIN_M = 0.02
-"""Points farther than that from z = 0 are not the table."""
+"""Points farther than this from z = 0 do not belong to the table."""
 FEWEST = 100
 """Points of the table: 16 cm2, at one in each cell of 4 mm."""
 UNEVEN = 0.05

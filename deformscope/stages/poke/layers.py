@@ -1,7 +1,7 @@
 """A body of material below a measured surface: a lattice of a few layers whose lowest one rests on the ground.
 
-A single layer of particles is all bending and hardly determines beta or a force; the same surface with the material
-below it does (`design.md` 7). Up is +z.
+A single layer of particles only bends, so that it hardly determines beta or a force. With the material below it, the
+same surface does. Up is +z.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FEWEST_LAYERS = 2
 class MeasuredSurface:
     """A surface seen from above, with the same thickness of material everywhere below it.
 
-    points: (n, 3) [m], one height at each place; thickness: [m]
+    points: (n, 3) points [m], one height at each place; thickness: [m].
     Raises InputError where there are too few points, or several above each other.
     """
 
@@ -172,8 +172,8 @@ def below(
     """The lattice of material below a surface, `spacing` [m] apart along x and y.
 
     centre: (2,) place of a column, default the lowest corner of the surface
-    reach: extent of the lattice from `centre` along x and y [m], default all of the surface The layers divide the
-    thickness evenly, as near to `spacing` as that allows, two of them at least.
+    reach: extent of the lattice from `centre` along x and y [m], default the whole surface. The layers divide the
+    thickness evenly, at about `spacing`; there are at least two.
     """
     low, high = surface.points[:, :2].min(axis=0), surface.points[:, :2].max(axis=0)
     at = low if centre is None else np.asarray(centre, dtype=np.float64)

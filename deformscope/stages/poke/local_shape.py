@@ -40,7 +40,7 @@ LEAST_RELATIVE = 0.2
 """A hollow narrower than a ball of 1.25 times the tip's radius counts as that: beyond it the tip touches its sides."""
 
 MOST_SHIFT = 2.0
-"""Farther than that in log depth the reference layer's depth is not sought."""
+"""Largest change of log depth within which the reference layer's depth is sought."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ class LocalShape:
 
 @dataclass(frozen=True, slots=True)
 class ShapeShift:
-    """log: to be added to log apparent stiffness; sd: its deviation; exponent: to be added to that of force over depth,
-    for the edge's sake alone"""
+    """log: to be added to log apparent stiffness; sd: its deviation; exponent: to be added to the exponent of force
+    over depth, only because of the edge"""
 
     log: float
     sd: float

@@ -1,4 +1,4 @@
-"""Quantiles of mixtures: where a value lies that may come from several hypotheses, each of which errs by its own."""
+"""Quantiles of mixtures: a value comes from one of several hypotheses, each with a separate error."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class ApparentModulus:
 
 @dataclass(frozen=True, slots=True)
 class PokeRow:
-    """One poke as it goes into the JSON. left_out_error: relative error of its stiffness predicted from the others;
+    """One poke as in the JSON. left_out_error: relative error of its stiffness predicted from the others;
     surface_error: root mean square distance near it, as a share of its depth, held out: with beta and theta fitted to
     the others. None where it is not known."""
 
@@ -126,7 +126,7 @@ class PokesResult:
         return rows
 
     def tried_json(self) -> list[dict[str, object]]:
-        """Every cluster size that was tried, the best first."""
+        """JSON of every cluster size that was tried, the best first."""
         return [
             {
                 "cluster_size": one.law.cluster_size,
@@ -149,8 +149,8 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
 
     A window of s^3 particles at spacing h has second moments s^3 (s^2 - 1) h^2 / 12, and one window starts at each
     particle. Its energy is (1 - beta) |e|^2, and with volume conserved beta theta tr(e)^2 / 3, times half of these
-    moments and k. So mu = k m (1 - beta) / 2 h and lambda = k m beta theta / 3 h with m = s^3 (s^2 - 1) / 12. Near a
-    free face fewer windows overlap and the lattice is softer: an apparent modulus, not a material's.
+    moments and k. Therefore mu = k m (1 - beta) / 2 h and lambda = k m beta theta / 3 h with m = s^3 (s^2 - 1) / 12.
+    Near a free face fewer windows overlap and the lattice is softer: an apparent modulus, not a material's.
     """
     s = law.cluster_size or 1
     m = stiffness * s**3 * (s**2 - 1) / 12.0 / spacing
@@ -231,7 +231,7 @@ class Profile:
     """Residuals, errors and reactions over beta, theta as fitted.
 
     stretched: (g,) values of -log(1 - beta), rising, over the probable range; beta: (g,) the same as beta
-    residual: for each poke (g, n, 3) near it [m]; errors: (g, q) mean distance over each poke [m]; aee: (g,)
+    residual: (g, n, 3) residuals near each poke [m]; errors: (g, q) mean distance over each poke [m]; aee: (g,)
     reaction: (g, q) per unit of k [m]
     """
 
@@ -316,8 +316,8 @@ class Profile:
 
 
 def neighbouring_values(at: float, low: float, high: float) -> FloatArray:
-    """(n,) values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising. The ends replace values
-    beyond or next to them: no two are so close that their difference is rounding."""
+    """(n,) values `NEIGHBOUR_STEPS` from one of -log(1 - beta) that lie in [low, high], rising. The ends of the range
+    replace values beyond or next to them, so that the difference of two values is never only rounding."""
     values = at + np.array(NEIGHBOUR_STEPS)
     next_to = min(NEXT_TO, 0.25 * (high - low))
     inner = values[(values > low + next_to) & (values < high - next_to)]

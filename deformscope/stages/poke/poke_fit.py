@@ -32,8 +32,9 @@ FIRST_SIZES, SIZES = (3, 4), (2, 7)
 """Default cluster sizes that are tried first, and the smallest and largest of all."""
 
 CELLS_ACROSS_TIP = 4
-"""Lattice cells across the tip by default, and at least for predictions of a narrower tip. With fewer, the force of a
-wider or narrower tip has an error (2 cm to 4 cm on a layer of 5 cm: 11 % with two cells, 5 % with four)."""
+"""Lattice cells across the tip by default, and at least for predictions of a narrower tip. Cells across a tip. With
+fewer, the force of a wider or narrower tip has an error (2 cm to 4 cm on a layer of 5 cm: 11 % with two cells, 5 % with
+four)."""
 
 REACH_SHARE, REACH_TIPS = 1.1, 0.5
 """The lattice goes this many thicknesses, and tip widths, beyond the tip on each side: there the surface is quiet."""
@@ -42,7 +43,7 @@ NEAR_SHARE = 0.6
 """The surface within this many thicknesses of the tip is compared: beyond, it hardly moves."""
 
 MOST_SHAPES = 2
-"""Pokes that beta and theta are fitted to, far apart; the stiffness is found at all."""
+"""Largest number of pokes, far apart, to which beta and theta are fitted; stiffness is computed at all pokes."""
 
 SLIPPED = 0.02
 """A tip slips if the particles under it moved sideways among each other by more than this share of the depth."""
@@ -64,7 +65,7 @@ SLOPE_STEP = 0.03
 
 @dataclass(frozen=True, slots=True)
 class SeenPoke:
-    """One poke of a surface as it was measured.
+    """One measured poke of a surface.
 
     at: (3,) the middle of the touched points, at rest [m]; depth: mean displacement of the touched points, downwards
     [m]; touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) all points seen,
@@ -73,8 +74,8 @@ class SeenPoke:
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and the misfit remains; None: every point alone
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
-    footprint: `at` and `tip` are of the tip itself, so that all below it is touched; else the area between the touched
-    points is
+    footprint: `at` and `tip` describe the tip, so that all points below it are touched; otherwise the area between the
+    touched points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
     alone, not the material point that is there
     """
@@ -188,7 +189,8 @@ def spacing_for(
 
 
 class PosedPoke:
-    """A measured poke on its lattice: what is held where, and where the surface was seen."""
+    """A measured poke on its lattice: the held particles with their places, and the places where the surface was
+    seen."""
 
     def __init__(
         self,
@@ -243,7 +245,8 @@ class PosedPoke:
         return np.asarray(self.compared(displacement) * self._share[:, None] / self.poke.depth)
 
     def compared(self, value: FloatArray) -> FloatArray:
-        """Values (..., n, 3) of all points at what is compared near the poke: each point, or means over cells."""
+        """Values (..., n, 3) of all points, reduced to what is compared near the poke: each point, or means over
+        cells."""
         near = value[..., self.near, :]
         if self._average is None:
             return np.asarray(near)
@@ -288,8 +291,8 @@ def fit_shape(
 
     theta: fixed if given; tick: called with how many laws were tried, MOST_LAWS at most
 
-    All pokes count the same, however many points were seen of each. Slopes are differences, since what slips moves with
-    the law; a law and its neighbours settle at once, side by side.
+    All pokes count equally, whatever their number of points. Slopes are differences, because slipping particles move
+    with the law. A law and its neighbours are relaxed together.
     """
     size = posed[0].size
     seen: dict[bytes, tuple[FloatArray, FloatArray, bool]] = {}
@@ -373,8 +376,8 @@ def _between(place: FloatArray, value: FloatArray, wanted: FloatArray) -> FloatA
 class ShapeFit:
     """Fit of clusters of one size to the pokes.
 
-    law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,) the
-    same with beta and theta fitted to the others, nan with one poke and for all sizes but the best
+    law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,)
+    errors with beta and theta fitted to the other pokes, nan with one poke and for all sizes except the best
     reaction: (p,) reaction of every poke, per unit of k [m]; residual: error around the tip of every poke
     """
 
@@ -388,15 +391,15 @@ class ShapeFit:
     @property
     def score(self) -> float:
         """Criterion of cluster sizes: the error over all pokes. All sizes have the same two parameters, so that none
-        can win by following noise."""
+        wins by fitting noise."""
         return float(np.sqrt(np.mean(self.surface_error**2)))
 
 
 @dataclass(frozen=True, slots=True)
 class PokesFit:
     """Layers fitted to pokes. spacing: spacing of the lattice [m]; tried: every cluster size, the best first; shaped:
-    (q,) the pokes whose surface beta and theta were fitted to; posed: these on the lattice of the best; beta_range: in
-    which beta was sought; theta_fitted: False = it was given; version: see `NEWEST`"""
+    (q,) the pokes whose surface beta and theta were fitted to; posed: the pokes on the lattice of the best size;
+    beta_range: range in which beta was sought; theta_fitted: False = it was given; version: see `NEWEST`"""
 
     surface: MeasuredSurface
     pokes: tuple[SeenPoke, ...]
@@ -435,8 +438,8 @@ def fit_pokes(
     """Fit the layers below a surface to one or several pokes of it.
 
     spacing: spacing of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3
-    and 4 and then on in the direction that is better; beta_range: (low, high) in which beta is sought; theta: fixed if
-    given; version: see `NEWEST`; progress: called with (what, done, all)
+    and 4 and then on in the direction that is better; beta_range: (low, high) range in which beta is sought; theta:
+    fixed if given; version: see `NEWEST`; progress: called with (what, done, all)
     """
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing

@@ -1,9 +1,10 @@
-"""Did the tip slide over the foam while it pressed? From the force and the motion across the normal.
+"""Did the tip slide over the foam while it pressed? The slip is computed from the force and the motion across the
+normal.
 
 While a contact sticks, the force across grows with the motion across, dT = k (F / d) dx. A ball on an elastic body is
 about STICK times as stiff across as along (Mindlin 1949: 2 (1 - v) / (2 - v) of the tangent, with F / d the secant). A
-sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it follows that while the tip still
-moves: it slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit.
+sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it stays at the limit while the tip
+moves: the tip slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ SLID_M = 5e-4
 
 @dataclass(frozen=True, slots=True)
 class SlipFit:
-    """probability: that the tip slid by SLID_M or more; slid_m: how far, if it did; friction: the force across over
-    that along it there; ratio: the largest measured one"""
+    """probability: probability that the tip slid by SLID_M or more; slid_m: how far, if it did; friction: the force
+    across over that along it there; ratio: the largest measured one"""
 
     probability: float
     slid_m: float
@@ -49,7 +50,7 @@ def fit_slip(
 ) -> SlipFit:
     """Slip of a touch until its retract.
 
-    across_m, across_n: (n, 2) place and force in the surface's plane, the latter without its offset
+    across_m, across_n: (n, 2) place and force in the surface's plane, the force without its offset
     """
     peak = float(force_n.max())
     loaded = slice(int(np.argmax(force_n > LOADED * peak)), None)

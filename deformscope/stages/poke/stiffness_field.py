@@ -2,8 +2,8 @@
 
 The posterior over regions (`deformscope.stages.regions`), which maps an exploration, has these hypotheses: one
 material, several with any borders between pokes that differ, or a gradual change. The stiffness at a place is the
-mixture of all of these, each by its probability. So near a border it may be either material's. The scatter of stiffness
-from poke to poke is unknown; the pokes determine it too.
+mixture of all of these, each by its probability. Near a border the stiffness may therefore be that of either material.
+The scatter of stiffness from poke to poke is unknown; the pokes determine it too.
 """
 
 from __future__ import annotations
@@ -53,12 +53,13 @@ REPEATED = 0.25
 a tenth, so that a 90 % interval always contains that poke."""
 
 TILT = 0.25
-"""The expected value of |f - F| / F^TILT is least at the median of what the true F may be, each weighed by 1 / F^TILT.
-Chosen on tuning seeds (`studies.seeds`): between two possible materials, the stiffer is expected only if it is more
-likely by the fourth root of their ratio. A wrong choice of it has a far larger error than that of the softer one."""
+"""The expected value of |f - F| / F^TILT is least at the median of the possible true forces F, each weighted by 1 /
+F^TILT. Chosen on tuning seeds (`studies.seeds`): between two possible materials, the stiffer is expected only if it is
+more likely by the fourth root of their ratio. A wrong choice of it has a far larger error than that of the softer
+one."""
 
 TAILS = 10
-"""Shares of what an interval leaves out that may lie below it."""
+"""Possible shares of the left-out probability that lie below an interval."""
 
 FREEDOM = 8.0
 """Degrees of freedom of Student's t: errors have heavier tails than a Gaussian's. Chosen on tuning seeds, of 5, 8 and
@@ -71,13 +72,14 @@ EXCLUDED = 1e-6
 """Probability below which a hypothesis is taken as excluded by the pokes together."""
 
 MOST_REGIONS = 3
-"""It means this number or more: pokes are fewer than touches of an exploration, and their number is not fixed."""
+"""Largest number of regions: it means this number or more. Pokes are fewer than touches of an exploration, and their
+number is not fixed."""
 
 PARTICLES, MAPS, CELL_M = 1000, 300, 0.02
 """With 300 particles few were left for pokes that scatter by 3 % or less. On tuning seeds force errors on stiff discs
 were 29 % instead of 20 %, in one material 7 % instead of 3.5 %."""
 ERROR = TouchErrorModel(gain_sd=0.0)
-"""All pokes are of one session: they share errors with the forces predicted for it."""
+"""Error model of a poke: all pokes are of one session, and share errors with the forces predicted for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +104,9 @@ class StiffnessField:
     contact_m: float
 
     def at(self, place: FloatArray, contact_m: float | None = None) -> FloatArray:
-        """The most central estimate (n,) [N/m] at places (n, 2). It is a quarter of the way from the least expected
-        error in newtons, which the median has, to the least relative to the true force (`TILT`)."""
+        """The most central estimate (n,) [N/m] at places (n, 2). The predicted force is a compromise, weighted by
+        `TILT`, between the least expected error in newtons (the median) and the least error relative to the true
+        force."""
         mixture = self._mixture(np.atleast_2d(place), contact_m)
         tilted = mixture.weight * np.exp(-TILT * (mixture.mean - mixture.mean.mean()))
         return self._quantile(_Mixture(mixture.mean, mixture.variance, tilted / tilted.sum(axis=0)), 0.5)
@@ -112,7 +115,7 @@ class StiffnessField:
         self, place: FloatArray, level: float = 0.9, *, contact_m: float | None = None, extra: float = 0.0
     ) -> FloatArray:
         """Ends (n, 2) [N/m] of the interval of the stiffness of a poke at places (n, 2), with probability `level`.
-        Their ratio is the smallest, so that an improbable material is left out.
+        The ends with the smallest ratio are chosen, so that an improbable material is left out.
 
         contact_m: deviation of that poke's contact weight, for another tip; extra: deviation of log stiffness for other
         reasons

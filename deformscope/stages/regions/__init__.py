@@ -1,1 +1,1 @@
-"""Whether a surface is of one stiffness, of regions, or changes gradually: the one place where that is decided."""
+"""Decides whether a surface has one stiffness, regions, or stiffness that changes gradually."""

@@ -1,13 +1,13 @@
 """Random partitions of a surface into regions: a prior over maps, as curves that can be moved a little.
 
-A map is made of curves: a line (square to the sample or of any direction, straight, wavy or a zigzag), a blob (disc,
-ellipse, rectangle), or a ring of those. A curve may also be a level set of a random field, smooth or of finer shapes.
-One curve, or two that bound the same material (two patches, a strip), make two regions. Two curves, the second within
-the first one's rest, make three: stripes, a T, a patch in a half, two patches. With more regions, each further curve
-divides any of those before it: quadrants, too.
+A map consists of curves. A curve is a line (parallel to a side or in any direction, straight, wavy or a zigzag), a blob
+(disc, ellipse, rectangle), or a ring of blobs. A curve may also be a level set of a random field, smooth or of finer
+shapes. One curve, or two that bound the same material (two patches, a strip), make two regions. Two curves, the second
+within the first one's rest, make three: stripes, a T, a patch in a half, two patches. With more regions, each further
+curve divides any of those before it: quadrants, too.
 
-Every curve is a family and a vector of standard normal numbers. So a small change that leaves the prior as it is costs
-a line (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
+Every curve is a family and a vector of standard normal numbers. Therefore a small change that preserves the prior is
+one line of code (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.regions.touches import MapGrid
 
 LATENTS = 60
-"""Normal numbers a curve; most families need few of them."""
+"""Number of normal random numbers for a curve; most families need few of them."""
 
 LEAST_AREA_M2 = 0.003
 """Smaller areas are no region: a patch about as wide as three contacts."""
@@ -42,7 +42,7 @@ LEVEL_SET_LENGTH_M, FREE_LENGTH_M = 0.13, 0.075
 LEAST_STRENGTH = 0.1
 """Cosines that are weaker than this, of 1 for the longest, are left out."""
 OVERHANG = 0.2
-"""The level sets' cosines reach beyond the surface by this share, so that its border is nothing special."""
+"""The level sets' cosines extend beyond the surface by this share, so that its border has no effect."""
 
 
 class Family(IntEnum):
@@ -58,8 +58,8 @@ class Family(IntEnum):
 
 
 FAMILY_SHARES = (0.32, 0.10, 0.20, 0.10, 0.08, 0.12, 0.08)
-"""Shares of curves, in the families' order; of three tried, chosen for rings and straight borders alike
-(`studies.seeds`)."""
+"""Shares of curves, in the families' order; three sets were tried, and this one is best for both rings and straight
+borders (`studies.seeds`)."""
 DOUBLE_SHARE = 0.15
 """Share of the maps of two regions in which two curves bound the same material."""
 
@@ -68,10 +68,10 @@ DOUBLE_SHARE = 0.15
 class Partitions:
     """n maps of `regions` regions on a surface of `size_m`.
 
-    family: (n, c) `Family` of each curve, of which there are two, or one less than regions; latent: (n, c, LATENTS)
-    standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region that each
-    curve divides: the area outside of it is the next region; family_shares: family shares of curves in each family,
-    before any touch
+    family: (n, c) `Family` of each curve; the number of curves is two, or one less than that of regions; latent: (n, c,
+    LATENTS) standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region
+    that each curve divides: the area outside of it is the next region; family_shares: family shares of curves in each
+    family, before any touch
     """
 
     regions: int
@@ -96,7 +96,7 @@ class Partitions:
         )
 
     def join(self, other: Partitions) -> Partitions:
-        """These and those."""
+        """These maps followed by those."""
         return replace(
             self,
             family=np.concatenate([self.family, other.family]),
@@ -128,8 +128,8 @@ class Partitions:
     def shares(self, xy_m: FloatArray, blur_m: float) -> FloatArray:
         """(n, p, regions) share of each region in a contact at places (p, 2): Gaussian of `blur_m` [m].
 
-        Each curve is taken as straight within the blur: the share on its one side is the normal distribution function
-        of the distance.
+        Each curve counts as straight within the blur: the share on one side is the normal distribution function of the
+        distance.
         """
         first = ndtr(self._distance(0, xy_m) / blur_m)
         if self.regions == 2 and self.double.any():
@@ -189,8 +189,8 @@ def draw(
 
 
 def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
-    """A change of every map that is reversible under the prior without its least area. It is a small one of one or all
-    numbers of its curves, and sometimes a new curve, or another family of the same numbers: a ring has its blob's
+    """A change of every map that is reversible under the prior without its least area. It is a small change of one or
+    all numbers of its curves, sometimes a new curve, or another family with the same numbers: a ring has its blob's
     middle and border, a zigzag its line's place and direction."""
     count = len(maps)
     fresh = _draw(rng, maps.regions, maps.size_m, count, maps.family_shares)

@@ -1,13 +1,13 @@
-"""Which regions of equal stiffness a surface has, from a few touches: a posterior over maps (Bayes).
+"""The regions of equal stiffness of a surface, from a few touches: a posterior over maps (Bayes).
 
 A map divides the surface into one to five regions (`partitions`), each with one level of log stiffness. A touch
 averages the regions under its contact, whose forces add, plus its errors (`touch_error`). Given a map and the scatter
 of touches the levels are integrated in closed form (a contact's stiffness is linear in them about their approximate
 values), and summed over the scatter. The maps are particles that every touch reweights and that move under the prior
-when few are left (iterated batch importance sampling, Chopin 2002). So their evidence follows as well: it chooses the
-number of regions. Four are followed once three are the most likely, five once four have some probability; until then
-they count as explaining the touches as well as the most that are followed. Beyond three, those of their regions count
-that touches
+when few are left (iterated batch importance sampling, Chopin 2002). This also gives their evidence, which determines
+the number of regions. Four are followed once three are the most likely, five once four have some probability; until
+then they count as explaining the touches as well as the most that are followed. Beyond three, those of their regions
+count that touches
 met: a further one with hardly any effect would cost no evidence. A surface whose stiffness changes smoothly is the
 rival hypothesis (Gaussian processes); where it wins, the verdict is "gradual".
 """
@@ -33,7 +33,7 @@ from deformscope.stages.regions.touches import FIRST_REGIONS, MapGrid, Stiffness
 
 RegionMapKind = Literal["regions", "gradual"]
 SurfaceKind = Literal["uniform", "materials", "gradual"]
-"""The same with one region by a name of its own."""
+"""The kinds of surface, with a separate name for one region."""
 
 MOST_REGIONS = 5
 """Largest distinguished number: it means this number or more."""
@@ -62,9 +62,9 @@ SAME_M = 1e-3
 RIGID_SDS = 2.0
 """Levels within this many deviations below the bound of rigid touches count as rigid."""
 SCATTER_MAPS = 100
-"""Maps of which the scatter is asked."""
+"""Number of maps from which the scatter is computed."""
 LEVELS_DRAWN = 4000
-"""From which intervals are taken."""
+"""Number of drawn levels from which intervals are computed."""
 FACTORS_BYTES = 32 << 20
 """Memory of the factors of maps that are computed at once: it would grow with the square of the touches."""
 LEAST_WEIGHT = 1e-3
@@ -78,15 +78,15 @@ class RegionPrior:
     one, two, three, four, five, gradual: prior probabilities; blur_m: standard deviation of a contact's Gaussian;
     error: error model of a touch; mixed_share: touches near a boundary are off by up to this share of all contrast;
     level_sd: deviation of the regions' log stiffness about their common level; `common_sd`: deviation of that level
-    about the touches'; mean: large, so that the places of touches do not inform it; least_contrast: between any two of
-    them (0.13: 14 %; a sphere's 0.13 is 20 % in modulus); rigid_sd: deviation of touches that are lower bounds;
-    forces_add: under a contact on two regions, else their log stiffness has a mean; family_shares: family shares of
-    borders, in each family of curves (`partitions.Family`)
+    about the touches'; mean: deviation of the mean; large, so that the places of touches do not inform it;
+    least_contrast: least difference of log stiffness between two regions (0.13: 14 %; with a sphere 20 % in modulus);
+    rigid_sd: deviation of touches that are lower bounds; forces_add: under a contact on two regions, else their log
+    stiffness has a mean; family_shares: family shares of borders, in each family of curves (`partitions.Family`)
 
     blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border. With forces that add, 0.0075
-    is within 3 % of the true stiffness if one side is 1.8 times the other, 6 % at 3.6 times, and within a factor of 1.5
-    next to a rigid part, except for the nearest 4 mm. A mean of logarithms needs 0.008 there and 0.0045 here, and a
-    border that is moved by 2 to 6 mm.
+    gives the true stiffness within 3 % if one side is 1.8 times as stiff as the other, within 6 % at 3.6 times. Next to
+    a rigid part it is within a factor of 1.5, except for the nearest 4 mm. A mean of logarithms needs 0.008 there and
+    0.0045 here, and a border that is moved by 2 to 6 mm.
     """
 
     one: float = 0.47
@@ -133,11 +133,11 @@ class RegionMap:
     at_least: there may be more regions than `region_count`, the largest number that is distinguished
     probability: probability of each number of regions and "gradual"
     labels: 0 (softest) to k - 1; -1 everywhere without regions
-    label_probability: that the verdict is right, the number of regions too, and so is the cell's label
+    label_probability: probability that verdict, number of regions and the cell's label are all right
     level, level_sd: (k,) log stiffness of each region; level_interval: (k, 2) 90 % interval; rigid: (k,) regions for
     which the level is a lower bound, the highest of their touches', at which the interval begins; it is open above
     field, field_sd: log stiffness at every cell, over all hypotheses
-    scatter: log stiffness of touches within one material scatters by this, its root mean square over all that it may be
+    scatter: deviation of touches' log stiffness within one material, root mean square over the posterior
     wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
     boundary_sd_m: the same as a distance from the boundary; nan without one
     """
@@ -170,11 +170,11 @@ class RegionMap:
 
 @dataclass(frozen=True, slots=True)
 class RegionHypotheses:
-    """A sample of what the surface may be: weighted maps, their levels ordered from soft to stiff, and smooth fields.
+    """A sample of possible surfaces: weighted maps, with levels from soft to stiff, and smooth fields.
 
-    maps: for each number of regions its maps (none for one region), level: (n, k) and level_cov: (n, k, k), weight:
-    (n,); smooth: kernels with their weights; all weights add up to 1; forces_add: as in `RegionPrior`
-    scatter: for each number of regions that of its maps (n,)
+    maps: for each number of regions its maps (none for one region), their levels (n, k) and covariances (n, k, k), and
+    weights (n,); smooth: kernels with their weights; all weights add up to 1; forces_add: as in `RegionPrior`
+    scatter: for each number of regions the scatter of its maps (n,)
     """
 
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
@@ -207,11 +207,11 @@ class RegionHypotheses:
 
 @dataclass(frozen=True, slots=True)
 class Repeats:
-    """What touches made so far foretell of touches at the same places, whatever the map.
+    """Predictions of touches at the places of earlier touches, whatever the map.
 
-    at_m: (p, 2) where each place was touched, itself where it was not; value: (p,) mean log stiffness that was measured
-    there; share: (p,) share of a reading's deviation from what the map says that is expected again, 0 where it was not
-    touched; sd: (p,) standard deviation of what is then left of it
+    at_m: (p, 2) place of the earlier touch, or the place itself without one; value: (p,) mean log stiffness that was
+    measured there; share: (p,) share of a reading's deviation from the map that is expected again, 0 without an earlier
+    touch; sd: (p,) standard deviation of the remaining part
     """
 
     at_m: FloatArray
@@ -226,8 +226,8 @@ class Repeats:
     def expected(
         self, hypotheses: RegionHypotheses, blur_m: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Under each hypothesis mean, variance for the levels' sake and deviation in all (h, p) of what touches read,
-        and its weight (h,): a repeat is expected to read a part of what was read there before."""
+        """Under each hypothesis mean, variance due to the levels and total deviation (h, p) of touches' readings, and
+        its weight (h,): a repeat is expected to repeat a part of the earlier deviation."""
         mean, variance, weight = hypotheses.predict(self.at_m, blur_m)
         variance = variance * (1.0 - self.share) ** 2
         return mean + self.share * (self.value - mean), variance, np.sqrt(variance + self.sd**2), weight
@@ -235,9 +235,9 @@ class Repeats:
 
 @dataclass(frozen=True, slots=True)
 class RelatedTouches:
-    """Touches at places `at_m` (p, 2), which share scatter with those made so far, at `readings`, by how near they are:
-    what a neighbour was off by is expected again, and a touch next to it says little more. own_sd: deviation of a touch
-    alone"""
+    """Touches at places `at_m` (p, 2), which share scatter with those made so far, at `readings`, the more the nearer
+    they are. The deviation of a neighbour is expected again, so that a touch next to it adds little information.
+    own_sd: deviation of a touch alone"""
 
     at_m: FloatArray
     readings: _Readings
@@ -251,7 +251,7 @@ class RelatedTouches:
     def expected(
         self, hypotheses: RegionHypotheses, blur_m: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """As of `Repeats`: the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
+        """As in `Repeats`: the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
         3.4.2)."""
         made, places = self.readings, np.concatenate([self.at_m, self.readings.xy_m])
         new, measured, shared = len(self.at_m), made.value + made.centre, self.prior.error.shared(self.at_m, made.xy_m)
@@ -309,7 +309,8 @@ class _Particles:
 
 @dataclass(frozen=True)
 class RegionPosterior:
-    """The probability of every map after some touches; `with_touch` gives the next one. Same touches, same result.
+    """The probability of every map after some touches; `with_touch` gives the next one. The same touches give the same
+    result.
 
     particles: number of particles of 2, 3 and more regions; most_regions: largest number that is distinguished
     """
@@ -332,7 +333,7 @@ class RegionPosterior:
         seed: int = 0,
         most_regions: int = MOST_REGIONS,
     ) -> RegionPosterior:
-        """What is known at first. particle_count: maps stored for each number of regions; four times as many at
+        """The posterior before any touch. particle_count: maps stored for each number of regions; four times as many at
         first"""
         if particle_count < 50:
             raise InputError("50 particles or more", f"{particle_count}")
@@ -421,7 +422,8 @@ class RegionPosterior:
         return [*every[: self.most_regions - 1], sum(every[self.most_regions - 1 :])]
 
     def with_smooth_field(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
-        """One more smooth hypothesis, of this prior probability: its fields, and how probable each is among all."""
+        """The fields of one more smooth hypothesis with this prior probability, and the probability of each among all
+        hypotheses."""
         fields = self._fields(kernel)
         logs = np.log(share) + np.array([one.log_evidence for one in fields])
         every = np.logaddexp(logsumexp(logs), np.log1p(-share) + logsumexp(self._joint_logs))
@@ -458,7 +460,7 @@ class RegionPosterior:
 
     @property
     def kind(self) -> SurfaceKind:
-        """The verdict, with one region by a name of its own."""
+        """The verdict, with a separate name for one region."""
         if self.verdict == "gradual":
             return "gradual"
         return "uniform" if self.region_count == 1 else "materials"
@@ -487,7 +489,7 @@ class RegionPosterior:
         return RegionHypotheses(tuple(found), smooth, self.prior.forces_add, tuple(scatters))
 
     def region_map(self, count: int = 240) -> RegionMap:
-        """The map that this says; `count` maps are drawn for it."""
+        """The map of this posterior; `count` maps are drawn for it."""
         centres, k = self.grid.centres_m, self.region_count
         hypotheses = self.hypotheses(count)
         mean, square = np.zeros(len(centres)), np.zeros(len(centres))
@@ -613,7 +615,7 @@ class RegionPosterior:
 
     @cached_property
     def scatter(self) -> float:
-        """Root mean square of what the scatter of touches may be, over all maps of regions and one region."""
+        """Root mean square of the scatter of touches over the posterior, for all maps of regions and for one region."""
         readings = _readings(self.touches, self.prior)
         one_region = self._one_region[0]
         shares = [self._shares[0] * np.exp(one_region - logsumexp(one_region))]
@@ -627,17 +629,17 @@ class RegionPosterior:
 
     @property
     def touch_sd(self) -> float:
-        """What the next touch is expected to be off by, its own noise being that of the touches so far."""
+        """Expected deviation of the next touch, with the noise of the touches so far."""
         known = [touch.log_sd for touch in self.touches if not touch.rigid]
         return float(np.hypot(self.scatter, np.median(known))) if known else self.prior.error.touch_sd
 
     def repeats(self, places_m: FloatArray, within_m: float) -> Repeats:
-        """Repeats of touches at places (p, 2) [m]; each counts as the nearest earlier touch's if that is this near
-        along x and along y, and was of nothing rigid.
+        """Repeats of touches at places (p, 2) [m]. Each repeats the nearest earlier touch, if that is this near along x
+        and along y, and did not touch something rigid.
 
         Touches of one place share a part of their scatter (`touch_error`), so that a repeat is worth less than a touch
-        elsewhere: given the mean of m readings, of errors q s^2 + ((1 - q) s^2 + own^2) / m, the expected error of the
-        next is its share q s^2 of that.
+        elsewhere: the mean of m readings has the variance q s^2 + ((1 - q) s^2 + own^2) / m, and the expected error of
+        the next reading is the share q s^2 of it.
         """
         sd = self.touch_sd
         at, value = np.array(places_m, np.float64), np.zeros(len(places_m))
@@ -704,7 +706,8 @@ class SmoothKernel:
 
 
 class SmoothField:
-    """A Gaussian process through the touches, which scatter. log_evidence: log evidence of these, and `log_prior`"""
+    """A Gaussian process through the touches, which scatter. log_evidence: log evidence of these hyper-parameters,
+    including `log_prior`"""
 
     def __init__(self, readings: _Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
         self.kernel, self._readings, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
@@ -718,7 +721,7 @@ class SmoothField:
 
     def predict(self, xy_m: FloatArray, shared: FloatArray | float = 0.0) -> tuple[FloatArray, FloatArray]:
         """Mean (p,) and variance (p,) of log stiffness at places (p, 2) [m]. shared: (p, t) covariance of their scatter
-        with that of the touches, where it is a part of what is predicted; its own variance is left out"""
+        with that of the touches, if the prediction includes scatter; the variance of the scatter is not included"""
         k, readings = self.kernel, self._readings
         prior = k.level_sd**2 + k.sd**2 + k.slope_per_m**2 * ((xy_m - k.middle_m) ** 2).sum(axis=1)
         if not len(readings.xy_m):

@@ -1,17 +1,17 @@
-"""How wrong a touch may be: one model, from which regions, fields, planner and predictions take their constants.
+"""The error model of a touch, from which regions, fields, planner and predictions take their constants.
 
     log k_i = level(place_i) + own_i + scatter_i + gain + arm * arm_i
 
 own: error of each touch alone, its deviation known from its fit (`StiffnessSample.log_sd`); scatter: from place to
 place within one material, a part of which neighbours share, and from touch to touch. Its standard deviation is
 *unknown*: it has a prior and is estimated from the touches, so that few of them give heavy tails; gain and arm: the
-same in all touches of a session. A gain moves all levels alike and no contrast. An arm whose compliance differs from
-its calibration moves touches in proportion to their stiffness (`StiffnessSample.arm_sd`: the change for one standard
-deviation of the compliance).
+same in all touches of a session. A gain changes all levels by the same factor, and no contrast. An arm whose compliance
+differs from its calibration moves touches in proportion to their stiffness (`StiffnessSample.arm_sd`: the change for
+one standard deviation of the compliance).
 
-Not modelled, and why: the stated thickness does not enter apparent stiffness (the modulus alone); a camera's tilt of 2
-deg changes the force along the normal by 6e-4. A drifting zero of the force is subtracted in each approach; a gain that
-drifts within a session (1 %) is a part of the scatter.
+Not modelled: the stated thickness, which affects the modulus but not apparent stiffness; and a camera's tilt, of which
+2 deg change the force along the normal by 6e-4. A drifting zero of the force is subtracted in each approach; a gain
+that drifts within a session (1 %) is a part of the scatter.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from deformscope.errors import InputError
 
 LAW_SD = 0.02
 """Deviation of log stiffness by the error of the law: on a bonded layer the exponent grows with depth. Finite elements
-of a foam that a ball sinks into by its radius say 2 to 3 %. It is part of `own`."""
+of a foam that a ball sinks into by its radius say 2 to 3 %. This error is part of `own`."""
 
 SCATTER_MEDIAN, SCATTER_SPREAD = 0.05, 0.5
 """Distribution of the scatter: log-normal, so that nine of ten materials lie between 2 and 11 %. Foam of one block
@@ -40,14 +40,14 @@ scatter that is a field of 4 cm and for one of each touch. With none shared they
 
 SCATTER_VALUES = 6
 SCATTER_SDS = 1.9
-"""Scatters of the sum, evenly in logarithms, over this number of spreads either way: 2 to 13 %, each 1.5 times the one
-before; ten touches determine it to a factor of 1.3 at best."""
+"""Values of the scatter in the sum, evenly in logarithms over this number of spreads either way: 2 to 13 %, each 1.5
+times the one before. Ten touches determine the scatter to a factor of 1.3 at best."""
 
 GAIN_SD = 0.03
 """Deviation of log stiffness, common to a session, if the rig file has no accuracy of the gain (`[tool] force_gain_sd`,
 from `deformscope calibrate force --weight`). The error of a force sensor with its nominal sensitivity is about 3 %. It
-changes the stiffness of a touch that ends by its depth, or of a flat tip, equally, and that at a set force under a ball
-by 2 %."""
+changes the stiffness of a touch that ends by its depth, or of a flat tip, by the same share, and that at a set force
+under a ball by 2 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,10 @@ FIRST_REGIONS = 3
 class StiffnessSample:
     """Measurement of one touch at a place.
 
-    xy_m: (2,) in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force [N/mm];
-    log_sd: its standard deviation, of this touch's own errors; rigid: the dent was below the arm's resolution:
-    `log_stiffness` is a lower bound; arm_sd: by how much it would be higher were the arm stiffer by one deviation of
-    its calibration, which all touches of a session share
+    xy_m: (2,) place in the surface frame [m]; log_stiffness: natural log of the apparent stiffness at the set force
+    [N/mm]; log_sd: its standard deviation due to the errors of this touch alone; rigid: the dent was below the arm's
+    resolution: `log_stiffness` is a lower bound; arm_sd: its increase if the arm were stiffer by one deviation of its
+    calibration, an error that all touches of a session share
     exponent, exponent_sd: exponent and deviation of the law of force over depth, if it was free, and exponent_related:
     covariance of its error and log_stiffness's; None if it was not
     """

@@ -1,8 +1,8 @@
 """Pose of the robot in the camera's image, relative to the pose by arm and calibration, by the robot's own points.
 
-High above the sample there is nothing but the robot: points there are registered to the robot's solids, point to plane,
-with the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the
-surface around the robot has to be left out.
+High above the sample all points belong to the robot. They are registered to the robot's solids, point to plane, with
+the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the surface
+around the robot has to be left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ LOOKED_AT, POINTS = 3000, 600
 FEWEST = 200
 """Fewest points: from fewer nothing is concluded."""
 REACH_M = (0.03, 0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.01)
-"""Points so far from the solids count, step by step."""
+"""Largest distance of points from the solids, in each step."""
 ROBUST_M = 0.003
 """Residual from which a point counts less (Huber 1964): cables, mixed pixels."""
 PRIOR_M, PRIOR_RAD = 0.015, 0.02
@@ -38,8 +38,8 @@ median (seeds 1000 to 1005: `studies.seeds`)."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """T_seen_reported: (4, 4) from where the robot is reported to where it is seen; points: laid onto it
-    rms_m: by which they are off"""
+    """T_seen_reported: (4, 4) transform from the robot's reported to its seen pose; points: laid onto it
+    rms_m: root mean square of the points' distances"""
 
     T_seen_reported: FloatArray
     points: int
@@ -49,8 +49,8 @@ class Alignment:
 def as_seen(robot: PosedRobot, points: FloatArray, above_m: float) -> PosedRobot:
     """The robot at its pose in the image, if it is to be aligned and its solids determine the pose.
 
-    points: (n, 3) points of all of the picture [m]; above_m: higher than that there is nothing but the robot, and what
-    is far from it
+    points: (n, 3) points of all of the picture [m]; above_m: height above which there are only the robot and objects
+    far from it
     """
     if not robot.aligns or (found := align(points[points[:, 2] > above_m], robot.solids)) is None:
         return robot

@@ -25,7 +25,7 @@ class Region:
     """A region of an image, reduced.
 
     image: (h, w) or (h, w, 3); origin_px: (x, y) origin of its corner in the whole image [px]; scale: pixels of the
-    whole image to one of it, 1 or more
+    whole image for one of this, 1 or more
     """
 
     image: Image
@@ -45,8 +45,8 @@ class Region:
 class FlowArrows:
     """The motion from one image to another, on a regular grid of points.
 
-    at_px: (n, 2) points (x, y) in the first image [px]; flow_px: (n, 2) where each has moved, relative to it [px];
-    noise_px: (n,) one standard deviation of each coordinate [px]
+    at_px: (n, 2) points (x, y) in the first image [px]; flow_px: (n, 2) motion of each [px];
+    noise_px: (n,) standard deviation of each coordinate [px]
     """
 
     at_px: FloatArray

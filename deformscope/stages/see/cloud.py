@@ -1,7 +1,7 @@
 """From a depth image to the surface's points: back-projection, crop, outliers, reduction, the robot taken away.
 
-Everything is in one frame, that of the surface; `T_world_camera` and the robot's links are given in it. Points are
-(n, 3) [m]. Functions that choose among points return which to keep, so that noise or colour can follow.
+All points are in the surface frame, in which `T_world_camera` and the robot's links are given. Points are
+(n, 3) [m]. Functions that select points return a mask, which can then select noise or colour too.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ GOLDEN_ANGLE = float(np.pi * (3.0 - np.sqrt(5.0)))
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
     """A pinhole camera, z along its axis, x right, y down. focal, centre: (x, y) [px]; distortion: OpenCV's k1, k2, p1,
-    p2, k3, of which there may be fewer"""
+    p2, k3, or fewer"""
 
     focal_px: tuple[float, float]
     centre_px: tuple[float, float]
@@ -87,11 +87,11 @@ def within(points: FloatArray, box: Box) -> BoolArray:
 
 
 def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -> BoolArray:
-    """(n,) points that are no statistical outliers. Their mean distance to their nearest neighbours is at most the mean
-    of all points' plus `ratio` deviations (Rusu et al. 2008).
+    """(n,) points that are no statistical outliers. A point is retained if its mean distance to its nearest neighbours
+    is at most that of all points plus `ratio` deviations (Rusu et al. 2008).
 
-    Few points (no more than `neighbours`) are all retained. Open3D has the same rule and takes a third of the time, but
-    blocks all other threads meanwhile (0.5 s for 100 000 points on a busy machine).
+    If there are no more than `neighbours` points, all are retained. Open3D has the same rule and takes a third of the
+    time, but blocks all other threads meanwhile (0.5 s for 100 000 points on a busy machine).
     """
     if len(points) <= neighbours:
         return np.ones(len(points), dtype=bool)
@@ -147,8 +147,8 @@ def tactile_points(
     """`TACTILE_POINTS` virtual points (n, 3) [m] where a ball touches, around its foremost one (Thesis 4.4).
 
     lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
-    normal: (3,) unit normal of the surface at rest, away from it, default up They cover the contact cap evenly, the
-    foremost point among them. A ball in an elastic body touches it up to about the root of radius times depth from its
+    normal: (3,) outward unit normal of the surface at rest, default up. The points cover the contact cap evenly, and
+    include its lowest point. A ball in an elastic body touches it up to about the root of radius times depth from its
     axis (Hertz), at most up to its equator.
     """
     if radius_m <= 0.0 or depth_m < 0.0:
@@ -181,7 +181,7 @@ def perceive(
     cell_m: float | None = None,
 ) -> Perceived:
     """The surface's points in a depth image (H, W) [m]: cropped to a box, without the robot and without lone points.
-    With `cell_m` they are reduced to one point per cell.
+    With `cell_m` the points are reduced to one per cell.
 
     robot: the arm with all its parts, at its reported pose; above the box nothing else is near it Raises InputError if
     no points remain.

@@ -82,10 +82,10 @@ def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> t
 
 @dataclass(frozen=True, slots=True)
 class FlowStep:
-    """From one image of a sequence to the next.
+    """A step from one image of a sequence to the next.
 
     forward, backward: flow there and back
-    fits: (H, W) each, how well the images correlate under each of them; empty where the method does not refine
+    fits: (H, W) each, local correlation of the images under each of them; empty if the method does not refine
     """
 
     forward: FlowField
@@ -97,8 +97,8 @@ def flow_onward(before: Image, after: Image, method: FlowMethod = "dis", last: F
     """Flow both ways in a sequence, in a seventh of the time if the motion continues.
 
     last: last of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
-    correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed: all is computed as for a
-    pair.
+    correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed, and the flow is computed
+    as for a pair.
     """
     a, b = _views(before, after, method)
     if last is not None and last.fits:
@@ -260,14 +260,15 @@ PASSES = (8.0, 8.0, 6.0, 6.0, 6.0)
 """Standard deviation of the Gaussian window of each refinement pass [px]."""
 
 PASSES_ONWARD = PASSES[-2:]
-"""From the flow of the step before: a third pass changes no particle's error (docs/results/fits.md)."""
+"""Number of passes that start from the previous step's flow: a third pass changes no particle's error
+(docs/results/fits.md)."""
 
 FIT_DROP = 0.25
 """Fall of the correlation in a window of 8 px, between two steps of a sequence, that noise does not explain. In steady
-motion the largest of an image is .10 to .17, in a jump of 3 px 1.3."""
+motion the largest drop in an image is .10 to .17, in a jump of 3 px 1.3."""
 
 SMOOTHING_PX = (24.0, 11.0, 5.0)
-"""Standard deviations out of which the smoothing of the flow is chosen, by texture and noise [px]."""
+"""Standard deviations of the flow's smoothing [px], one of which is chosen by texture and noise."""
 
 PASSED = (0.15, 0.5, 1.15)
 """Noise variance after each of these smoothings, in units of that of one window of 6 px (set on known motions)."""

@@ -26,7 +26,7 @@ LONG_SIDE_PARTICLES = 15
 SMALLEST_SPACING_PX = 2.0
 
 NOISE_FLOOR_PX = 0.002
-"""No flow is trusted further than this [px]."""
+"""Smallest deviation of a flow [px]."""
 
 RESIDUAL_PX, RESIDUAL_SHARE = 0.3, 0.03
 """Forward-backward residual [px], and share of the flow more, up to which a particle is never lost."""
@@ -45,11 +45,11 @@ class Rect:
     height: float
 
     def described(self) -> str:
-        """As it is typed: x,y,width,height."""
+        """The text that a user types: x,y,width,height."""
         return f"{self.x:g},{self.y:g},{self.width:g},{self.height:g}"
 
     def contains(self, xy: FloatArray) -> BoolArray:
-        """Which of the (K, 2) points lie inside or on the edge, (K,)."""
+        """(K,) which of the points (K, 2) lie inside or on the edge."""
         low = np.array([self.x, self.y])
         high = low + np.array([self.width, self.height])
         inside: BoolArray = np.all((xy >= low) & (xy <= high), axis=-1)
@@ -75,7 +75,7 @@ class Tracked:
     """Present positions of the particles, and their accuracy.
 
     position_px: (K, 2) (x, y) [px], always finite: a lost particle stays where it was last seen
-    noise_px: (K,) one standard deviation of each coordinate, grown over the steps so far [px]
+    noise_px: (K,) standard deviation of each coordinate, which grows with each step [px]
     seen: (K,) False once lost, for good
     forward_backward_px: (K,) length of the forward-backward residual of the last step [px]; NaN where not measured
     """
@@ -93,11 +93,11 @@ FEW_LEVELS = 8
 """A mask with more grey levels than this, edges apart, is a photograph."""
 
 DARK_SHARE = 0.25
-"""In a photograph as mask, what is darker than this share of the bright part is background."""
+"""If a mask is a photograph, pixels darker than this share of the bright part are background."""
 
 
 def clean_mask(image: npt.NDArray[Any]) -> BoolArray:
-    """Where there is material, (H, W): every pixel that is not black, and pin-holes up to about 7 px across.
+    """(H, W) pixels with material: those that are not black, and pin-holes up to about 7 px across.
 
     A mask may be the masked photograph itself. Its darkest speckles are black too, hence the pin-holes. If it splits
     into a bright and a clearly darker part (Otsu 1979), the darker one is the background. Specks of less than a
@@ -206,8 +206,8 @@ def _bounding_box(mask: BoolArray | None, height: int, width: int) -> Rect:
 def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None = None) -> IntArray:
     """Sorted indices (n,) of the particles whose position will be prescribed.
 
-    top, bottom, left, right: the outermost lattice row or column that has any particle; border: those four together;
-    contact: the particles that lie at rest inside `contact`
+    top, bottom, left, right: the outermost lattice row or column that has any particle; border: the four sides
+    together; contact: the particles that lie at rest inside `contact`
     """
     row, col = np.divmod(grid.cell, grid.shape[1])
     sides = {"top": row == row.min(), "bottom": row == row.max(), "left": col == col.min(), "right": col == col.max()}
@@ -241,7 +241,7 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
 def sample(field: FloatArray, xy: FloatArray) -> FloatArray:
     """Values of an (H, W, c) field at the (K, 2) points (x, y) [px], (K, c), bilinear; NaN outside the image.
 
-    In full precision: OpenCV's remap rounds positions to 1/32 px.
+    Interpolate in full precision: OpenCV's remap rounds positions to 1/32 px.
     """
     at = np.asarray(xy, dtype=np.float64)[:, ::-1].T
     height, width = field.shape[:2]
@@ -256,7 +256,8 @@ def sample(field: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def start(grid: ParticleGrid) -> Tracked:
-    """All particles at rest, seen, without noise: the grid is the definition of the particles, not a measurement."""
+    """All particles at rest, marked as seen and without noise: the grid defines the particles, and is no
+    measurement."""
     count = len(grid.rest_px)
     return Tracked(grid.rest_px.astype(float), np.zeros(count), np.ones(count, dtype=bool), np.zeros(count))
 
@@ -264,7 +265,7 @@ def start(grid: ParticleGrid) -> Tracked:
 def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracked:
     """Carry the particles one image further: x(t+1) = x(t) + flow(x(t)) (Thesis eq. 3.20).
 
-    forward: from the present image to the next; backward: from the next to the present
+    forward: flow from the present image to the next; backward: flow from the next image to the present
 
     A particle is lost if it leaves the image, its flow is not finite, its surroundings differ at the new place (misfit
     over one half), or the backward flow does not return it. The forward-backward residual e = f(x) + b(x + f(x)) (Kalal
@@ -273,11 +274,11 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
 
     noise_px of a step combines the flow's own noise_px (unknown: 0) with the residuals' spread over the nine nearest
     particles, by the median, divided by sqrt(2) because e holds two errors. Steps add in quadrature. Measured on 117
-    known motions, the true rms error was 0.3 to 1.5 times noise_px (worst 2.4), 0.8 in the median. They had nine
-    textures, grey noise of 1 to 5 of 255, and translation, strain, rotation, waves and dents. The residual alone says
-    too little, up to a hundred times: image noise moves forward and backward flow alike, and cancels in e. Not covered:
-    motion finer than the flow's smoothing, saturated pixels, changing shadows, and edges where the object parts from
-    what is behind it.
+    known motions, the true rms error was 0.3 to 1.5 times noise_px (worst 2.4), 0.8 in the median. The images had nine
+    textures, grey noise of 1 to 5 of 255, and translation, strain, rotation, waves and dents. The residual alone
+    underestimates it, by up to a factor of a hundred: image noise changes forward and backward flow equally, and
+    cancels in e. Not covered: motion finer than the flow's smoothing, saturated pixels, changing shadows, and edges
+    between the object and its background.
     """
     if forward.flow_px.shape != backward.flow_px.shape:
         raise InputError("two flows of one size", f"{forward.flow_px.shape} and {backward.flow_px.shape}")

@@ -1,4 +1,4 @@
-"""Which pixels of depth images were used, and by which rule the others were left out."""
+"""Labels of pixels of depth images: whether each was used, or by which rule it was left out."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PixelMasks:
     """The labels of depth images as runs of equal ones, row by row, image after image.
 
     camera, depth_ns (k,): the images, named as in `LookFrames`; shape: (rows, columns) shape of each
-    label, length: (r,) label and length of each run; runs: (k,) how many each image has
+    label, length: (r,) label and length of each run; runs: (k,) number of runs in each image
     """
 
     camera: str

@@ -1,7 +1,7 @@
-"""Which points are the robot's, and which hang in the air between the robot and what is behind it.
+"""Which points belong to the robot, and which are false points between the robot and its background.
 
 The robot is known from where the arm reports that it is, as capsules and as solids. A camera that triangulates mixes
-depths at the edges of what is near: pixels there may lie anywhere between both.
+depths at the edges of near objects: pixels there may have any depth between both.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from deformscope.stages.see.pixel_labels import LabelArray, PixelLabel
 EDGE_PX = 3
 """Largest distance from a jump of depth at which a pixel may be mixed: both of today's kinds of camera bleed over 2."""
 JUMP_M = 0.02
-"""From pixel to pixel a surface that is seen aslant changes by less."""
+"""Jump of depth between pixels: a surface that is seen obliquely changes by less."""
 HOVER_M = 0.006
-"""At jumps of depth, what is so far above the surface around it hangs in the air."""
+"""At jumps of depth, points this far above the surrounding surface are false."""
 CELL_M = 0.01
 """Cell size of the grid of the surface's height."""
 
@@ -30,8 +30,8 @@ CELL_M = 0.01
 class PosedRobot:
     """The robot at one moment, in the frame of the points.
 
-    capsules: with margin_m around them; solids: with that and solid_margin_m around them [m]
-    aligns: its solids are all that is seen of it: they may be laid onto the picture first
+    capsules: its capsules, with margin_m around them; solids: its solids, with margin_m and solid_margin_m around them
+    [m]; aligns: its solids include all its visible parts, so that they may first be aligned with the picture
     mixes: depths are mixed at its edges, and what hangs in the air there counts as the robot's
     """
 
@@ -47,8 +47,8 @@ NO_ROBOT = PosedRobot()
 
 
 def label_robot(points: FloatArray, robot: PosedRobot, depth_m: FloatArray, used: BoolArray) -> LabelArray:
-    """(n,) `PixelLabel` of points: USED, or by which rule they are the robot's. depth_m: (H, W) that they are from [m];
-    used: (m,) which of the pixels that saw something, row by row, they are"""
+    """(n,) `PixelLabel` of points: USED, or by which rule they are the robot's. depth_m: (H, W) depth image of the
+    points [m]; used: (m,) which of the valid pixels, row by row, they are"""
     label = np.full(len(points), PixelLabel.USED, np.uint8)
     label[~outside_capsules(points, robot.capsules, margin_m=robot.margin_m)] = PixelLabel.ROBOT_CAPSULE
     kept = np.flatnonzero(label == PixelLabel.USED)

@@ -31,9 +31,9 @@ def tactile_contact(
 ) -> TactileContact:
     """Centre of pressure, contact area and force of every pad.
 
-    pressure_pa: one (rows, columns) array a pad [Pa]; texel_m: (width, height) texel size of each pad's texels [m]
-    threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa]. Raises InputError if pads and texel
-    sizes do not match, and for pressures that are not finite.
+    pressure_pa: one (rows, columns) array for each pad [Pa]; texel_m: (width, height) texel size of each pad's texels
+    [m]; threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa]. Raises InputError if pads and
+    texel sizes do not match, and for pressures that are not finite.
     """
     if len(pressure_pa) != len(texel_m):
         raise InputError(f"a texel size for each of {len(pressure_pa)} pads", str(len(texel_m)))

@@ -16,7 +16,7 @@ SLIVER = 0.05
 """Triangles of less area at rest than this share of the typical one lie along an edge, and span no part of the body."""
 
 FLAT = 0.25
-"""Neighbours of a particle on a surface lie in a plane, to this share of how far they spread in it."""
+"""Largest thickness of a particle's neighbours on a surface, as a share of their extent in the plane."""
 
 FOLDED = 0.2
 """A surface whose points come closer than this share of their spacing when seen from above is folded."""
@@ -44,7 +44,8 @@ def is_surface(rest: FloatArray) -> bool:
 
 def triangulate(rest: FloatArray) -> IntArray:
     """(t, 3) indices of triangles between particles (K, d): over the area in the plane; in space over a surface, or
-    over the skin of a volume. Holes stay open. Empty where there are none: too few particles, or a folded surface."""
+    over the skin of a volume. Holes stay open. Triangles of a surface; empty with too few particles, or for a folded
+    surface."""
     nothing: IntArray = np.zeros((0, 3), dtype=np.int64)
     if len(rest) < 3:
         return nothing

@@ -22,10 +22,10 @@ FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 """Only k1 and k2 of the lens are fitted: a dozen views of a board do not determine the others."""
 WIDEST = 0.1
-"""Largest half interval of a focal length, as a share of it: views of a board from the front alone do not separate
-distance and focal length."""
+"""Largest half interval of a focal length, as a share of it: if all views show the board from the front, they do not
+separate distance and focal length."""
 LENSES = (0.25, 8.0)
-"""Focal lengths that lenses have, as a share of the image's width: a fit without information runs away from them."""
+"""Plausible focal lengths, as a share of the image's width: a fit without information leaves this range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def find_board(image: ImageArray, board: CharucoSpec) -> SeenBoard | None:
 
 def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpec) -> LensEstimate:
     """Focal lengths, principal point and distortion from views of the board. size_px: (width, height) size of the
-    images
+    images.
 
     Raises InputError for too few views, or a board that was not tilted.
     """

@@ -16,7 +16,7 @@ from deformscope.stages.setup.transform import TransformEstimate
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraEstimate:
-    """mount: where camera and board are; lens: None where it was given"""
+    """mount: where camera and board are; lens: the fitted lens, None if it was given"""
 
     mount: HandEye
     lens: LensEstimate | None
@@ -40,8 +40,8 @@ def camera_from_views(
 ) -> CameraEstimate:
     """Camera, board and, unless it is known, the lens, from views with the arm's end (n, 4, 4) in each.
 
-    If the lens is sought too, everything is computed again without each view: the camera's intervals then include the
-    lens's uncertainty. Raises InputError as `lens` and `hand_eye` do.
+    If the lens is fitted too, the fit is repeated without each view, so that the camera's intervals include the lens's
+    uncertainty. Raises InputError as `lens` and `hand_eye` do.
     """
     if len(T_base_ee) != len(views):
         raise InputError("a view for each pose", f"{len(views)} views, {len(T_base_ee)} poses")

@@ -24,7 +24,8 @@ PRESSED = ErrorPrior(0.02)
 LEAST_N = 0.5
 LEAST_LOAD_N = 1.0
 LEAST_ANGLE_RAD = np.radians(30.0)
-"""Between the lines of two pushes across the stick: nearer ones do not say whether the sensor's axes are mirrored."""
+"""Least angle between the lines of two pushes across the stick: with a smaller one it is unknown whether the sensor's
+axes are mirrored."""
 ASIDE_RAD = np.radians(35.0)
 """Angle of a push to every possible axis of the sensor from which it is refused."""
 BLOCK_S = 1.0
@@ -134,8 +135,8 @@ def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSE
 class FreeAir:
     """Readings of the sensor while nothing touches it.
 
-    tare_n: (3,) its mean [N]; noise_n: (3,) deviation of a reading [N]
-    drift_n_per_min, drift_half: (3,) and half its interval [N/min]
+    tare_n: (3,) mean reading [N]; noise_n: (3,) deviation of a reading [N]
+    drift_n_per_min, drift_half: (3,) drift and half its interval [N/min]
     """
 
     tare_n: FloatArray

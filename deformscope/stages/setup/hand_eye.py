@@ -35,7 +35,7 @@ TOUCHED = ErrorPrior(0.002)
 """Deviation between a place as it was touched and as the camera sees it [m]."""
 TURNS_DEG = (-30.0, 30.0)
 STEPS = 6
-"""Gauss-Newton steps, from a closed form that is near."""
+"""Number of Gauss-Newton steps, from a closed form that is near the solution."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +51,8 @@ class HandEye:
 def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     """Pose of the camera and of the board on the arm, from n views: (n, 4, 4) each.
 
-    Their uncertainty comes from leaving out one view after the other (jackknife): errors of arm and camera need not be
-    known, nor their ratio. Raises InputError for too few views, or turns about one axis alone.
+    Their uncertainty is found by leaving out each view in turn (jackknife): neither the errors of arm and camera nor
+    their ratio need be known. Raises InputError for too few views, or turns about one axis alone.
     """
     A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
     if len(A) < FEWEST_VIEWS:
@@ -157,10 +157,11 @@ def _jackknife(A: FloatArray, B: FloatArray, X: FloatArray, Y: FloatArray, weigh
 
 
 def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
-    """A pose (4, 4) of the arm's end that adds most to the turns of the poses (n, 4, 4) so far, and how to come there.
+    """A pose (4, 4) of the arm's end whose turn adds most information to the poses (n, 4, 4) so far, and how to reach
+    it.
 
-    From the mean of the poses, turned about one of the end's own axes: the axis and the direction that maximize the
-    turns' least eigenvalues.
+    It is the mean of the poses, turned about the axis of the end, and in the direction, that maximize the turns' least
+    eigenvalues.
     """
     poses = np.asarray(T_base_ee, np.float64)
     turned = Rotation.from_matrix(poses[:, :3, :3])

@@ -56,10 +56,10 @@ def place(
 ) -> PlaceEstimate:
     """The rectangle whose corners were touched, each once or more often.
 
-    centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) which one, as in CORNERS
+    centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) number of the corner in CORNERS
     up: (3,) roughly away from the surface, base frame: against the stick
-    tip_sd_m: deviation of the tip's position on the arm, which shifts all corners alike [m]. Raises InputError for
-    corners that are no rectangle's, or in one line.
+    tip_sd_m: deviation of the tip's position on the arm, which shifts all corners by the same vector [m]. Raises
+    InputError for corners that are no rectangle's, or in one line.
     """
     touched, which = np.asarray(centers_m, np.float64), np.asarray(corners, int)
     if not np.isfinite(touched).all():

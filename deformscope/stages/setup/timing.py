@@ -1,4 +1,4 @@
-"""By how much one sensor's clock is behind another's, from taps that both see.
+"""The delay of one sensor relative to another, from taps that both measure.
 
 y(t) = a x(t - d) + b + noise, with d the offset. Every offset of a fine grid has the likelihood of its residual, with
 a, b and noise integrated out; the interval is that of the posterior.

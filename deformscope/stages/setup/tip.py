@@ -24,7 +24,7 @@ DOUBT_SHARE = 0.6
 """Prior standard deviation of the angle between the two possible directions of a stick: the interval then is that
 angle."""
 SLID_M = 0.006
-"""A ball that scatters by more did not stay in its place."""
+"""Scatter of the ball above which it has moved."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +33,7 @@ class TipEstimate:
 
     T_ee_center: the tip's centre to the arm's end. Its z axis runs from the arm's end through the tip, its x axis as
     close as possible to the end's (`calibrate force` finds the turn of the force sensor about the stick)
-    pivot_m: (3,) where the ball was, base frame [m]; pivot_sd_m: its scatter; off_m: (n,) offset of each pose
+    pivot_m: (3,) place of the ball, base frame [m]; pivot_sd_m: its scatter; off_m: (n,) offset of each pose
     """
 
     T_ee_center: TransformEstimate

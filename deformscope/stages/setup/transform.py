@@ -1,4 +1,4 @@
-"""Rigid transforms with what is not known of them, and the least squares that find them.
+"""Rigid transforms with their uncertainty, and the least squares that estimate them.
 
     found = fitted(residual, start, prior)          # values, covariance, degrees of freedom
     estimate = transform_of(found, T_start)         # (4, 4) with the interval of each component
@@ -28,7 +28,7 @@ LEVEL = 0.9
 class ErrorPrior:
     """Prior of a measurement's variance: scaled inverse chi-square.
 
-    sd: its centre, in units of the residuals; weight: in numbers of measurements, 0 = no prior
+    sd: its centre, in units of the residuals; weight: its weight in numbers of measurements, 0 = no prior
     """
 
     sd: float
@@ -39,9 +39,9 @@ class ErrorPrior:
 class LeastSquares:
     """Result of a fit.
 
-    value: (p,); covariance: (p, p) its scale included; dof: degrees of freedom of that scale (Student's t)
-    sd: deviation of a residual, prior and residuals taken together; scatter: that of the residuals alone, NaN where
-    nothing is left over
+    value: (p,); covariance: (p, p) including its scale; dof: degrees of freedom of that scale (Student's t)
+    sd: deviation of a residual, prior and residuals taken together; scatter: scatter of the residuals, NaN without
+    degrees of freedom
     """
 
     value: FloatArray

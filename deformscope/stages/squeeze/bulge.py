@@ -1,4 +1,4 @@
-"""Walls that bulge or are pressed in: by what fills a container, by the air in it, by fingers.
+"""Walls that bulge or are pressed in, by a container's content, by the air in it, or by fingers.
 
 A wall does not move at the container's edges, where another one holds it, and moves most in its middle. A tracker of
 rigid bodies would follow it; so the bulge of each visible wall is estimated together with the pose.
@@ -15,22 +15,22 @@ from deformscope.stages.squeeze.container import ModelView
 BULGE_M = 0.003
 """Prior standard deviation of the bulge of a wall's middle. Chosen: a carton's walls."""
 CREASE_DEG = 30.0
-"""Between neighbouring pixels of different walls; a round wall turns less."""
+"""Least angle between neighbouring pixels of different walls; a round wall turns less."""
 LEAST_PIXELS = 150
 """Fewest pixels of a wall: a smaller one is treated as rigid."""
 MOST = 4
 """Most walls that are used: the largest ones."""
 LEVEL_M = 0.01
-"""A wall that rises by less is pressed alike all over: how it rises is the rendering's rounding."""
+"""Smallest slope of a wall's height: less is rounding of the rendering."""
 
 
 def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
     """(H, W, 2 k) motion of the k largest walls of a rendering (H, W) along their normals per unit motion of their
-    middle, and per unit difference between below and above, as under a liquid's pressure. It is 0 at the edges and on
-    other walls.
+    middle, and per unit difference between below and above, as under a liquid's pressure. The shape of a bulge is 0 at
+    the edges and on other walls.
 
-    height_m: (H, W) height of what each pixel sees, container frame. A wall of which not all is in the image is taken
-    as rigid
+    height_m: (H, W) height of each pixel's point, container frame. A wall that is only partly in the image counts as
+    rigid
     """
     seen = np.isfinite(view.depth_m)
     inner = seen & ~_creases(view.outward, seen)

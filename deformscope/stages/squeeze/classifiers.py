@@ -2,8 +2,8 @@
 one.
 
 Each is fitted to (n, d) points and (n,) indices of classes, is a frozen set of arrays, and gives (m, C) logarithms of
-posteriors. A class without any training point is never the answer. They are not scikit-learn's, whose covariances are
-shrunk less well: linear is right 8 to 12 % more often here, qda-raw 11 to 28 % (docs/results/containers.md).
+posteriors. A class without any training point is never the answer. scikit-learn's are not used, because they shrink
+covariances less well: `linear` is right 8 to 12 % more often here, `qda-raw` 11 to 28 % (docs/results/containers.md).
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ LEAST = float(np.log(1e-9))
 NEIGHBOURS = {3: 3, 5: 5}
 """Neighbours by the number of classes (Thesis 2.5.3)."""
 NEIGHBOURS_TRIED: tuple[int, ...] = (1, 3, 5, 7, 9)
-"""For any other number of classes: the one that is right most often on training points, each left out in turn."""
+"""Numbers of neighbours that are tried for other numbers of classes: the best on training points, each left out in
+turn, is used."""
 LINEAR_COMPONENTS = 200
 """Largest components that the linear classifier and the raw quadratic one take."""
 
@@ -32,8 +33,8 @@ SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 
 Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear", "qda-plain"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
-"""knn, qda: on the components that hold 80 % of the variance; the others on all of them. qda-plain, outside these, is
-the thesis's: qda without shrinkage, tried on request, and never pooled with others."""
+"""knn and qda use the components that hold 80 % of the variance; the others use all components. In addition qda-plain
+is the thesis's qda without shrinkage: it is tried on request, and never pooled with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,8 @@ class Neighbours:
 
 @dataclass(frozen=True, slots=True)
 class Quadratic:
-    """One Gaussian a class (eq. 2.4, 2.5, with a covariance of each class), all classes equally likely before.
+    """One Gaussian for each class (eq. 2.4, 2.5, with a covariance for each class), all classes with equal prior
+    probability.
 
     mean: (C, d); factor: (C, d, d) lower Cholesky factors of the covariances; present: (C,) whether there were points
     """
@@ -173,10 +175,10 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
 
 
 def fit_quadratic(points: FloatArray, target: IntArray, classes: int, *, shrink: bool = True) -> Quadratic:
-    """Each class's covariance is combined with the pooled one as with d + 2 more points of that: the mean of an inverse
+    """Each class's covariance is combined with the pooled one, which counts as d + 2 points: the mean of an inverse
     Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,) class of
-    each; shrink: else a covariance is that of its class alone, plus 1e-9 of the pooled variance, without which a class
-    of fewer points than d would have none"""
+    each; shrink: otherwise a covariance is that of its class alone, plus 1e-9 of the pooled variance so that a class
+    with fewer points than d has one"""
     count, mean, about = _moments(points, target, classes)
     size = points.shape[1]
     pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
@@ -205,8 +207,8 @@ def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float 
 
 
 def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
-    """The share of the unit matrix in the covariance that has the least log loss on points (n, d) of classes (n,) left
-    out one by one.
+    """The share of the unit matrix in the covariance with the least log loss on points (n, d) of classes (n,), each
+    left out in turn.
 
     Ledoit and Wolf's share, which serves the covariance, is far too small for classification where a few directions
     have most of the variance. Leaving a point out subtracts a a^T from the covariance, where a is the point relative to
@@ -257,8 +259,8 @@ def usable(name: Name, raw: int) -> bool:
 def fitter(
     name: Name, points: FloatArray, target: IntArray, classes: int
 ) -> Callable[[FloatArray, IntArray, int], Quadratic | Linear]:
-    """The fit of a Gaussian classifier of that name to some of the points (n, d), with settings for all of them.
-    target: (n,) class of each"""
+    """A function that fits a Gaussian classifier of that name to some of the points (n, d), with settings found on all
+    points. target: (n,) class of each"""
     if name == "linear":
         return partial(fit_linear, share=linear_share(points, target, classes))
     return fit_quadratic

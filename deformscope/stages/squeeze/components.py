@@ -1,7 +1,7 @@
 """Features made comparable and few: constant columns dropped, standardised, principal components (Thesis 2.4.2).
 
-All of it is fitted to the training side of a split alone, by scikit-learn; the test side is projected. Fitted values
-are arrays, so that a saved classifier answers without the data.
+Components are fitted only to the training side of a split, by scikit-learn; the test side is projected. Fitted values
+are arrays, so that a saved classifier needs no training data.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ FLAT = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) mean and scale of those"""
+    """Scaling that makes columns comparable. used: (p,) columns that vary; mean, scale: (q,) mean and scale of the used
+    columns"""
 
     used: BoolArray
     mean: FloatArray
@@ -45,7 +46,7 @@ def fit_scaling(features: FloatArray) -> Scaling:
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """Both sides of a split on the principal components of the training side, the largest variance first.
+    """Both sides of a split, projected on the principal components of the training side, the largest variance first.
 
     train: (n, d), test: (m, d) with d up to the rank of the training side. Distances between a test point and training
     points differ from those between the standardised features by the same amount for all of them
@@ -88,9 +89,9 @@ def loadings(train: FloatArray) -> tuple[FloatArray, FloatArray]:
 def project(train: FloatArray, test: FloatArray, gram: FloatArray | None = None) -> Space:
     """(n, q) and (m, q) standardised features on the training side's components.
 
-    gram: (n + m, n + m) products of all rows, training first, for more columns than rows. It is cheaper than the
-    columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities is the sum of
-    theirs.
+    gram: (n + m, n + m) products of all rows, training first, for more columns than rows. The matrix of products is
+    cheaper than the columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities
+    is the sum of theirs.
     """
     count, raw = train.shape
     if gram is None and raw <= count:

@@ -41,8 +41,8 @@ class ContainerModel:
 
     @classmethod
     def mesh(cls, vertices_m: FloatArray, triangles: IntArray) -> Self:
-        """Any closed mesh of (n, 3) vertices [m] and (m, 3) triangles; it is moved so that the middle of its
-        bounding box is the origin."""
+        """A model from any closed mesh of (n, 3) vertices [m] and (m, 3) triangles; it is moved so that the middle of
+        its bounding box is the origin."""
         vertices, faces = np.asarray(vertices_m, dtype=np.float64), np.asarray(triangles)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all() or not len(vertices):
             raise InputError("vertices (n, 3) [m], finite", f"shape {vertices.shape}")
@@ -71,7 +71,8 @@ class ContainerModel:
 @dataclass(frozen=True, slots=True)
 class ModelView:
     """View of a container in each of the requested pixels. depth_m: along the camera's axis [m], nan outside it
-    outward: (..., 3) unit normals of its surface in its own frame; rotation: (3, 3) from there to the camera's frame
+    outward: (..., 3) unit normals of its surface in its own frame; rotation: (3, 3) from the model's to the camera's
+    frame
     """
 
     depth_m: FloatArray
@@ -83,7 +84,7 @@ class ModelView:
         return np.asarray(self.outward[pixels] @ self.rotation.T)
 
     def part(self, pixels: tuple[slice, slice]) -> ModelView:
-        """Some rows and columns of it."""
+        """Some rows and columns of the view."""
         return ModelView(self.depth_m[pixels], self.outward[pixels], self.rotation)
 
 
@@ -115,7 +116,8 @@ class ModelRenderer:
     def render(
         self, T_camera_container: FloatArray, pixels: FloatArray | IntArray, ray: FloatArray | None = None
     ) -> ModelView:
-        """View of the container at a pose (4, 4) in pixels (..., 2) as (column, row). ray: (..., 3), where known"""
+        """View of the container at a pose (4, 4) in pixels (..., 2) as (column, row). ray: (..., 3) rays of the pixels,
+        if known"""
         pose = np.asarray(T_camera_container, dtype=np.float64)
         ray = (self.rays(pixels) if ray is None else ray) @ pose[:3, :3]
         eye = -pose[:3, 3] @ pose[:3, :3]  # in the container's frame, which does not move

@@ -51,8 +51,8 @@ SURE = 0.9
 @dataclass(frozen=True, slots=True)
 class EvaluationOptions:
     """splits: splits of the fast methods; costly_splits: splits of boosting and Gaussian process, 0 = none;
-    curve_splits: splits of the learning curve and the time steps, 0 = none; protocols: None = those that the table
-    allows; level: level of intervals;
+    curve_splits: splits of the learning curve and the time steps, 0 = none; protocols: kinds of splits, None = those
+    that the table allows; level: level of intervals;
     transfer: (training, tested) patterns of kinds or groups; workers: threads; plain_qda: the thesis's too"""
 
     splits: int = 200
@@ -105,8 +105,8 @@ class TimePoint:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """All that was found. table: what was evaluated; protocol: the strictest one, to which comparisons, curve and steps
-    belong; skipped: parts left out, and why
+    """All results of an evaluation. table: what was evaluated; protocol: the strictest one, to which comparisons, curve
+    and steps belong; skipped: parts left out, and why
     copies: rows that nearly equal one of another group; without_copies: `best` of the others alone, None = no copies or
     too few trials without them"""
 
@@ -124,7 +124,7 @@ class Evaluation:
     without_copies: ClassificationScore | None = None
 
     def score(self, modality: str, method: Method, protocol: Protocol | None = None) -> ClassificationScore:
-        """One of them. Raises KeyError where there is none."""
+        """One of the scores. Raises KeyError without such a score."""
         wanted = (modality, method, protocol or self.protocol)
         for one in self.scores:
             if (one.modality, one.method, one.protocol) == wanted:
@@ -133,7 +133,8 @@ class Evaluation:
 
     @property
     def best(self) -> ClassificationScore:
-        """The one that is saved: late fusion of several modalities, else the pooled classifiers of the only one."""
+        """The score of the model that is saved: late fusion of several modalities, or the pooled classifiers of the
+        only one."""
         return self.score(*best_key(self.table))
 
     @property

@@ -3,8 +3,8 @@
     rule = EventRule()
     found = squeeze_events(tactile_ns, sums, hand_ns, closing_deg, rule)
 
-Both rules use one reading after another, so that they also end a live squeeze; `squeeze_events` applies them again to
-the whole recording, in order of time.
+Both rules process one reading after another, so that they work in a live squeeze. `squeeze_events` applies them again
+to the whole recording, in order of time.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class EventRule:
 class SqueezeEvents:
     """First contact and steady state, on the host's clock [ns], each with the interval in which it was.
 
-    first_ns: midway between the last frame without contact and the first with it, by any of the fingers
+    first_ns: time of first contact by any finger, midway between the last frame without contact and the first with it
     steady_ns: time of the first reading of the closing axes' rest; 0 = it did not happen
     finger_ns: (fingers,) first contact of each, 0 = none
     first_interval_ns, steady_interval_ns: (low, high), two sample periods wide at least
@@ -139,7 +139,7 @@ def squeeze_events(
     """The events of a recorded squeeze.
 
     tactile_ns: (n,) times of frames from before the fingers closed; sums: (n, fingers) [counts]
-    hand_ns: (m,) times of readings; closing_deg: (m, axes) angles of the axes that close
+    hand_ns: (m,) times of readings; closing_deg: (m, axes) angles of the axes that close.
     Raises InputError where there are too few frames for a baseline.
     """
     if len(tactile_ns) <= BASELINE_FRAMES or len(hand_ns) < 2:

@@ -56,10 +56,10 @@ class ContainerHidden(InputError):
 
 
 def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit | None = None) -> ContainerFit:
-    """The one container among points (n, 3) of a table's frame, the robot left out.
+    """The single container among points (n, 3) in the table's frame, without the robot.
 
-    expected: the earlier fit, whose size is used, and around which it is sought: parts of it may be hidden Raises
-    InputError, with the reason, for none, several, or another shape.
+    expected: the earlier fit, which gives the size and the place to search: parts may be hidden. Raises InputError,
+    with the reason, for none, several, or another shape.
     """
     if shape not in ("box", "cylinder"):
         raise InputError("a box or a cylinder to find", repr(shape), 'shape = "box" in [container]')
@@ -101,7 +101,7 @@ def find_container(points_m: FloatArray, shape: str, *, expected: ContainerFit |
 
 
 def compare(before: ContainerFit, after: ContainerFit | InputError) -> ContainerShift:
-    """Change of a container. after: as it is found now, or why it was not"""
+    """Change of a container. after: the container as found now, or why it was not found"""
     if isinstance(after, ContainerHidden) and after.top_m < LOWER * before.size_m[2]:  # it lies, its sides not seen
         reason = f"the object there is {100 * after.top_m:.1f} cm high, not {100 * before.size_m[2]:.1f} cm"
         return ContainerShift("gone", reason=reason)
@@ -127,7 +127,7 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
 
 
 def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:
-    """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`
+    """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`.
 
     Raises InputError for another container there.
     """

@@ -38,7 +38,7 @@ classes about their modality's, offsets of classes about 0. With few trials they
 class Pool:
     """Weighed logarithms of posteriors: log p(c) = sum_m weight[m, c] log p_m(c) + offset[c] + constant.
 
-    weight: (M, C) how reliable modality m is about class c, 0 or more; offset: (C,)
+    weight: (M, C) reliability of modality m for class c, 0 or more; offset: (C,)
     """
 
     weight: FloatArray
@@ -117,7 +117,7 @@ class Expert:
 
 
 def everywhere(pool: Pool, logs: FloatArray) -> FloatArray:
-    """(n, C) pooled of (M, n, C), none of which is missing."""
+    """(n, C) pooled posterior from (M, n, C), all present."""
     return pool.log_posterior(logs, np.ones(logs.shape[:2], dtype=bool))
 
 
@@ -158,7 +158,7 @@ def fit_expert(
     seed: int = 0,
     names: Sequence[Name] = NAMES,
 ) -> Fitted:
-    """All classifiers that a modality can have, pooled by their posteriors for points left out.
+    """All possible classifiers of a modality, pooled by their posteriors for points left out.
 
     points: (n, d) components of the training side, the first `kept` of which hold 80 % of the variance; raw: columns
     before the rotation; apart: (n,) groups that are left out together, or None
@@ -206,10 +206,10 @@ def fit_expert(
 
 
 def fuse(pool: Pool, logs: FloatArray, present: BoolArray) -> FloatArray:
-    """(n, C) fused of (M, n, C) calibrated ones. With one modality, it is that modality's own posterior; with none,
+    """(n, C) fused of (M, n, C) calibrated ones. With one modality, the result is that modality's posterior; with none,
     only the offsets count.
 
-    present: (M, n) which modalities there are
+    present: (M, n) which modalities are present
     """
     fused = pool.log_posterior(logs, present)
     alone = present.sum(axis=0) == 1

@@ -26,9 +26,9 @@ ALPHA = 0.05
 class Grouping:
     """k-means in the components that hold 80 % of the variance, with as many clusters as classes.
 
-    rand: (RUNS,) adjusted Rand index of each run; plane: (n, 2) trials on the two largest components; rows: (n,) which
-    trials; cluster: (n,) clusters of the tightest run; centroid: (k, 2) its centroids; explained: share of the variance
-    that the two components explain
+    rand: (RUNS,) adjusted Rand index of each run; plane: (n, 2) trials on the two largest components; rows: (n,)
+    indices of the trials; cluster: (n,) clusters of the tightest run; centroid: (k, 2) its centroids; explained: share
+    of the variance that the two components explain
     """
 
     rand: FloatArray
@@ -62,8 +62,8 @@ class Normality:
 
 
 def described(table: LabelledTable) -> dict[str, tuple[IntArray, FloatArray, FloatArray]]:
-    """By modality, and of all of them joined: trials that have it, components (n, d) of these that hold 80 % of the
-    variance, and the variances of all components."""
+    """For each modality, and for all joined: trials that have it, their components (n, d) with 80 % of the variance,
+    and the variances of all components."""
     found: dict[str, tuple[IntArray, FloatArray]] = {}
     for name, values in table.modalities.items():
         rows = np.flatnonzero(~table.missing(name))

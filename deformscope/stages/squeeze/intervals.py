@@ -57,8 +57,8 @@ def corrected_deviation(values: FloatArray, ratio: float) -> float:
 def over_splits(values: FloatArray, ratio: float, level: float, worth: float = np.inf) -> Estimated:
     """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see `share_of`.
 
-    worth: effective number of independent trials. The standard deviation is not below one of these: else values that
-    are equal in every split would be much more certain than nearly equal ones
+    worth: effective number of independent trials. The standard deviation has a lower limit: otherwise values that are
+    equal in every split would be much more certain than nearly equal ones
     """
     found = values[np.isfinite(values)]
     if not found.size:
@@ -76,18 +76,18 @@ def share_of(values: FloatArray, worth: float, level: float) -> Estimated:
 
 
 GROUP_CORRELATION = 0.3
-"""Assumed of the right answers of two trials of a group. If class means differ from group to group by up to three
-standard deviations of one group's trials, its estimate is 0 to 0.33, and 90 % intervals hold the truth in 92 to 100
-%."""
+"""Assumed of the right answers of two trials of a group. If class means differ between groups by up to three standard
+deviations of one group's trials, the estimated correlation is 0 to 0.33, and 90 % intervals hold the truth in 92 to 100
+% of cases."""
 
 
 def trials_worth(size: IntArray, tested: float = 1.0, splits: int = 1, ratio: float = 0.0) -> float:
-    """Effective number of independent trials of some groups, (g,) sizes. It is lower where trials of a group err
-    together (the design effect of Kish 1965, 5.4), and where splits share them (Nadeau and Bengio 2003, 4).
+    """Effective number of independent trials of some groups, (g,) sizes. The number is lower if trials of a group err
+    together (the design effect of Kish 1965, 5.4), and if splits share them (Nadeau and Bengio 2003, 4).
 
-    tested: share of the trials that a split tests; ratio: tested trials over training ones, 0 = one classifier for all
-    By design alone, never from the answers: if errors gave the correlation, no error would give none, and then less
-    certainty than one error.
+    tested: share of the trials that a split tests; ratio: tested trials over training ones, 0 = one classifier for all.
+    It depends on the design only, not on the answers: a correlation estimated from errors would make a result without
+    errors less certain than one with a single error.
     """
     total = float(size.sum())
     effect = 1.0 + GROUP_CORRELATION * (float((size**2).sum()) / max(total, 1.0) - 1.0)
@@ -98,7 +98,7 @@ def difference(
     one: FloatArray, other: FloatArray, ratio: float, level: float, worth: float = np.inf
 ) -> tuple[Estimated, float]:
     """Mean of one - other, (J,) over the same splits, with its interval, and the two-sided p-value of the corrected
-    resampled t-test (Nadeau and Bengio 2003). worth: as `over_splits` takes it"""
+    resampled t-test (Nadeau and Bengio 2003). worth: as in `over_splits`"""
     apart = one - other
     apart = apart[np.isfinite(apart)]
     found = over_splits(apart, ratio, level, worth)

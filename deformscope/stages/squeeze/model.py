@@ -18,10 +18,10 @@ from deformscope.stages.squeeze.table import LabelledTable, absent
 
 @dataclass(frozen=True, slots=True)
 class ModalityModel:
-    """One modality, from features to a calibrated posterior.
+    """The model of one modality: from features to a calibrated posterior.
 
     scaling: scaling of its p columns, q of which are used; centre: (q,), directions: (q, d) of the components; expert:
-    on these
+    classifier on these
     """
 
     scaling: Scaling
@@ -43,9 +43,9 @@ class ModalityModel:
 class ContentModel:
     """Content of a container, from any of its modalities.
 
-    labels: C contents; modalities: by name; fusion: model that fuses these, in their order; steps: by modality one
-    model for each step of the squeeze, `step_s` apart; step_fusion: model that fuses these, in their order, for each
-    step, () = they are not fused
+    labels: C contents; modalities: models by name; fusion: model that fuses these, in their order; steps: by modality
+    one model for each step of the squeeze, `step_s` apart; step_fusion: model that fuses these, in their order, for
+    each step, () = they are not fused
     settings: settings of the features, as whoever computed them wrote them down: a squeeze must have the same
     promised: accuracy with its interval, as evaluated; provenance: versions and source
     seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known
@@ -118,7 +118,7 @@ class ContentModel:
 
 
 def checked(name: str, features: FloatArray, model: ModalityModel) -> FloatArray:
-    """The same features (n, columns). Raises InputError for what does not fit the model."""
+    """The same features (n, columns). Raises InputError for features that do not fit the model."""
     if features.ndim != 2 or features.shape[1] != model.columns:
         raise InputError(f"(n, {model.columns}) features in {name}, as in training", f"shape {features.shape}")
     if np.isinf(features).any():
@@ -135,7 +135,7 @@ def fit_model(
     provenance: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> ContentModel:
-    """Trained on all trials, as the evaluation trains on a training side, on the modalities that are fused.
+    """A model trained on all trials, with the modalities that are fused and the method of the evaluation.
 
     by_group: groups are left out together when posteriors are calibrated and modalities weighed
     """

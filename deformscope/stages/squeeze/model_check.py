@@ -33,8 +33,8 @@ class TimeCheck:
     """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
     all that are fused; error_interval: error interval of the calibration error, by bootstrap over trials; by_chance:
     the error that a perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
-    debiased: root mean square error over the bins, without chance's contribution to its square (Kumar, Liang and Ma
-    2019); it is not below the mean error in the long run"""
+    debiased: root mean square error over the bins, without the contribution of chance to its square (Kumar, Liang and
+    Ma 2019); with many trials it is not below the mean error"""
 
     time_s: float = field(metadata=reported(json=lambda time_s: None if math.isnan(time_s) else time_s))
     score: ClassificationScore = field(metadata=reported(flat=True))

@@ -71,8 +71,8 @@ def fingerprints(features: FloatArray) -> IntArray:
 
 
 def trained_on(table: LabelledTable, seen: Mapping[str, IntArray]) -> BoolArray:
-    """(n,) trials of which a modality has the fingerprint of one that trained. seen: (N,) fingerprints of the trials
-    that trained, by modality"""
+    """(n,) trials in which a modality has the fingerprint of a trial that trained the model. seen: (N,) fingerprints of
+    the trials that trained, by modality"""
     again = np.zeros(len(table), dtype=bool)
     for name, prints in seen.items():
         if name in table.modalities:

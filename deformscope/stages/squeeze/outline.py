@@ -1,4 +1,4 @@
-"""The edges of a rigid model as a camera sees them: what is drawn over its image (Thesis fig. 2.8)."""
+"""The visible edges of a rigid model, to draw over a camera's image (Thesis fig. 2.8)."""
 
 from __future__ import annotations
 

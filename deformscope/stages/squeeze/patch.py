@@ -27,7 +27,7 @@ from deformscope.stages.squeeze.track import FLATTEST, JUMP_M
 SIDE_PX = 61
 SMALL = 11
 CLOSED_M = 0.03
-"""The fingertips come closer by no more after the first contact: `over_squeeze_m` in [squeeze]."""
+"""Largest closing of the fingertips after the first contact: `over_squeeze_m` in [squeeze]."""
 SURE = 5.0
 """Limits in standard deviations of noise, and of the walls' bulge, beyond which a pixel is not the wall."""
 OUTLINE_PX = 2
@@ -49,7 +49,7 @@ class DepthChange:
     change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks without those pixels
     center_px: (2,) column and row of its middle; width_m: how wide it is on the container's surface [m]
     missing: share of pixels without a measurement of the wall; noise_m: deviation of a measured pixel, root mean square
-    filled_m, small_filled_m: as features, without NaN
+    filled_m, small_filled_m: the maps as features, without NaN
     """
 
     change_m: FloatArray
@@ -201,8 +201,9 @@ def _block_means(change: FloatArray) -> FloatArray:
 
 
 def filled(values: FloatArray) -> FloatArray:
-    """The same (n, m), with missing values (NaN) by a membrane through the measured ones, of which there is one at
-    least. They are within their range, and each is the mean of its neighbours (Laplace's equation)."""
+    """The map (n, m) with missing values (NaN) replaced by a membrane through the measured ones, of which there must be
+    at least one. The new values are within the range of the measured ones, and each is the mean of its neighbours
+    (Laplace's equation)."""
     found, known = values.ravel().copy(), np.isfinite(values).ravel()
     if not known.all():
         membrane = _membrane(*values.shape)[~known]

@@ -1,6 +1,7 @@
 """Physical quantities of a squeeze: contact, force, indentation, stiffness of the wall, relaxation.
 
-They complement the raw features of the thesis, and have the same meaning on another hand and another container.
+These features complement the raw features of the thesis, and have the same meaning on another hand and another
+container.
 """
 
 from __future__ import annotations
@@ -49,10 +50,10 @@ def physical_features(
 ) -> Physical:
     """The features of a squeeze from first contact to the end of its hold.
 
-    time_s: (n,) times of the tactile frames; pressure_pa: for each of them one (rows, columns) array a finger in
+    time_s: (n,) times of the tactile frames; pressure_pa: for each frame one (rows, columns) array for each finger in
     contact [Pa]
     texel_m: (width, height); indentation_m: (n,) way of each finger into the wall since first contact, their mean [m]
-    threshold_pa: texels at or below are not in contact
+    threshold_pa: texels at or below are not in contact.
     Raises InputError where there is no frame between the two events.
     """
     time, depth = np.asarray(time_s, dtype=np.float64), np.asarray(indentation_m, dtype=np.float64)
@@ -88,8 +89,8 @@ def physical_features(
 
 def pressure_axis(pressure_pa: FloatArray, texel_m: tuple[float, float]) -> tuple[float, float]:
     """Orientation [rad] in (-pi/2, pi/2] from the columns towards the rows, and elongation (0 round to 1 a line) of the
-    pressures (rows, columns) on one pad. Both come from their second moments (as drawn in Thesis fig. 2.4); NaN without
-    contact.
+    pressures (rows, columns) on one pad. Both are computed from the second moments (as drawn in Thesis fig. 2.4); NaN
+    without contact.
     """
     weight = np.maximum(np.asarray(pressure_pa, dtype=np.float64), 0.0)
     total = weight.sum()

@@ -82,8 +82,8 @@ class ContainerSighting:
     index: the newest image's place in its stream; images: images of all of them; arm_ns, hand_ns: arm time and hand
     time of the states by which the robot was left out, on the devices' clock; when: before, asked (after a person was
     asked), placed, or after (the squeeze)
-    near: it was sought close to where it was before, also where the robot hides a part of it
-    fit: None where it was not found, and `refused` says why; change: against before
+    near: it was sought close to its earlier place, where the robot may hide a part of it
+    fit: None if it was not found; `refused` states why; change: against before
     edges_px: (n, 2, 2) ends of the found container's edges in the image
     """
 
@@ -100,7 +100,7 @@ class ContainerSighting:
 
     @property
     def words(self) -> str:
-        """In one line."""
+        """The sighting in one line."""
         if self.change is not None:
             return self.change.words
         if self.fit is None:
@@ -112,13 +112,13 @@ class ContainerSighting:
 
 @dataclass(frozen=True, slots=True)
 class HandPlacement:
-    """A grasp, and how the arm came to it.
+    """A grasp, and how the arm reached it.
 
-    by: the arm's model; seed: that grasps were drawn from, -1 = a person chose this one; along_m, tilt_deg, turn_deg:
+    by: the arm's model; seed: seed of the drawn grasps, -1 = a person chose this one; along_m, tilt_deg, turn_deg:
     distance along the longest edge, tilt and turn of the grasp (`robot.squeeze_plan.RandomGrasp`)
     T_table_hand, T_hand_container: (4, 4) planned pose of the hand, and of the container in it [m]
     tried: (k, 3) along, tilt and turn of each grasp that was drawn; refused: (k,) why not, empty = this one
-    T_table_hands: (k, 4, 4) poses of the hand at each of them
+    T_table_hands: (k, 4, 4) pose of the hand at each time
     path_m: (n, 3) planned path of the middle between the pads, table's frame
     reached: travel, approach, grasp or retreat: what the arm last came to
     """

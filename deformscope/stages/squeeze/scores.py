@@ -43,7 +43,7 @@ class ClassificationScore:
     trials: (C,) different trials of each class that were tested; worth: how many independent trials these are
     calibration_error: mean distance of posterior and share right, over the bins; overconfidence: mean posterior less
     share right; log_loss: mean
-    components: mean number in use; pair: trained and tested kinds, of a transfer; split_accuracy: (J,)
+    components: mean number in use; pair: in a transfer, the kinds that trained and were tested; split_accuracy: (J,)
     """
 
     modality: str = field(metadata=reported("modality"))
@@ -135,7 +135,7 @@ def score_of(
     level: float,
     pair: tuple[str, str] | None = None,
 ) -> ClassificationScore:
-    """From the outcomes of one method on one modality, split by split."""
+    """The score from the outcomes of one method on one modality in all splits."""
     target, classes = table.target, len(table.classes)
     accuracy = np.array([accuracy_of(one, target) for one in outcomes])
     recall = np.array([recalls(one, target, classes) for one in outcomes])

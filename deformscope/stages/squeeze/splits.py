@@ -1,4 +1,4 @@
-"""Which trials train and which test: at random as in the thesis, stratified, or whole groups apart."""
+"""Splits of trials into training and test sides: at random as in the thesis, stratified, or by whole groups."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TEST_SHARE = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """train, test: indices of trials; not every trial is in one of them"""
+    """train, test: indices of trials; some trials may be in neither"""
 
     train: IntArray
     test: IntArray

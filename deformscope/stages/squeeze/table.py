@@ -27,12 +27,12 @@ class LabelledTable:
     """N trials of known content.
 
     label: (N,) content; group: (N,) label that may not be on both sides of a split, such as the container or the
-    session, or None; modalities: by name (N, p) features; NaN = not measured, a whole row of NaN = the modality is
-    missing there
-    kind: (N,) such as the container's type, between which transfer is evaluated, or None; trial: (N,) names for
-    messages, or None; series: by name (N, T, p) features over the squeeze, NaN once a trial has ended
-    step_s: between two of its T steps [s]; settings: that the features were computed with, which a model keeps
-    Raises InputError for what does not fit together.
+    session, or None; modalities: (N, p) features by name; NaN = not measured, a row of NaN = the modality is missing in
+    that trial
+    kind: (N,) kinds, such as the container's type, between which transfer is evaluated, or None; trial: (N,) names for
+    messages, or None; series: (N, T, p) features over the squeeze by name, NaN after the end of a trial
+    step_s: time between two of the T steps [s]; settings: settings with which the features were computed, stored in a
+    model. Raises InputError for sizes that do not fit together.
     """
 
     label: TextArray
@@ -80,9 +80,9 @@ class LabelledTable:
 
     @property
     def fused(self) -> tuple[tuple[str, ...], ...]:
-        """Modalities that are fused, the ones of late fusion first; NAME_small is NAME in fewer pixels and replaces it
-        in a separate set, as in Thesis 2.5.4. Both sets are repeated without `DERIVED`. A single modality alone without
-        others to fuse."""
+        """Sets of modalities that are fused, first those of late fusion. NAME_small is NAME in fewer pixels and
+        replaces it in a separate set, as in Thesis 2.5.4. Sets are repeated without the modalities in `DERIVED`. A
+        single modality alone without others to fuse."""
         small = {
             one.removesuffix(SMALL): one
             for one in self.modalities
@@ -135,7 +135,7 @@ class LabelledTable:
 
 
 def absent(features: FloatArray) -> BoolArray:
-    """(n,) rows of (n, p) features in which nothing was measured."""
+    """(n,) rows of (n, p) features without any measured value."""
     return np.asarray(np.isnan(features).all(axis=1))
 
 

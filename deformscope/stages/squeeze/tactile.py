@@ -19,8 +19,8 @@ End = Literal["first", "last"]
 def tactile_feature(arrays: Sequence[npt.NDArray[np.generic]], end: End = "first") -> FloatArray:
     """(36 n,) cells at one end of each of n fingertip arrays (rows, columns), row by row, float64.
 
-    end: the first 36 as the controller sends them, as in the thesis, or the last. Which of the two is at the tip of a
-    finger is not public: check a touched fingertip in `deformscope live`.
+    end: the first 36 as the controller sends them, as in the thesis, or the last. It is not published which of the two
+    ends is at the fingertip: touch one and look in `deformscope live`.
     """
     short = [array.size for array in arrays if array.size < CELLS]
     if short:

@@ -28,21 +28,22 @@ from deformscope.stages.squeeze.bulge import BULGE_M, bulge_shapes
 from deformscope.stages.squeeze.container import ModelRenderer, ModelView
 
 CORRELATED_PX = 3.0
-"""Over how many pixels a structured-light camera's depth noise is correlated: it matches windows of pixels."""
+"""Number of pixels over which a structured-light camera's depth noise is correlated: it matches windows of pixels."""
 EDGE_NOISE_PX = 1.5
 """Deviation of where an outline is seen: such cameras fatten and fray edges by a pixel or two."""
 EDGE_EVERY_PX = 3
 """Distance of the outline's sampled points."""
 EDGE_REACH_PX = 12
 EDGE_RUN_PX = 3
-"""Number of successive pixels of the container, and then of others, at an edge: a single missing pixel is none."""
+"""Number of successive pixels of the container, and then of others, at an edge, so that a single missing pixel is no
+edge."""
 JUMP_M = 0.025
-"""Beyond the outline depth is larger by more than that; a table under the container is not."""
+"""Least jump of depth at the outline, so that a table under the container does not count."""
 COARSE_M = 0.0015
 """After a smaller motion all pixels are used, and the outline."""
 SETTLED_M = 0.0002
 RESTLESS_M = 0.0005
-"""After a smaller motion the pose has converged; pixels that come and go may move a pose by this."""
+"""Motion below which the pose has converged; pixels that appear and disappear may move a pose by this."""
 OBSERVED_M = 0.001
 """A direction of motion with a smaller deviation is observed."""
 FLATTEST = 0.2
@@ -53,9 +54,10 @@ THIN = (slice(None, None, 2), slice(None, None, 2))
 
 @dataclass(frozen=True, slots=True)
 class TrackOptions:
-    """reach_m: from how far the surface is drawn to the data [m]; steps: largest number; least_pixels: fewest pixels of
-    the container seen; least_agreeing: least share of them within the noise for a good track
-    farthest_m, farthest_deg: from the rest pose; jump_m: from the start, rotation times the lever added
+    """reach_m: largest distance between surface and data that are matched [m]; steps: largest number; least_pixels:
+    fewest pixels of the container seen; least_agreeing: least share of them within the noise for a good track
+    farthest_m, farthest_deg: largest distance from the rest pose; jump_m: largest motion from the start, including
+    rotation times the lever
     """
 
     reach_m: float = 0.02
@@ -72,10 +74,10 @@ class PoseEstimate:
     """Pose of a container. T_camera_container: (4, 4)
 
     directions: (6, 6) a direction of motion each row, container frame: translation, then rotation times `lever_m`
-    deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) which are known so
-    pixels: number of pixels of the container seen and compared; agreeing: share of them within the noise; rms_m: root
-    mean square of these; edge_points: number of points of the outline seen; good: whether features may be taken from
-    it; reason: why not, or empty
+    deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) directions that the
+    data determine; pixels: number of pixels of the container seen and compared; agreeing: share of them within the
+    noise; rms_m: root mean square of these residuals; edge_points: number of points of the outline seen; good: whether
+    features may be taken from it; reason: why not, or empty
     """
 
     T_camera_container: FloatArray
@@ -129,9 +131,9 @@ def track(
 ) -> PoseEstimate:
     """The container's pose in a depth image (H, W) [m]; pixels of 0 or NaN saw nothing.
 
-    start: (4, 4) T_camera_container to begin at, such as that of the frame before; rest: (4, 4) for directions that the
-    data do not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent
-    A bad track is a result (`good` False), never an exception. Raises InputError for shapes that do not fit.
+    start: (4, 4) T_camera_container to begin at, such as that of the frame before; rest: (4, 4) pose for directions
+    that the data do not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent A bad track is a
+    result (`good` False), never an exception. Raises InputError for shapes that do not fit.
     """
     options = options or TrackOptions()
     depth = np.asarray(depth_m, dtype=np.float64)
@@ -170,8 +172,8 @@ def locate(
 ) -> PoseEstimate:
     """The pose of a container near its assumed place, turned about its z axis by any of some angles.
 
-    guess: (4, 4) T_camera_container, right within a few centimetres. The best of the starts is the one that explains
-    the most pixels: those compared times the share that agree.
+    guess: (4, 4) T_camera_container, right within a few centimetres. The start that explains the most pixels (those
+    compared times the share that agree) is the best.
     """
     options = TrackOptions(reach_m=0.06, steps=40)
     found = []

@@ -63,10 +63,10 @@ class TrackedContainer:
 
     good, reason: whether features may be taken from it, and why not; observed: (6,) which directions of motion the
     image observes; agreeing: share of the compared pixels within the noise; edges_px: (n, 2, 2) ends of the model's
-    visible edges in the image; since_s: since the first contact [s], below 0 = before it, NaN = it was not known then
-    directions: (6, 6) directions of `observed`, a direction each row, container frame: translation, then rotation times
-    half the container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the normal
-    matrix
+    visible edges in the image; since_s: time since the first contact [s], below 0 = before it, NaN = it was not known
+    then; directions: (6, 6) directions of `observed`, a direction each row, container frame: translation, then rotation
+    times half the container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the
+    normal matrix
     lag_s: age of the image at the time of the result [s], NaN = it was computed after the hand had opened, None = the
     same, in the median of several images; skipped: images before it that were left out to keep up
     """
@@ -103,9 +103,9 @@ class ContainerChange:
     """Difference of depth around the nearer fingertip in one image from that of the rigid container at its pose: data
     minus model, a dent is positive (Thesis ch. 2).
 
-    index: the image's place in its stream; since_s: as for `TrackedContainer`; reason: why there is none
+    index: the image's place in its stream; since_s: as in `TrackedContainer`; reason: why there is none
     change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks; missing: share of NaN
-    noise_m: deviation of a measured pixel; center_px: (2,) column and row of its middle; width_m: on the surface
+    noise_m: deviation of a measured pixel; center_px: (2,) column and row of its middle; width_m: width on the surface
     """
 
     index: int
@@ -125,9 +125,9 @@ class SqueezeFeatures:
 
     tactile: (72,) cells at F_steady [counts]
     vision: (61, 61) depth change data minus model at F_steady [m], NaN where nothing was measured; vision_small: (11,
-    11) means of its blocks; None where there is none. missing: share of NaN in vision; noise_m: deviation of one of its
+    11) means of its blocks; None without an image. missing: share of NaN in vision; noise_m: deviation of one of its
     pixels; reason: why there is none
-    patch_px: (2,) column and row of its middle; patch_width_m: on the container's surface
+    patch_px: (2,) column and row of its middle; patch_width_m: width of the patch on the container's surface
     physical: (n,) in the order of `PHYSICAL`, NaN where it could not be measured
     series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then
     """
@@ -184,7 +184,8 @@ class ContentPosterior:
 
 @dataclass(frozen=True, slots=True)
 class SqueezeStop:
-    """Why a squeeze ended before its time. kind: in a few words; reason: in numbers; advice: what to see to
+    """Why a squeeze ended before its time. kind: its kind, in a few words; reason: its reason, with numbers; advice:
+    what to see to
 
     stands: the hand confirmed that it stopped; restored: the limits of its currents are restored
     """

@@ -1,4 +1,5 @@
-"""One split: every classifier of every modality, early and late fusion, trained on one side and tested on the other."""
+"""Evaluates one split: every classifier of every modality, and early and late fusion, trained on one side and tested on
+the other."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def joined_name(modalities: Sequence[str]) -> str:
 
 
 def answers_of(rows: IntArray, logs: FloatArray, target: IntArray, components: int) -> Answers:
-    """From (m, C) logarithms of posteriors and (m,) true classes."""
+    """Answers from (m, C) logarithms of posteriors and (m,) true classes."""
     answer = logs.argmax(axis=1)
     row = np.arange(len(rows))
     return Answers(rows, answer, np.exp(logs[row, answer]), logs[row, target], components)
@@ -68,7 +69,7 @@ def sides_of(
     fused: Sequence[tuple[str, ...]],
 ) -> dict[str, Sides]:
     """Every modality (trials, columns) alone, and joined ones: early fusion, standardised columns side by side.
-    missing: (trials,) by modality"""
+    missing: (trials,) which lack each modality"""
     scaled: dict[str, tuple[IntArray, IntArray, FloatArray, FloatArray]] = {}
     for name, values in features.items():
         train, test = split.train[~missing[name][split.train]], split.test[~missing[name][split.test]]
@@ -135,9 +136,9 @@ def run_split(
 ) -> dict[Key, Answers]:
     """Train and test every method.
 
-    features: by modality (N, p); missing: by modality (N,); target: (N,) classes; apart: (N,) groups, where splits are
-    by group: then what is learned inside the training side is, too; fused: modalities that are joined, the first of
-    them fused late too, None = all
+    features: (N, p) features by modality; missing: (N,) trials that lack it, by modality; target: (N,) classes; apart:
+    (N,) groups, if splits are by group: then splits inside the training side are by group, too; fused: modalities that
+    are joined, the first of them fused late too, None = all
     """
     fused = (tuple(features),) if fused is None else fused
     found: dict[Key, Answers] = {}

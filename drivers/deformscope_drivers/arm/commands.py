@@ -19,10 +19,10 @@ JOINT_MARGIN_DEG, NEGLIGIBLE_DEG_S = 5.0, 0.01
 """Least distance of a joint from the end of its range [deg]; a joint that turns slower than this [deg/s] is at rest: it
 turns by 1e-4 deg in a control period of 10 ms."""
 DAMPED_BELOW = 0.03
-"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. With 20 deg/s of the joints (the
-driver's standard limit) the arm's end then makes at least 0.03 * 0.35 rad/s = 10 mm/s, the speed of a touch, in every
-direction. Below it, the weakest direction is damped. Below it the weakest direction is slower than any touch, and
-damped."""
+"""Smallest singular value of the Jacobian [m/rad; rad/rad] that is inverted in full. Least singular value below which
+motions are damped. Above it, joints at 20 deg/s (the driver's standard limit) move the arm's end by at least 0.03 *
+0.35 rad/s = 10 mm/s, the speed of a touch, in every direction. Below it, the weakest direction is damped. Below it the
+weakest direction is slower than any touch, and damped."""
 OFF_COURSE = 0.1
 """Share of a velocity that damping may lose or turn away: a straight line may lead through a singularity if it does not
 need the weak direction."""
@@ -52,8 +52,8 @@ class SpeedLimits(Protocol):
 class CartesianVelocity:
     """Velocity of the end effector as the arm takes it, in two frames.
 
-    linear_m_s: (3,) in the base frame; angular_rad_s: (3,) about the axes of the end effector's own frame, which turn
-    with it (Kinova's staff, kinova-ros issues 154 and 192; ViSP's driver agrees). `in_base` converts.
+    linear_m_s: (3,) velocity in the base frame; angular_rad_s: (3,) about the axes of the end effector's own frame,
+    which turn with it (Kinova's staff, kinova-ros issues 154 and 192; ViSP's driver agrees). `in_base` converts.
     """
 
     linear_m_s: Vector3
@@ -65,7 +65,7 @@ class CartesianVelocity:
     ) -> CartesianVelocity:
         """The same for a velocity (3,) and an angular velocity (3,) that are both in the base frame.
 
-        T_base_end_effector: (4, 4) where the end effector is now: convert again as it turns
+        T_base_end_effector: (4, 4) present pose of the end effector: convert again when it turns
         """
         rotation = np.asarray(T_base_end_effector, dtype=float)[:3, :3]
         x, y, z = (float(value) for value in np.asarray(linear_m_s, dtype=float))
@@ -104,12 +104,12 @@ def joint_limits_deg_s(chain: Chain, limits: SpeedLimits) -> FloatArray:
 def by_joints(
     velocity: Velocity, chain: Chain, limits: SpeedLimits, joints_deg: Sequence[float]
 ) -> JointVelocity | str:
-    """The joint rates that make a velocity at these joint angles (n,) [deg], or why there are none.
+    """The joint rates of a velocity at these joint angles (n,) [deg], or why there are none.
 
-    No arm receives Cartesian velocities of its own: their behaviour near limits and singularities is not published. So
-    the guards are here. No joint exceeds its limit (all are slowed alike), none comes within JOINT_MARGIN_DEG of the
-    end of its range. If damping near a singularity would take the hand off its path there is no motion. Self-collision
-    is not checked.
+    No arm is sent Cartesian velocities: their behaviour near limits and singularities is not published. Therefore this
+    function has the guards. No joint exceeds its limit (all are slowed by the same factor), or comes within
+    JOINT_MARGIN_DEG of the end of its range. If damping near a singularity would move the hand off its path, there is
+    no motion. Self-collision is not checked.
     """
     if isinstance(velocity, JointVelocity):
         return velocity

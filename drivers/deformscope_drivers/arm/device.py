@@ -26,15 +26,15 @@ from deformscope_drivers.health import Link
 LONGEST_S = 60.0
 """Longest duration of a velocity; a longer motion sets it again."""
 CALL_MS = "call_ms"
-"""In `Health.extra`: how long a call to the arm takes [ms]; where an arm answers so, it must be quick enough."""
+"""In `Health.extra`: duration of a call to the arm [ms], for arms that answer calls."""
 
 StateT = TypeVar("StateT", bound=ArmState)
 
 
 @dataclass(frozen=True, slots=True)
 class Streamed:
-    """A velocity that is sent in every cycle until it expires. since_ns: when the arm first began to move, with this
-    velocity or one that it replaced"""
+    """A velocity that is sent in every cycle until it expires. since_ns: when the arm began to move, with this velocity
+    or one that it replaced"""
 
     velocity: Velocity
     expires_ns: int
@@ -46,7 +46,7 @@ class Arm(Device[StateT]):
 
     config: with `state_hz` and, for an arm that takes velocities, what `SpeedLimits` has
     by_hand: a person places it: it has no joints that are known, and takes no velocities
-    goes_home: whether it has a home pose of its own, to which `home` sends it
+    goes_home: whether the arm has a stored home pose, to which `home` sends it
     stop_by_hand: how a person stops it where its driver could not
     """
 
@@ -105,7 +105,7 @@ class Arm(Device[StateT]):
 
     @property
     def urdf(self) -> Path | None:
-        """The file that describes it for viewers; None = there is none."""
+        """The URDF file that describes the arm for viewers, or None."""
         return None
 
     @property
@@ -116,7 +116,7 @@ class Arm(Device[StateT]):
     # Motion ----------------------------------------------------------------------------------------------------------
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
-        """Move at a velocity from the next cycle on, for as long as this call vouches for it. Returns at once.
+        """Move at a velocity from the next cycle until it expires. Returns at once.
 
         velocity: CartesianVelocity, translation in the base frame and rotation in the end effector's, sent as joint
         rates for the joints' angles in each cycle; or JointVelocity [deg/s]

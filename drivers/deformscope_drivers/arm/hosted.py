@@ -1,8 +1,8 @@
 """An arm's driver in a child process: a fault or the end of this program does not keep the arm moving.
 
 The other process opens the arm and carries out velocities until they expire there, on the clock that both share. When
-this process is suspended, no velocity is renewed and it expires. When it dies, the socket between them closes, and the
-other process halts the arm, releases it and ends too.
+this process is suspended, no velocity is renewed and it expires. When this process ends, the socket between them
+closes, and the other process halts the arm, releases it and ends too.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class HostedArm(Arm[ArmState]):
         return known
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
-        """As of the arm there; why it refused a velocity is raised with the next one."""
+        """As the arm's `set_velocity`; an error of one velocity is raised with the next one."""
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
@@ -98,7 +98,8 @@ class HostedArm(Arm[ArmState]):
         self.ask("halt", self._stopped)
 
     def close(self) -> None:
-        """As of the arm there. It is halted at once: this device's thread may wait for its next state first."""
+        """As the arm's `close`. The arm is halted immediately, while this device's thread may still wait for a
+        state."""
         words = "it is being closed"
         with self._commanded:
             moving = self._streamed is not None
@@ -119,7 +120,7 @@ class HostedArm(Arm[ArmState]):
         super().acknowledge_stop()
 
     def home(self, timeout_s: float = 60.0) -> ArmState:
-        """As of the arm there, which is also stopped where this process is stopped, or dies, meanwhile."""
+        """As the arm's `home`; the arm is also stopped if this process is stopped or ends meanwhile."""
         try:
             state: ArmState = self.ask("home", timeout_s, timeout_s=timeout_s + ANSWER_S)
         except BaseException:

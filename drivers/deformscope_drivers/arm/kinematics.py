@@ -14,7 +14,7 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 GRAVITY_M_S2 = 9.81
 LEVER_M = 0.2
-"""So far from the end effector a rotation counts as much as a velocity there: hand, stick and tip."""
+"""Lever with which a rotation is compared with a velocity: length of hand, stick and tip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class Chain:
     def gravity_torque_nm(self, T_base_links: FloatArray) -> FloatArray:
         """Torque (n,) [Nm] that holds the links up, base standing upright; T_base_links as from `forward`.
 
-        Each link's mass is taken to sit midway to the next joint, which is what the published masses allow.
+        Each link's mass is assumed midway to the next joint: the published data have no more.
         """
         axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
         centres_m = 0.5 * (origins_m + T_base_links[1:, :3, 3])
@@ -164,10 +164,10 @@ class Chain:
     ) -> InverseResult:
         """Joint angles that bring the end effector to a pose, by damped least squares from several starts.
 
-        T_base_end_effector: (4, 4) the requested pose [m]; start_deg: (n,) where to begin (default: the home pose);
-        further starts are drawn under the seed; margin_deg: the joints stay so far inside their ranges. The first start
-        that converges ends the search. A target out of reach is no error: `converged` is then False and the remaining
-        errors are given.
+        T_base_end_effector: (4, 4) the requested pose [m]; start_deg: (n,) first start (default: the home pose);
+        further starts are drawn with the seed; margin_deg: distance of the joints from the ends of their ranges. The
+        first start that converges ends the search. A target out of reach is no error: `converged` is then False and the
+        remaining errors are given.
         """
         target = np.asarray(T_base_end_effector, dtype=float)
         if target.shape != (4, 4) or not np.all(np.isfinite(target)):
@@ -210,7 +210,7 @@ class Chain:
         rotation_tolerance_rad: float = 1e-4,
         margin_deg: float = 0.0,
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """As `inverse` from one start each, for many poses (k, 4, 4) at once: joint angles (k, n), and whether they
+        """As `inverse`, with one start each for many poses (k, 4, 4) at once: joint angles (k, n), and whether they
         converged (k,). start_deg: (n,), or (k, n) for each its own"""
         tolerances = position_tolerance_m, rotation_tolerance_rad
         start = np.broadcast_to(self.clip(start_deg, margin_deg), (len(T_base_end_effectors), self.joint_count))
@@ -312,7 +312,7 @@ def damped_joint_rates(
 
 
 def off_course(jacobian: FloatArray, rates_rad_s: FloatArray, twist: FloatArray) -> FloatArray:
-    """Which share of a twist (..., 6) is not made by joint rates (..., n), 0 to 1: what the damping has taken."""
+    """The share of a twist (..., 6) that joint rates (..., n) lack because of damping, 0 to 1."""
     made = (jacobian @ rates_rad_s[..., None])[..., 0]
     return np.asarray(twist_size(made - twist) / np.maximum(twist_size(twist), 1e-12))
 

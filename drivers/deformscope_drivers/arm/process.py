@@ -1,8 +1,8 @@
 """The process that moves an arm: what `HostedArm` starts (`deformscope_drivers.hosted`).
 
-It receives the driver's class and configuration first, then velocities with their expiry times and calls. When the
-other end is closed, for any reason, it halts the arm, closes it and ends. A call that takes long runs in a thread of
-its own, so that a halt and the end of the program come first.
+The process receives the driver's class and configuration first, then velocities with their expiry times, and calls.
+When the other end is closed, for any reason, the process halts the arm, closes it and ends. A long call runs in a
+separate thread, so that a halt and the end of the program come first.
 """
 
 from __future__ import annotations

@@ -31,14 +31,14 @@ class DepthCameraConfig:
     """How a depth camera is opened and set.
 
     port: empty = the first camera; `usb:1-2` = the one in that socket, as `deformscope devices` prints it, which is the
-    same after reconnection; a uri of OpenNI2's; the path of a recording (.oni); `Dummy` = OpenNI2's own test camera
-    width, height [px], fps [Hz], unit_m (0.001 or 0.0001): None = the camera's own; of a recording they are checked
+    same after reconnection; a uri of OpenNI2's; the path of a recording (.oni); `Dummy` = OpenNI2's test camera; width,
+    height [px], fps [Hz], unit_m (0.001 or 0.0001): None = the camera's; in a recording they are checked
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
     mirror: pictures mirrored, as many cameras have them unless set otherwise
     speed, loop: speed and loop of a recording; speed 0 = as fast as its readers take it, and no reader loses any
     library: path or folder of libOpenNI2.so; empty = where the system has it
-    silence_s: no picture for this long means a lost camera; stuck_after_s: the same picture for this long means a
-    frozen one, None = it may (a recording always may)
+    silence_s: time without a picture after which the camera counts as lost; stuck_after_s: the same picture for this
+    long means a frozen one, None = it may (a recording always may)
     """
 
     port: str = ""
@@ -72,8 +72,8 @@ class DepthCameraConfig:
 class DepthCamera(HostedCamera):
     """`with DepthCamera(DepthCameraConfig(color=True)) as camera: camera.next(1.0).depth_m()`
 
-    OpenNI2 runs in a child process: a hang or crash there is a lost link here, and it is restarted. Never tried on a
-    camera; tried on OpenNI2's dummy and on recordings written for it.
+    OpenNI2 runs in a child process: a hang or crash there is a lost link here, and it is restarted. It was not tested
+    on a camera, but on OpenNI2's dummy and on recordings written for it.
     """
 
     def __init__(

@@ -1,4 +1,5 @@
-"""A depth camera that a vendor's library reads in a process of its own: a hang or crash there is a lost link here."""
+"""A depth camera that a vendor's library reads in a separate process: a hang or crash of that process is a lost link
+here."""
 
 from __future__ import annotations
 
@@ -27,8 +28,9 @@ US_NS = 1000.0
 class HostedCamera(Device[DepthImage]):
     """The process is restarted for each link. Frames lost are counted by the camera's own counter.
 
-    serve: what is run there, with a channel and `_settings`; silence_s: no picture for this long means a lost camera A
-    subclass gives `_settings`, the parameters of the process, and `_projection`, and may override the other hooks.
+    serve: function that runs in that process, with a channel and `_settings`; silence_s: time without a picture after
+    which the camera counts as lost. A subclass gives `_settings`, the parameters of the process, and `_projection`, and
+    may override the other hooks.
     """
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
@@ -74,7 +76,7 @@ class HostedCamera(Device[DepthImage]):
         return self._hosted.process_id
 
     def identity(self) -> Identity:
-        """As the camera reported it while connecting."""
+        """Identity that the camera reported while connecting."""
         return Identity(self.model, self.serial, str(self._reported.get("firmware", "")))
 
     # What a kind of camera fills in ----------------------------------------------------------------------------------

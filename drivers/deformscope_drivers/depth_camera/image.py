@@ -28,7 +28,7 @@ class Intrinsics:
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_rad: float, vertical_rad: float) -> Intrinsics:
-        """As OpenNI2's own converter has it: the axis goes through pixel (width / 2, height / 2)."""
+        """Intrinsics as in OpenNI2's converter: the axis goes through pixel (width / 2, height / 2)."""
         fx_px, fy_px = width / (2 * math.tan(horizontal_rad / 2)), height / (2 * math.tan(vertical_rad / 2))
         return cls(fx_px, fy_px, width / 2, height / 2)
 
@@ -40,7 +40,7 @@ class DepthImage:
     stamp: when it arrived; its device_ticks are the camera's own timestamp [us]
     depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera measured nothing
     unit_m: 0.001 for millimetres
-    color: (H', W', 3) RGB uint8 of the same moment (within half a period), None where there is none
+    color: (H', W', 3) RGB uint8 of the same time (within half a period), None without one
     intrinsics: intrinsics of `depth`, from the camera (OpenNI2's: its field of view alone); None without them
     """
 

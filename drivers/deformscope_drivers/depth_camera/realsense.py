@@ -22,15 +22,15 @@ LONGEST_WARM_UP_S = 10.0
 class RealsenseConfig(RealsenseSettings):
     """How a RealSense camera is opened and set; each setting is read back.
 
-    serial: as `deformscope devices` prints it; empty = the only camera
-    width, height [px], fps [Hz]: of depth, and of colour
-    preset: `default`, `hand`, `high_accuracy`, `high_density`, `medium_density`...; empty = as the camera has it
-    unit_m: the step of depth [m], such as 0.0001; None = as the camera has it (0.001, a D405 0.0001)
+    serial: as `deformscope devices` prints it; empty = the only camera; width, height [px], fps [Hz]: size and rate of
+    depth and of colour
+    preset: `default`, `hand`, `high_accuracy`, `high_density`, `medium_density`...; empty = the camera's present one
+    unit_m: the step of depth [m], such as 0.0001; None = the camera's (0.001, a D405 0.0001)
     warm_up_s: time after opening whose pictures are left out, while the exposure settles
     global_time: time stamps that librealsense fits to the host's clock, in place of the camera's own clock
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
-    silence_s: no picture for this long means a lost camera; stuck_after_s: the same picture for this long means a
-    frozen one, None = it may
+    silence_s: time without a picture after which the camera counts as lost; stuck_after_s: the same picture for this
+    long means a frozen one, None = it may
     """
 
     silence_s: float = 2.0
@@ -68,7 +68,7 @@ class Realsense(HostedCamera):
         self._library = library
 
     def remarks(self) -> tuple[str, ...]:
-        """On its USB port, time stamps and firmware, and its own warnings."""
+        """Remarks on its USB port, time stamps and firmware, and the camera's warnings."""
         return (*self._reported.get("remarks", ()), *(f"it reports: {note}" for note in self._notes))
 
     def _settings(self) -> tuple[RealsenseSettings, str]:

@@ -30,7 +30,7 @@ MODELS = {
     0x1155: "D421",
     0x1156: "D436",
 }
-"""By their product numbers (librealsense, src/ds/d400/d400-private.h), those that are sold with USB."""
+"""Models that are sold with USB, by product number (librealsense, src/ds/d400/d400-private.h)."""
 USB_3_MBIT_S = 5000
 
 
@@ -45,10 +45,10 @@ def list_by_librealsense(library: str = "pyrealsense2") -> list[ListedRealsense]
 def discover_realsense(
     devices: Path = USB_DEVICES, list_cameras: Callable[[], list[ListedRealsense] | None] = list_by_librealsense
 ) -> list[FoundDevice]:
-    """Every RealSense camera that is plugged in, by its serial number where librealsense reports it. The kernel has
-    another serial number for it, so that cameras which only the kernel sees go by their socket.
+    """Every RealSense camera that is plugged in, by its serial number where librealsense reports it. The kernel reports
+    another serial number, so that cameras which only the kernel sees are named by their socket.
 
-    devices: /sys/bus/usb/devices; list_cameras: what librealsense sees, None where it is not installed
+    devices: /sys/bus/usb/devices; list_cameras: cameras that librealsense sees, None if it is not installed
     """
     folders = sorted(devices.iterdir()) if devices.is_dir() else []
     plugged = [usb for folder in folders if (usb := usb_device(folder)) is not None]

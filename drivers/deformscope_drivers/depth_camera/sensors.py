@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 JUMP = 0.04
-"""From this share of the distance on, what is nearer and what is behind it are two surfaces."""
+"""Jump of depth, as a share of the distance, from which two neighbouring pixels belong to two surfaces."""
 
 
 @dataclass(frozen=True, slots=True)
 class TriangulatingSensor:
     """Depth z of disparity d = focal_px baseline_m / z [px].
 
-    focal_px: focal length of the sensor itself; step_px: in which disparity comes; noise_px: deviation of disparity
+    focal_px: focal length of the sensor itself; step_px: step of the disparity; noise_px: deviation of disparity
     before that, which neighbours share within noise_width pixels of the picture
-    bleeding: pixels of the picture next to an edge that take the depth of a neighbour at random; flying: they take one
-    between the two; grazing_deg: surfaces seen flatter than that have none
+    bleeding: pixels of the picture next to an edge that take the depth of a neighbour at random; flying: pixels at a
+    jump have a depth between the two; grazing_deg: surfaces seen at a smaller angle than this have no depth
     """
 
     focal_px: float

@@ -20,10 +20,10 @@ class DsaConfig:
     port: serial port, or URL (`socket://192.168.1.1:13000` for a hand with Ethernet)
     rle: run-length encoded frames, 3 to 12 times shorter; frame_rate_hz: requested (the firmware does not guarantee it)
     streaming: False = frames come only when `single_frame` asks
-    sensitivity: 0 to 1, for all matrices or each; None = as the controller has it
-    threshold: texels below it read 0, 0 to 4095, for all or each; None = as the controller has it (firmware >= 268)
+    sensitivity: 0 to 1, for all matrices or each; None = the controller's present one
+    threshold: texels below it read 0, 0 to 4095, for all or each; None = the controller's present one (firmware >= 268)
     calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
-    silence_s: without a good frame for this long during streaming, the link is lost, and sought again
+    silence_s: time without a good frame during streaming after which the link is lost, and opened again
     stuck_after_s: pressed texels with equal counts for this long mean a stuck sensor; None = no limit
     """
 

@@ -158,7 +158,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._command(start)
 
     def stop_streaming(self) -> None:
-        """Have no more frames sent. Raises CommandRefused, NoReply."""
+        """Stop the stream of frames. Raises CommandRefused, NoReply."""
 
         def end() -> None:
             self._settings.streaming = False
@@ -184,8 +184,9 @@ class Dsa(StreamDevice[TactileReading]):
     ) -> None:
         """Set 0 to 1, and read it back where the firmware can.
 
-        sensitivity: None = the factory's; matrix: None = all; persistent: keep it without power (the memory bears
-        about 100 000 writes). Raises OutOfLimits before anything is sent; CommandRefused, SettingsRefused, NoReply
+        sensitivity: 0 to 1, None = the factory's; matrix: its number, None = all; persistent: keep it without power
+        (the memory bears about 100 000 writes). Raises OutOfLimits before anything is sent; CommandRefused,
+        SettingsRefused, NoReply
         """
         if sensitivity is not None:
             check_sensitivity(sensitivity, self.name)
@@ -223,7 +224,7 @@ class Dsa(StreamDevice[TactileReading]):
         return self._command(lambda: self._read_threshold(matrix))
 
     def identity(self) -> Identity:
-        """As the controller reported it while connecting."""
+        """Identity that the controller reported while connecting."""
         if self._controller is None:
             return Identity("Weiss DSACON32m")
         return Identity("Weiss DSACON32m", str(self._controller.serial_number), str(self._controller.software_version))

@@ -1,4 +1,4 @@
-"""A simulated DSACON32m, byte for byte: a state machine that is fed bytes and time. No port, no thread, no clock.
+"""A simulated DSACON32m, byte for byte: a state machine that is fed bytes and time. It uses no port, thread or clock.
 
 Its behaviour is that of the protocol reference (protocols.md 1a). Assumed, where that is incomplete: the error codes
 for commands that cannot be carried out, that sensitivity is a gain on the counts (0.5 = 1), that texels below the
@@ -50,10 +50,10 @@ class DsaDouble:
     """`PtyWire(DsaDouble())`, or `MemoryTransport(DsaDouble(), clock)`.
 
     software_version: decides which quirks it has (268 and 269: fewest); serial_number: serial number of controller and
-    sensor
-    matrices: as it describes them (default: the SDH's six); scene: pressures on them [Pa] (default: `GraspScene`)
-    pa_per_count: pressure per count of a texel at sensitivity 0.5; noise_counts: standard deviation, before the
-    threshold; bytes_per_s: the line's, None = as over TCP; boot_s: from power-up to answers (`BOOT_S` for a real one's)
+    sensor; matrices: the matrices that it describes (default: the SDH's six); scene: pressures on them [Pa] (default:
+    `GraspScene`); pa_per_count: pressure per count of a texel at sensitivity 0.5; noise_counts: standard deviation,
+    before the threshold; bytes_per_s: the line's, None = as over TCP; boot_s: time from power-up to answers (`BOOT_S`
+    for that of a real one)
     seed: seed of scene and noise; first_timestamp_ms: the clock at power-up
     """
 
@@ -115,7 +115,7 @@ class DsaDouble:
         return self._line.due(now_ns)
 
     def next_ns(self, now_ns: int) -> int | None:
-        """When the next byte has left, or the next frame is taken."""
+        """When the next byte has been sent, or the next frame is taken."""
         moments = [self._line.next_ns(), self._next_frame_ns()]
         return min((moment for moment in moments if moment is not None), default=None)
 

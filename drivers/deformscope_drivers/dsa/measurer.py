@@ -1,6 +1,6 @@
 """Tactile readings out of the controller's packets: packets and their arrival in, readings and refusals out.
 
-It has no port and no thread: the device uses it, and so does the replay of a recording's bytes.
+Both the device and the replay of a recording's bytes use it: it has neither port nor thread.
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class Reading:
     """One full frame.
 
     timestamp_ms: the controller's clock, 32 bits (that it counts milliseconds is how Schunk's software takes it)
-    flags: as sent; `FRAME_RLE` says how the texels were coded
+    flags: flags as sent; `FRAME_RLE` states how the texels were coded
     texels: (n,) uint16, 0 to 4095, read-only: the matrices one after the other, each row by row
     """
 
@@ -114,7 +114,7 @@ class Ack:
 
 @dataclass(frozen=True, slots=True)
 class ControllerInfo:
-    """Id 01. hardware_version: as sent (perhaps binary-coded decimal); software_version: 268, say
+    """Id 01. hardware_version: version as sent (perhaps binary-coded decimal); software_version: 268, say
 
     status: bit 7 operable, bit 6 acquiring; features: bit 6 USB, bit 5 CAN, bit 4 RS-232
     can_id: its low byte, all that is ever sent
@@ -148,7 +148,7 @@ class SensorInfo:
 class MatrixInfo:
     """Id 0B: one matrix's geometry.
 
-    texel_width_mm, texel_height_mm: from texel to texel along x and y; cells_x, cells_y: columns and rows
+    texel_width_mm, texel_height_mm: distance between texels along x and y; cells_x, cells_y: columns and rows
     uid: 6 bytes; reserved: 2 bytes
     center, theta: where the matrix sits, and how it is turned (3,); units are not public
     full_scale: read as a float as Schunk's C++ does (its Python reads an integer)

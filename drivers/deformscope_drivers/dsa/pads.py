@@ -14,13 +14,13 @@ THUMB = 1
 
 FEATURE_CELLS = 36
 FEATURE_FINGERS = (0, 2)
-"""The two fingers that turn on the common base. Which two squeezed in the thesis is not said there."""
+"""The two fingers that turn on the common base. The thesis does not state which two fingers squeezed."""
 
 TexelValues = npt.NDArray[np.uint16] | npt.NDArray[np.float64]
 
 
 class Part(IntEnum):
-    """A part of a finger. That part 0 is the proximal one follows Schunk's naming, and was not checked on a hand."""
+    """A part of a finger. According to Schunk's naming part 0 is the proximal one; this was not checked on a hand."""
 
     PROXIMAL = 0
     DISTAL = 1
@@ -28,7 +28,7 @@ class Part(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pad:
-    """One pad, named as the hand's joints are. finger: 0 to 2"""
+    """One pad, named like the hand's joints. finger: 0 to 2"""
 
     finger: int
     part: Part
@@ -46,7 +46,7 @@ class Pad:
 
     @property
     def name(self) -> str:
-        """As in `finger_0_distal`; finger 1 is the thumb."""
+        """Name such as `finger_0_distal`; finger 1 is the thumb."""
         finger = "thumb" if self.finger == THUMB else f"finger_{self.finger}"
         return f"{finger}_{self.part.name.lower()}"
 

@@ -46,7 +46,7 @@ class Curve:
 
 
 Calibration = Sequence[float | Curve]
-"""For each matrix its scale [Pa per count], or its curve; one alone stands for all."""
+"""For each matrix its scale [Pa per count], or its curve; a single one is used for all."""
 
 
 def to_pressure(pads: Sequence[TexelArray], calibration: Calibration = (SCHUNK_PA_PER_COUNT,)) -> list[FloatArray]:
@@ -64,9 +64,9 @@ def to_pressure(pads: Sequence[TexelArray], calibration: Calibration = (SCHUNK_P
 class PadContact:
     """The contact of one pad, over its loaded texels.
 
-    area_m2: texels in contact times the area of one; force_n: along the pad's normal; peak_pa: the highest pressure
-    center_m: (x, y) centre of pressure in the pad's frame, both nan where nothing is in contact. The frame's origin is
-    the middle of the pad, x along a row (columns rise), y along a column (rows rise)
+    area_m2: number of texels in contact times the area of a texel; force_n: along the pad's normal; peak_pa: the
+    highest pressure; center_m: (x, y) centre of pressure in the pad's frame, both nan where nothing is in contact. The
+    frame's origin is the middle of the pad, x along a row (columns rise), y along a column (rows rise)
     """
 
     area_m2: float

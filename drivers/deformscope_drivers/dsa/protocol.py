@@ -1,12 +1,12 @@
 """The wire format of the Weiss DSACON32m, the tactile controller of Schunk's SDH: bytes <-> messages.
 
-No port, no clock, no thread. A packet is, in both directions,
+This module uses no port, clock or thread. A packet is, in both directions,
 
     AA AA AA | id | payload length, 2 bytes | payload | CRC, 2 bytes
 
 without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it
-misses some pairs of flipped bits (counted in `tests/drivers/dsa/flips.py`). So a packet must also have a known id, the
-length of its id, texels of 12 bits, and one per cell of the sensor.
+misses some pairs of flipped bits (counted in `tests/drivers/dsa/flips.py`). Therefore a packet must also have a known
+id, the length of that id, and texels of 12 bits, one for each cell of the sensor.
 Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a).
 """
 
@@ -55,12 +55,12 @@ def stream(*, rle: bool = True, frame_rate_hz: int = 30) -> ConfigureAcquisition
 
 
 def single(*, rle: bool = True) -> ConfigureAcquisition:
-    """Send one frame; firmware up to 288, but for 269, starts to stream instead."""
+    """Send one frame; firmware up to 288, except 269, starts to stream instead."""
     return stream(rle=rle, frame_rate_hz=0)
 
 
 def stop() -> ConfigureAcquisition:
-    """Send no more frames; with the RLE flag set, as Schunk's software sends it."""
+    """Stop sending frames; the RLE flag is set, as in Schunk's software."""
     return ConfigureAcquisition(Acquisition.RLE)
 
 
@@ -123,8 +123,8 @@ class Decoder(_DsaDecoder[Reading | Reply]):
     """The host's end. Yields `Reading`, replies (`Ack`, `ControllerInfo`...) and `Skipped`.
 
     cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
-    exactly this number. While it is None, any number up to the SDH's 486 passes, the largest sensor with a public size.
-    A bound is needed, because a damaged length must not delay the frames behind it.
+    exactly this number. While it is None, any number up to 486 passes: the SDH's, the largest sensor with a public
+    size. A bound is needed, because a damaged length must not delay the frames behind it.
     """
 
     def __init__(self, cells: int | None = None) -> None:
@@ -165,7 +165,7 @@ class Decoder(_DsaDecoder[Reading | Reply]):
 
 @dataclass(frozen=True, slots=True)
 class Faulty:
-    """A command that cannot be carried out. id: as sent; error: the code that answers it"""
+    """A command that cannot be carried out. id: id as sent; error: the code that answers it"""
 
     id: int
     error: int
@@ -174,8 +174,8 @@ class Faulty:
 class CommandDecoder(_DsaDecoder[Command | Faulty]):
     """The controller's end, for doubles. Yields commands, `Faulty` for damaged packets, and `Skipped`.
 
-    A controller trusts the length and answers unusable packets, where the host searches on. Which error code answers
-    what is our reading of their names; only that there are codes for it is public.
+    A controller trusts the length and answers unusable packets, where the host searches on. Error codes were assigned
+    to errors by their names; only the list of codes is public.
     """
 
     def _knows(self, id: int) -> bool:

@@ -37,8 +37,8 @@ def _matrix(rows: int, index: int) -> MatrixInfo:
 class GraspScene:
     """A hand that closes on something round and opens, again and again.
 
-    Each pad is pressed by a patch that grows, drifts and shrinks: the distal pads first and most. At time 0 nothing is
-    touched. shapes: (rows, columns) shapes of each matrix; seed: where the patches are
+    Each pad is pressed by a patch that grows, drifts and shrinks: the distal pads first and most. At time 0 there is no
+    contact. shapes: (rows, columns) shapes of each matrix; seed: where the patches are
     """
 
     def __init__(self, shapes: Sequence[tuple[int, int]], seed: int = 0) -> None:

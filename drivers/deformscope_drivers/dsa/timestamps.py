@@ -1,4 +1,5 @@
-"""Which frames are new, by the controller's clock: repeats are not new, and a clock that jumps is refused."""
+"""Determines which frames are new, by the controller's clock: repeats are not new, and a clock that jumps is
+refused."""
 
 from __future__ import annotations
 
@@ -20,10 +21,10 @@ class TimestampStatus(Enum):
 
 
 class TimestampGate:
-    """Feed each frame's time in turn. A jump is refused, unless the next frame continues from it. Then the clock itself
-    has changed (the controller was switched off and on), and frames count as new from that next one on.
+    """Feed each frame's time in turn. A jump is refused, unless the next frame continues from it. Then the clock has
+    changed (the controller was switched off and on), and frames count as new from that one.
 
-    Without it, two flipped bits that the checksum lets pass could set the clock off by weeks.
+    Without this rule, two flipped bits that the checksum does not detect could shift the clock by weeks.
     """
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from deformscope_drivers.jaco.structures import ZONES_MAX
 
 @dataclass(frozen=True, slots=True)
 class EthernetAddresses:
-    """Addresses for an arm on Ethernet; the defaults are those of the vendor's driver, but for this computer's own.
+    """Addresses for an arm on Ethernet; the defaults are those of the vendor's driver, except this computer's address.
 
     local_ip: this computer's address on the arm's network
     """
@@ -60,10 +60,10 @@ class Workspace:
 
 @dataclass(frozen=True, slots=True)
 class JacoConfig:
-    """All that is to be said before an arm is opened.
+    """Settings of an arm, needed before it is opened.
 
     library: the vendor's library, or its folder; None = the system's loader finds it
-    connection: "usb" or "ethernet", the latter with `ethernet` addresses
+    connection: "usb", or "ethernet" with `ethernet` addresses
     serial: serial of the arm that is meant; None = the only one there is
     model: "j2n6s300", "j2s6s300" or "j2s7s300"; None = the model that the arm reports
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the end effector that a command may ask for
@@ -73,12 +73,12 @@ class JacoConfig:
     place of its stored ones (`zones`); None = unchanged
     command_deadline_s: default duration of a velocity command, and largest delay of the driver's own cycle before it
     stops the arm
-    state_hz: how often the joint angles are read; less when the arm's link is too slow for it
+    state_hz: rate of reading the joint angles; lower if the arm's link is too slow
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
     require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
-    own_process: a child process moves a rig's arm, and loads the vendor's library. It erases and halts when this
-    program dies, and a velocity expires there when this program is stopped
+    own_process: a child process moves a rig's arm, and loads the vendor's library. That process erases trajectories and
+    halts the arm when this program ends, and a velocity expires there when this program is stopped
     """
 
     library: str | None = None

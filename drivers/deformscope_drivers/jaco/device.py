@@ -1,8 +1,8 @@
 """The arm as a device: its state to read, its motion to command, and a cycle of 10 ms that keeps both honest.
 
-The arm takes one velocity point each 10 ms, queues faster ones, and has no watchdog. It carries out the points in its
-FIFO even without their sender. So the device's thread sends one point in each slot of an absolute schedule and never
-ahead, and a velocity lasts only as long as its sender renews it:
+The arm takes one velocity point each 10 ms, queues faster ones, and has no watchdog. The arm executes the points in its
+FIFO even if their sender has ended. Therefore the device's thread sends one point in each slot of an absolute schedule
+and never in advance. A velocity lasts only as long as its sender renews it:
 
 - not refreshed in time: the next slot sends zero, the one after erases the FIFO
 - cycle delayed by more than the deadline, workspace about to be left, or link lost: the FIFO is erased as soon as the
@@ -61,18 +61,19 @@ STILL_DEG_S, STILL_S = 1.0, 0.5
 REACHED_M, REACHED_RAD, REACHED_DEG, REACHED_FINGER = 2e-3, 0.02, 0.5, 70.0
 CANDLE_DEG, CANDLE_WITHIN_DEG = 180.0, 3.0
 HOME_PAUSE_S = 1.0
-"""Between stopping the control and starting it again before `MoveHome`, as kinova-ros does (`KinovaComm::homeArm`)."""
+"""Time between stopping the control and starting it again before `MoveHome`, as in kinova-ros
+(`KinovaComm::homeArm`)."""
 
 
 def open_jaco(config: JacoConfig) -> Arm[Any]:
-    """The device, closed: in a process of its own unless the configuration says otherwise."""
+    """The device, not yet opened: in a separate process unless the configuration disables that."""
     return HostedArm(Jaco, config) if config.own_process else Jaco(config)
 
 
 class Jaco(Arm[JacoState]):
     """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; with the three reads that every device has.
 
-    One thread calls the vendor's library, which is not made for several.
+    Only one thread calls the vendor's library, which does not support several.
     """
 
     goes_home = True
@@ -336,8 +337,8 @@ class Jaco(Arm[JacoState]):
 
     def home(self, timeout_s: float = 60.0) -> JacoState:
         """Send the arm to its own home pose, on its own path and at its own speed. Wait until it is at rest, and
-        reports that it is at home. To be done once after each time it was switched on, by this or its joystick's home
-        button. Its control is stopped and started again first, as the vendor's driver does.
+        reports that it is at home. An arm needs this once after it was switched on, by this call or by its joystick's
+        home button. The arm's control is first stopped and started again, as in the vendor's driver.
         """
         self._require_moves()
         moving_ns: int | None = None
@@ -417,7 +418,7 @@ class Jaco(Arm[JacoState]):
     def start_force_control(self, control: Literal["cartesian", "joint"] = "cartesian") -> None:
         """Let the arm yield to pushes (admittance), at the end effector or joint by joint, until it is stopped.
 
-        Velocities and targets come on top of it. The arm must be upright, with its torque sensors zeroed.
+        Velocities and targets are added to that motion. The arm must be upright, with its torque sensors zeroed.
         """
         if control not in ("cartesian", "joint"):
             raise OutOfLimits("'cartesian' or 'joint'", repr(control), "", self.name)
@@ -429,7 +430,7 @@ class Jaco(Arm[JacoState]):
         self._do(lambda: call(self._functions, "StopForceControl"), COMMAND_TIMEOUT_S)
 
     def set_force_range(self, least: Sequence[float], most: Sequence[float]) -> None:
-        """Pushes (6,) [N, Nm] below `least` are ignored, beyond `most` they count no more."""
+        """Pushes (6,) [N, Nm] below `least` are ignored, and larger ones count as `most`."""
         self._configure("SetCartesianForceMinMax", *self._pair(CartesianInfo, 6, least, most, ordered=True))
 
     def set_inertia_damping(self, inertia: Sequence[float], damping: Sequence[float]) -> None:
@@ -437,7 +438,7 @@ class Jaco(Arm[JacoState]):
         self._configure("SetCartesianInertiaDamping", *self._pair(CartesianInfo, 6, inertia, damping))
 
     def set_joint_torque_range(self, least: Sequence[float], most: Sequence[float]) -> None:
-        """Joint torques (n,) [Nm] below `least` are ignored, beyond `most` they count no more."""
+        """Joint torques (n,) [Nm] below `least` are ignored, and larger ones count as `most`."""
         count = self.chain.joint_count
         self._configure("SetAngularTorqueMinMax", *self._pair(AngularInfo, count, least, most, ordered=True))
 
@@ -449,7 +450,8 @@ class Jaco(Arm[JacoState]):
     def set_torque_zero(self, joint: int | None = None) -> None:
         """Call the torque that a joint shows now zero (1 to n; None = all, one after the other).
 
-        Only in the candle pose, all joints at 180 deg, where gravity turns no joint. Raises OutOfLimits elsewhere.
+        Call it only in the candle pose, with all joints at 180 deg, where gravity turns no joint. Raises OutOfLimits
+        elsewhere.
         """
         state = self._fresh()
         count = self.chain.joint_count

@@ -1,7 +1,7 @@
 """The vendor's functions over a simulated arm: what `Library` is to a real Jaco, `JacoDouble` is to this one.
 
-It has no thread: time passes on the given clock, a laboratory's or the host's, and each call first simulates the cycles
-since the last.
+The double has no thread: time passes on the given clock, a laboratory's or the host's, and each call first simulates
+the cycles since the last call.
 """
 
 from __future__ import annotations
@@ -144,7 +144,8 @@ class JacoDouble:
             self._arm.wrench = pushed.copy()
 
     def push_link(self, link: int, force_n: npt.ArrayLike | None) -> None:
-        """Push the far end of a link, from 0, from here on: force (3,) [N] in the base frame; None = no more."""
+        """Push the far end of a link (counted from 0) from now on: force (3,) [N] in the base frame; None = stop
+        pushing."""
         with self._lock:
             self._live()
             self._arm.link_push = None if force_n is None else (link, np.array(force_n, dtype=float))
@@ -182,8 +183,8 @@ class JacoDouble:
             self._arm.lag = deque(np.zeros(self.chain.joint_count) for _ in range(cycles))
 
     def store_tool_offset(self, offset_m: npt.ArrayLike) -> None:
-        """Let the arm report the pose of a tool, (3,) [m] from its end effector, as SetEndEffectorOffset has it do: for
-        good, whatever program runs next."""
+        """Let the arm report the pose of a tool, (3,) [m] from its end effector, as after SetEndEffectorOffset. The
+        offset stays in the arm, also for other programs."""
         with self._lock:
             self._tool_m = np.array(offset_m, dtype=float)
 

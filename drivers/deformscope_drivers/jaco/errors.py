@@ -1,4 +1,4 @@
-"""Every code that Kinova's library returns, as a named exception that says what to do.
+"""Every code that Kinova's library returns, as a named exception that states a remedy.
 
 Codes and their vendor names are from Kinova's published headers (BSD-3, library 5.2.0); 1 is success. Remedies are from
 the vendor's headers, from users' reports (kinova-ros) and from running the library without an arm.

@@ -1,8 +1,9 @@
 """The vendor's library on the user's machine, called through ctypes; nothing of the vendor's is shipped.
 
-There are two: USBCommandLayerUbuntu.so, and EthCommandLayerUbuntu.so whose functions have the prefix `Ethernet_`.
-Neither exports all that the headers declare, so each function is looked up when it is first called. Parameters that the
-headers write as `T &` are pointers; trajectory points, devices and pairs of CartesianInfo or AngularInfo go by value.
+There are two libraries: USBCommandLayerUbuntu.so, and EthCommandLayerUbuntu.so whose functions have the prefix
+`Ethernet_`. Neither exports all that the headers declare, so each function is looked up when it is first called.
+Parameters that the headers write as `T &` are pointers; trajectory points, devices and pairs of CartesianInfo or
+AngularInfo go by value.
 """
 
 from __future__ import annotations
@@ -91,7 +92,7 @@ class Functions(Protocol):
 
 
 class Library:
-    """The vendor's shared library. Nothing is loaded before the first call of a function."""
+    """The vendor's shared library. The vendor's library, which is not loaded before the first call of a function."""
 
     def __init__(self, path: str | Path | None = None, connection: Connection = "usb") -> None:
         """path: the library, or the folder that holds it; None leaves the search to the system's loader."""
@@ -144,7 +145,7 @@ class Library:
 
 
 def call(functions: Functions, name: str, *arguments: object) -> None:
-    """Call a function and raise the named exception of whatever is not success."""
+    """Call a function and raise the named exception if its code is not success."""
     code = functions.function(name)(*arguments)
     if code != OK:
         raise error_of(code, name, functions.where)

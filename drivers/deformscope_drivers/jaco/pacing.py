@@ -10,7 +10,7 @@ LATENESS_KEPT = 1000
 
 
 class SlotPacer:
-    """Slots of equal length. A slot that was missed is counted and never made up for: no burst follows a stall."""
+    """Slots of equal length. A missed slot is counted and not sent later: no burst follows a stall."""
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns

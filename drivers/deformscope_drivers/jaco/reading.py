@@ -1,7 +1,7 @@
 """Reading the arm's state call by call, in the time that the commands leave.
 
 Over USB the vendor's library opens, claims, transfers and closes for each packet. A call takes 2.8 ms and more
-(kinova-ros issues 281, 372), a slot has 10. So a state needs one call, for the joint angles, from which the pose
+(kinova-ros issues 281, 372), a slot has 10. Therefore a state needs one call, for the joint angles, from which the pose
 follows. Other readings take turns in the remaining time, or replace the angles after too long without any.
 """
 
@@ -32,9 +32,10 @@ SELDOM_NS = 1_000_000_000
 SLACK_NS = 1_000_000
 SMOOTHING = 0.2
 TURN_NS = 50_000_000
-"""Without time besides points and angles, one of the other calls replaces the angles this often."""
+"""If there is no time for other calls, one of them replaces the reading of angles this often."""
 RATES_OVER_NS = 40_000_000
-"""Angles this far apart give the joints' rates. Over one slot, angles off by 0.01 deg would be rates off by 1 deg/s."""
+"""Angles this far apart give the joints' rates. Time over which rates are computed: over one slot, an error of 0.01 deg
+would be an error of 1 deg/s."""
 
 _ANGLES = "GetAngularPosition"
 _IN_TURN: dict[str, type[ctypes.Structure]] = {
@@ -48,7 +49,7 @@ _KINDS: dict[str, type[ctypes.Structure]] = {_ANGLES: AngularPosition, **_IN_TUR
 
 
 class StateReader:
-    """One state after the other, at a rate or as often as the link allows."""
+    """Reads one state after the other, at a rate or as often as the link allows."""
 
     def __init__(self, functions: Functions, chain: Chain, rate_hz: float, clock: Clock) -> None:
         self._functions = functions

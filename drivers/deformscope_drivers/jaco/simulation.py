@@ -1,12 +1,12 @@
-"""A simulated arm that lives in cycles of 10 ms: what its controller does with the points that it was sent.
+"""A simulated arm in cycles of 10 ms: the effect of the points that its controller receives.
 
-It models, as in the protocol reference, a FIFO of 2000 trajectory points. One velocity point is taken in each cycle, so
-that points sent faster pile up and the arm moves on after the sender stopped. Cartesian velocities are ignored without
-a report after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62, 148, 269).
-Position points are followed at a limited speed; there are joint ranges and speeds, and fingers from 0 to 6800. Control
-must be started, and its first start after a cold boot may be ignored; a push from outside causes admittance. If the
-real arm's behaviour is not public the simplest one is modelled, and marked. Joints follow at once unless they have
-greatest accelerations: there is no inertia but that of the admittance.
+As in the protocol reference, the arm has a FIFO of 2000 trajectory points. One velocity point is used in each cycle:
+points sent faster accumulate, and the arm continues to move after the sender has stopped. Cartesian velocities are
+ignored without a report after motion by joints, and all Cartesian motion until the arm was homed (kinova-ros issues 62,
+148, 269). Position points are followed at a limited speed; there are joint ranges and speeds, and fingers from 0 to
+6800. Control must be started, and its first start after a cold boot may be ignored; a push from outside causes
+admittance. If the real arm's behaviour is not published, the simplest one is modelled and marked. Joints follow at once
+unless they have greatest accelerations: there is no inertia but that of the admittance.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ class SimulatedArm:
     """The arm's state, and `cycle` that carries it 10 ms on.
 
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
-    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond the angles that they are to hold
-    grip: (3,) position of each finger on its object; cycles: that have passed. All may be set between cycles.
+    sensors show too much; sag_deg: (n,) how far weight turns the joints beyond their commanded angles; grip: (3,)
+    position of each finger on its object; cycles: number of cycles so far. All attributes may be set between cycles.
     lag: rates that it will turn at, one a cycle: it follows its commands so late
-    acceleration_deg_s2: acceleration of each joint at most, as it sets out and as it stops
+    acceleration_deg_s2: largest acceleration of each joint at the start and end of a motion
     link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
-    closed: boxes (3,), (3,) in the base frame [m] that no Cartesian motion brings the hand into; those by joints do
+    closed: boxes (3,), (3,) in the base frame [m] that the hand does not enter by Cartesian motions; motions by joints
+    may enter
     gravity_left, torque_noise_nm: share of gravity's torques that its model leaves in those without gravity; deviation
-    homed: it went home since it was switched on; cartesian: it takes Cartesian velocities
+    homed: it was at home since it was switched on; cartesian: it executes Cartesian velocities
     """
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
@@ -80,12 +81,12 @@ class SimulatedArm:
         self._cold = False
 
     def stop_control(self) -> None:
-        """Take no more points; waiting ones remain."""
+        """Accept no more points; waiting ones remain."""
         self.control = False
         self._homing = self._opening = False
 
     def queue(self, point: structures.TrajectoryPoint) -> bool:
-        """Put a point behind the others; False where there is no more room. Without control it is ignored."""
+        """Append a point to the FIFO; False if it is full. Without control the point is ignored."""
         if not self.control:
             return True
         if len(self.fifo) >= FIFO_SIZE:
@@ -293,7 +294,7 @@ class SimulatedArm:
     def measured_wrench(self) -> FloatArray:
         """The arm's wrench from its joints' sensors, (6,) [N, Nm]: their bias appears as a push.
 
-        The sign the arm uses is not verified: here it is that of what the world does to the end effector.
+        The arm's sign is not verified: here the force is that of the world on the end effector.
         """
         if not np.any(self.torque_bias_nm):
             return self.wrench
@@ -333,13 +334,13 @@ class Admittance:
         self._joint_rates = np.zeros_like(self._joint_rates)
 
     def twist(self, wrench: FloatArray) -> FloatArray:
-        """One cycle on: velocity of the end effector (6,) [m/s, rad/s] under a wrench (6,) [N, Nm]."""
+        """Advance one cycle: velocity of the end effector (6,) [m/s, rad/s] under a wrench (6,) [N, Nm]."""
         push = _beyond(wrench, self.force_min, self.force_max)
         self._twist = _admit(self._twist, push, self.inertia, self.damping)
         return self._twist
 
     def joint_rates(self, torque_nm: FloatArray) -> FloatArray:
-        """One cycle on: joint rates (n,) [rad/s] under torques (n,) [Nm]."""
+        """Advance one cycle: joint rates (n,) [rad/s] under torques (n,) [Nm]."""
         push = _beyond(torque_nm, self.torque_min, self.torque_max)
         self._joint_rates = _admit(self._joint_rates, push, self.joint_inertia, self.joint_damping)
         return self._joint_rates

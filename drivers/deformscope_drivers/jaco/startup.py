@@ -47,9 +47,10 @@ _MODELS = {
 
 @dataclass(frozen=True, slots=True)
 class JacoIdentity:
-    """Which arm was opened, through what.
+    """The arm that was opened, and its library and connection.
 
-    library_version: library version of the vendor's library; firmware: as in the device list; chain: its kinematics
+    library_version: library version of the vendor's library; firmware: version in the device list; chain: its
+    kinematics
     """
 
     serial: str
@@ -62,7 +63,7 @@ class JacoIdentity:
 def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], None]) -> JacoIdentity:
     """Initialise the library, choose the arm, and take control of it; nothing moves without a command to the fingers.
 
-    pause: waits that many seconds. Raises the named exception of whatever goes wrong.
+    pause: function that waits for this number of seconds. Raises the named exception of any error.
     """
     version = api_version(functions)
     device = _find(functions, config, pause)
@@ -114,7 +115,8 @@ def check_pose(functions: Functions, chain: Chain) -> None:
 
 
 def let_go(functions: Functions) -> DeviceError | None:
-    """Stop the arm and give it back, going on after whatever fails; why its trajectories could not be erased, if so."""
+    """Stop the arm and release it, continuing after any failure; returns why its trajectories could not be erased, or
+    nothing."""
     not_erased = _try(functions, "EraseAllTrajectories")
     if not_erased is not None:
         not_erased = _try(functions, "EraseAllTrajectories")

@@ -11,10 +11,10 @@ from deformscope_drivers.arm.state import ArmState
 class JacoState(ArmState):
     """The state of a Jaco at one time; a six-joint arm has six values, never a meaningless seventh.
 
-    Rates are from the angles of the last 40 ms, the pose is from the angles. wrench: the joints' torque sensors drift,
-    so that some newtons are shown where nothing touches; its direction was never verified on an arm
-    fingers: (3,) from 0 open to 6800 closed
-    sweep_s: how much older wrench, torques, currents and fifo_count may be than the angles; currents_a: (n,)
+    Rates are from the angles of the last 40 ms, the pose is from the angles. wrench: force and torque at the end
+    effector. The joints' torque sensors drift, so that it is some newtons without contact; its direction was not
+    verified on an arm; fingers: (3,) from 0 open to 6800 closed
+    sweep_s: by how much wrench, torques, currents and fifo_count may be older than the angles; currents_a: (n,)
     supply_v, supply_a: its main supply; temperatures_deg_c: (n,) temperatures of the joints; homed: whether it was at
     home since it was switched on; these are read once a second
     """

@@ -65,11 +65,11 @@ class RetractType(IntEnum):
 
 
 HOMED = (RetractType.READY_STANDBY, RetractType.NORMAL_STANDBY)
-"""At rest at home, or elsewhere after it was there since it was switched on."""
+"""Status of an arm that was at home since it was switched on."""
 
 
 class DeviceType(IntEnum):
-    """Which arm it is."""
+    """Type of the arm."""
 
     JACO1 = 0
     MICO_6DOF = 1
@@ -224,7 +224,7 @@ class ZoneShape(ctypes.Structure):
 
 
 class Zone(ctypes.Structure):
-    """Box in which the hand may move no faster than its limitation; 0 = not at all."""
+    """A box in which the hand moves no faster than the zone's limit; 0 = it may not enter."""
 
     _fields_ = [
         *_alike(c_int, "ID Expansion1"),

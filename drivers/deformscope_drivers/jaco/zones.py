@@ -1,8 +1,8 @@
 """Protection zones that the arm's own firmware keeps its hand out of, also after this program has died.
 
-They are stored in the arm, for any program or joystick that moves it next. Published facts: a zone is a prism on a base
-with four corners, and one whose speed is 0 is not entered. Cartesian motions respect them, motions by joints as this
-driver sends them do not (kinova-ros issue 386). Not tried on a real arm.
+Zones are stored in the arm, and apply to any program or joystick that moves it later. Published facts: a zone is a
+prism on a base with four corners, and one whose speed is 0 is not entered. Cartesian motions respect them, motions by
+joints as this driver sends them do not (kinova-ros issue 386). This was not tested on a real arm.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def zone_list(boxes: Sequence[Workspace]) -> ZoneList:
 
 
 def boxes_of(zones: ZoneList) -> tuple[Workspace, ...]:
-    """The boxes around zones that are closed to the hand; others, which only slow it down, are left out."""
+    """The boxes around zones that the hand may not enter; zones that only limit its speed are left out."""
     found = []
     for zone in zones.Zones[: zones.NbZones]:
         base, top = zone.zoneShape.Points[:4], zone.zoneShape.Points[4]
@@ -44,7 +44,7 @@ def boxes_of(zones: ZoneList) -> tuple[Workspace, ...]:
 
 
 def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[[], None]) -> None:
-    """Have the arm keep exactly these, and read them back. Nothing is written where it keeps them already.
+    """Have the arm keep exactly these, and read them back. If the arm has them already, nothing is written.
 
     pause: waits between two writes to the arm's configuration. Raises SettingsRefused where it says otherwise after.
     """

@@ -1,4 +1,4 @@
-"""How a KUKA's controller reaches this computer, and what the arm may do."""
+"""Settings of a KUKA: how its controller reaches this computer, and the arm's limits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from deformscope_drivers.kuka.chains import CHAINS
 
 @dataclass(frozen=True, slots=True)
 class KukaConfig:
-    """All that is to be said before an arm is opened.
+    """Settings of an arm, needed before it is opened.
 
     address, port: address and port of this computer, where the controller sends to (IP_NUMBER and PORT of RSI's
     ethernet configuration); controller: the only address that is answered, empty = whoever speaks first
@@ -22,7 +22,7 @@ class KukaConfig:
     command_deadline_s: default duration of a velocity
     wait_s: how long opening waits for the controller's program to be started
     check_pose: refuse a controller that reports the flange elsewhere than the model has it
-    own_process: a process of its own answers the controller, whatever this one does
+    own_process: a separate process answers the controller, so that it answers even while this one is busy
     """
 
     address: str = "0.0.0.0"

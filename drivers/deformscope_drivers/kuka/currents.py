@@ -8,9 +8,10 @@ import numpy.typing as npt
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross, jacobian_of
 
 UNIT_NM = np.array([2.0, 2.0, 1.5, 0.5, 0.5, 0.3])
-"""Torque at each axis for one unit of current. All numbers here are chosen, of the order of a small six-axis arm."""
+"""Torque at each axis for one unit of current. Torque for a current of 1; all numbers here are assumed, of the order of
+a small six-axis arm."""
 MASSES_KG = ((3, 14.0), (5, 5.0), (6, 2.0))
-"""At the frames of links."""
+"""Masses at the frames of links."""
 COULOMB_NM = np.array([12.0, 15.0, 10.0, 4.0, 3.0, 2.0])
 TURNS_DEG_S = 0.02
 """Width of the axis' rate over which friction changes its sign [deg/s]."""

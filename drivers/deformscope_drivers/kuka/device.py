@@ -1,9 +1,9 @@
 """A KUKA through RSI: each of the controller's cycles is answered at once, with the correction for that cycle.
 
 Corrections are relative: an answer of zeros leaves the arm at rest, so no waiting points would have to be erased. A
-velocity becomes velocity times cycle, clamped to the axes' speeds, for as long as its sender vouches for it, and zero
-after. A missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it,
-with a correction of PROBE_DEG after which answers are left out, and refuses any other controller.
+correction is velocity times cycle, limited to the axes' speeds, until the velocity expires, and zero afterwards. A
+missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it, with a
+correction of PROBE_DEG after which answers are left out, and refuses any other controller.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ RATES_OVER_NS = 40_000_000
 POSE_MM, POSE_DEG = 5.0, 2.0
 CYCLES_SEEN = 5
 ZEROS_AT_CLOSE = 3
-"""Answers of zeros before the port is closed: the controller may miss two of them."""
+"""Number of answers with zeros before the port is closed: the controller may miss two of them."""
 REST_ANSWERS = 50
 """Number of successive ones that must be in time while an arm is stopped. Not a time: this process may be held up."""
 PROBE_DEG, PROBE_LEFT_OUT, PROBE_SETTLES_S = 0.01, 2, 0.5
@@ -59,7 +59,7 @@ FILES = "`deformscope arm files RIG` writes the files"
 
 
 def open_kuka(config: KukaConfig) -> Arm[Any]:
-    """The device, closed: in a process of its own unless the configuration says otherwise."""
+    """The device, not yet opened: in a separate process unless the configuration disables that."""
     return HostedArm(Kuka, config) if config.own_process else Kuka(config)
 
 

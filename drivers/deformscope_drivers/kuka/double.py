@@ -1,10 +1,10 @@
 """A KUKA controller with its arm, simulated: RSI's datagrams in each cycle, and its response to the answers.
 
-As a controller does, it takes an answer only within its own cycle and with its own IPOC, and counts missing ones. It
-ends RSI after too many, or for a correction that would turn an axis faster or further than its limits. A missing answer
-is a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from where RSI
-began. The behaviour of HOLDON and of both modes is from kuka_experimental (ros_rsi_ethernet.xml, pull request 119), not
-from a real controller. It is pure (`deformscope_drivers.doubles.Double`).
+Like a controller, it accepts an answer only within its cycle and with its IPOC, and counts missing answers. It ends RSI
+after too many missing answers, or for a correction that would turn an axis faster or further than its limits. A missing
+answer is a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from
+where RSI began. The behaviour of HOLDON and of both modes is from kuka_experimental (ros_rsi_ethernet.xml, pull request
+119), not from a real controller. It has neither port nor thread (`deformscope_drivers.doubles.Double`).
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class KukaDouble:
             return self._joints_deg.copy()
 
     def joints_at(self, now_ns: int) -> FloatArray:
-        """(6,) where the axes are within a cycle [deg]; `joints_deg` is where they were as it began."""
+        """(6,) angles of the axes within a cycle [deg]; `joints_deg` has those at its beginning."""
         with self._lock:
             self._live(now_ns)
             began_ns = (now_ns if self._next_ns is None else self._next_ns) - self._cycle_ns
@@ -106,8 +106,8 @@ class KukaDouble:
         return np.asarray(self.T_base_links[-1])
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """It does not yield, as far as its axes show; its motors' currents do. wrench: (6,) on the flange, in the base
-        frame [N, Nm]"""
+        """The push does not change the axes' angles, but the motors' currents. wrench: (6,) wrench on the flange, in
+        the base frame [N, Nm]"""
         self._wrench = np.array(wrench, dtype=float)
 
     # The wire --------------------------------------------------------------------------------------------------------

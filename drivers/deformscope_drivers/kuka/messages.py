@@ -23,7 +23,7 @@ POSE = ("X", "Y", "Z", "A", "B", "C")
 
 @dataclass(frozen=True, slots=True)
 class RobMessage:
-    """joints_deg: (6,) where the axes are (AIPos); pose: (6,) X, Y, Z [mm] and A, B, C [deg] of the tool in the
+    """joints_deg: (6,) angles of the axes (AIPos); pose: (6,) X, Y, Z [mm] and A, B, C [deg] of the tool in the
     controller's present base (RIst), None if it is not sent; setpoint_deg: (6,) ASPos; late: answers that came too late
     since the last one in time (Delay); ipoc: counter of this cycle [ms]; currents: (6,) currents of the motors (MACur),
     in the controller's own units, empty where they are not sent"""
@@ -38,8 +38,8 @@ class RobMessage:
 
 @dataclass(frozen=True, slots=True)
 class SenMessage:
-    """corrections_deg: (6,) corrections of the axes [deg]; ipoc: counter of the cycle that is answered; kind: as
-    configured in the controller"""
+    """corrections_deg: (6,) corrections of the axes [deg]; ipoc: counter of the cycle that is answered; kind: type of
+    the message, as configured in the controller"""
 
     corrections_deg: tuple[float, ...]
     ipoc: int
@@ -47,7 +47,8 @@ class SenMessage:
 
 
 def decode_rob(data: bytes) -> RobMessage:
-    """The controller's message. Raises ProtocolViolation for what is none of its messages, or lacks what is needed."""
+    """The controller's message. Raises ProtocolViolation for a datagram that is no such message, or lacks a required
+    element."""
     root = _root(data, "Rob")
     delay = root.find("Delay")
     return RobMessage(
@@ -61,7 +62,7 @@ def decode_rob(data: bytes) -> RobMessage:
 
 
 def encode_rob(message: RobMessage) -> bytes:
-    """As a controller sends it, with what kuka_experimental's ros_rsi_ethernet.xml has it send; MACur besides, where
+    """The message that a controller sends, with the elements in kuka_experimental's ros_rsi_ethernet.xml; and MACur if
     there are currents (DEF_MACur)."""
     parts = ['<Rob Type="KUKA">']
     for tag, names, values in (

@@ -13,7 +13,7 @@ from deformscope_drivers.wires import LOOPBACK, Wire
 
 
 class UdpPort(Transport):
-    """Where a controller sends its datagrams to; answers go to whoever sent the last one.
+    """The port to which a controller sends its datagrams; answers go to the sender of the last one.
 
     `read` gives the newest datagram alone: an older one is answered too late in any case
     """

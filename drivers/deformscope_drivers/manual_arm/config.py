@@ -11,10 +11,10 @@ MANUAL = "placed"
 
 @dataclass(frozen=True, slots=True)
 class ManualArmConfig:
-    """All that is known of an arm without an interface.
+    """Settings of an arm without an interface.
 
-    start_m: (3,) where the mount of the stick is at the beginning, in the frame that `T_arm_surface` relates to the
-    surface; theta_rad: its rotation about x, the new y, the new z; default: its z axis, along the stick, points down
+    start_m: (3,) initial place of the stick's mount, in the frame that `T_arm_surface` relates to the surface;
+    theta_rad: its rotation about x, the new y, the new z; default: its z axis, along the stick, points down
     resolution_m: finest step of its scale; no finer one is requested of a person
     state_hz: how often the pose is reported again
     """

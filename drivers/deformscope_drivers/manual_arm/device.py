@@ -1,6 +1,6 @@
 """An arm that a person places: it is where they have confirmed that it is, and reports that until they say otherwise.
 
-Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves it.
+Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves the arm.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class ManualArm(Arm[ArmState]):
         return Identity(MANUAL)
 
     def place(self, T_base_end_effector: npt.ArrayLike) -> None:
-        """A person has put it there: (4, 4) [m]. Raises OutOfLimits for what is no pose, MotionStopped after `halt`."""
+        """A person has put it there: (4, 4) [m]. Raises OutOfLimits for an invalid pose, MotionStopped after `halt`."""
         self._require_open()
         pose = np.asarray(T_base_end_effector, dtype=float)
         rigid = pose.shape == (4, 4) and np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
@@ -82,7 +82,7 @@ class ManualArm(Arm[ArmState]):
         raise self._no_commands("an arm that moves on commands")
 
     def stop(self) -> None:
-        """Nothing to stop: the arm does not move without a person. Raises NotConnected where it is not open."""
+        """Does nothing: the arm does not move without a person. Raises NotConnected if it is not open."""
         self._require_open()
 
     def halt(self, reason: str) -> None:

@@ -9,7 +9,7 @@ from deformscope_drivers.arm.kinematics import FloatArray
 
 
 class StandDouble:
-    """T_base_end_effector: (4, 4) where the mount of the stick truly is [m]"""
+    """T_base_end_effector: (4, 4) true pose of the stick's mount [m]"""
 
     def __init__(self, T_base_end_effector: npt.ArrayLike) -> None:
         self._T_base_end_effector: FloatArray = np.array(T_base_end_effector, dtype=float)
@@ -25,8 +25,8 @@ class StandDouble:
 
     @property
     def T_base_links(self) -> FloatArray:
-        """(1, 4, 4): nothing but its end is known."""
+        """(1, 4, 4) pose of its end, the only one that is known."""
         return self.T_base_end_effector[None]
 
     def push(self, wrench: npt.ArrayLike) -> None:
-        """It is rigid; a compliance under a push is not visible on a scale either."""
+        """Push the arm, which is rigid; compliance is not visible on a scale either."""

@@ -131,7 +131,7 @@ class ListedDevice:
 
 
 class Openni:
-    """The library, loaded and initialised. library: its path or folder; empty = where the system has it"""
+    """The library, loaded and initialised. library: its path or folder; empty = the system's"""
 
     def __init__(self, library: str = "") -> None:
         self.lib = load(library)
@@ -255,7 +255,7 @@ class OpenniStream:
         return Mode(mode.width, mode.height, mode.fps, mode.pixel_format)
 
     def set_mode(self, mode: Mode) -> None:
-        """Ask for a mode; `mode` says what is in force."""
+        """Request a mode; `mode` is the one in force."""
         asked = _VideoMode(mode.pixel_format, mode.width, mode.height, mode.fps)
         self._lib.oniStreamSetProperty(self.handle, StreamProperty.VIDEO_MODE, byref(asked), sizeof(asked))
 
@@ -290,7 +290,7 @@ class OpenniStream:
         self._openni.check(self._lib.oniStreamStart(self.handle), "a stream that starts", self._uri)
 
     def read(self) -> Frame:
-        """The frame that is there; blocks for ever when there is none, so only after `Openni.wait`."""
+        """The waiting frame. It blocks forever without one, so call it only after `Openni.wait`."""
         pointer = POINTER(_Frame)()
         status = self._lib.oniStreamReadFrame(self.handle, byref(pointer))
         self._openni.check(status, "a frame", self._uri, LinkLost)
@@ -316,7 +316,7 @@ def pixel_bytes(pixel_format: int) -> int:
 
 
 def load(library: str = "") -> ctypes.CDLL:
-    """Load OpenNI2; raises LibraryMissing. It finds its drivers in `OpenNI2/Drivers` in its own folder."""
+    """Load OpenNI2; raises LibraryMissing. The library finds its drivers in `OpenNI2/Drivers` in its folder."""
     tried = _candidates(library)
     for path in tried:
         try:

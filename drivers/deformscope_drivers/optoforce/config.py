@@ -12,16 +12,16 @@ from deformscope_drivers.transport import check_way
 
 @dataclass(frozen=True, slots=True)
 class OptoforceConfig:
-    """One of `port` and `bus`, and other differences from a DAQ as sold.
+    """Settings of a DAQ: either `port` or `bus`, and whatever differs from a DAQ as sold.
 
     port: serial port or address (`/dev/ttyACM0`, `socket://host:port`); bus: CAN bus (`socketcan:can0`), with the ids
-    of the DAQ's packets and of ours
+    of the DAQ's packets and of the host's
     rate_hz: 1000, 333, 100, 30, 10, or 0 = it sends nothing; filter_hz: 500, 150, 50, 15, 5, 1.5, or 0 = no filter
-    sensitivity: the sensor's sensitivity report, one for each channel of a 4-channel DAQ; without it, readings come in
-    counts, and none is made up
+    sensitivity: the sensor's sensitivity report, one for each channel of a 4-channel DAQ; without it, readings are in
+    counts
     serial: refuse any other; asks for an answer that only some firmware gives
     zero_at_start: take the load at opening for zero
-    reconnect: None = a lost link ends the session; stuck_after_s: None = readings may stay the same for ever
+    reconnect: None = a lost link ends the session; stuck_after_s: None = readings may stay the same for ever.
 
     Raises ValueError for a rate, a filter or sensors that no DAQ has, NotConnected for a kind of port or bus that is
     not accepted.

@@ -1,6 +1,6 @@
 """Losses by the counter that every reading carries: a u16 that wraps, whose unit is not documented.
 
-It may count readings, or the DAQ's own samples at 1 kHz, so that its usual step is learned from the stream.
+The counter may count readings, or the DAQ's samples at 1 kHz, so that its usual step is learned from the stream.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ LEARNED_FROM = 8
 LATE_STEPS = 16
 """Largest delay of a reading that others overtook."""
 JITTER_NS = 250_000_000
-"""By how much the arrival of a reading may vary; a counter that is further ahead of the host's clock has jumped."""
+"""Largest variation of a reading's arrival; a counter that is further ahead of the host's clock has jumped."""
 ANCHOR_NS = 10_000_000_000
 """Period of comparing the clocks, so that their drift does not matter."""
 
@@ -78,8 +78,8 @@ class CounterTrack:
     def follow(self, counter: int, host_ns: int, *, twin: bool = False) -> Gap:
         """Interpretation of the next reading's counter.
 
-        host_ns: its arrival on the host's clock [ns]; twin: all of it is as in the reading before, which was then sent
-        twice; a damaged counter may equal the one before, but not all else
+        host_ns: its arrival on the host's clock [ns]; twin: the whole reading equals the one before, which was then
+        sent twice; a damaged counter may equal the one before, but the rest would differ
         """
         last, self._last = self._last, counter
         if last is None:

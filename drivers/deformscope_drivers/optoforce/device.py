@@ -27,7 +27,7 @@ SILENCE_READINGS = 10
 RESTART_S = 0.1
 """A gap this long, or of `SILENCE_READINGS`, may hide a restart: then the settings are sent again, to be safe."""
 ZERO_REST_S = 0.005
-"""Between clearing the zero point and setting it: 2 ms at least, or the DAQ ignores it."""
+"""Time between clearing the zero point and setting it: at least 2 ms, or the DAQ ignores it."""
 STILL_COUNTS = 30.0
 STILL_S = 0.25
 STILL_READINGS = 10
@@ -40,7 +40,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class DaqSettings:
-    """The settings last sent to the DAQ, which cannot be read back. zeroed: it subtracts a zero point itself"""
+    """The settings last sent to the DAQ, which cannot be read back. zeroed: the DAQ subtracts a zero point"""
 
     speed: protocol.Speed
     filter: protocol.Filter
@@ -52,7 +52,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     Opening sends the settings and waits for the first reading. After a lost link, or a restart of the DAQ, they are
     sent again; a lost zero point is subtracted here from then on.
-    transport, clock: in place of the configuration's port and the host's clock (a simulated laboratory)
+    transport, clock: used instead of the configuration's port and the host's clock (in a simulated laboratory)
     """
 
     _settings: DaqSettings
@@ -88,7 +88,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     @property
     def kind(self) -> protocol.Kind | None:
-        """Which sensors are connected to the DAQ; None before the first reading."""
+        """Type of the sensors at the DAQ; None before the first reading."""
         return self._measurer.kind
 
     @property
@@ -107,7 +107,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         self._do(lambda: self._change(replace(self._settings, speed=speed)), 10.0)
 
     def set_filter(self, filter_hz: float) -> None:
-        """Filter otherwise, as `OptoforceConfig.filter_hz`; 0 = not at all. Raises CommandRefused."""
+        """Change the filter, as `OptoforceConfig.filter_hz`; 0 = no filter. Raises CommandRefused."""
         filter_ = filter_of(filter_hz)
         self._do(lambda: self._change(replace(self._settings, filter=filter_)), 10.0)
 

@@ -41,7 +41,7 @@ Scene = Callable[[float], npt.ArrayLike]
 """Time [s] on the clock that the double is fed -> loads [N], [N m], (axes,) or (channels, axes)."""
 
 OMD_20_SE_40N = Sensitivity(counts_at_nominal=(16037.0, 16037.0, 16037.0), nominal=(40.0, 40.0, 40.0))
-"""The one sensor whose number is public: OMD-20-SE-40N, serial number ISE0A129. Another sensor has another."""
+"""The only sensor whose sensitivity is published: OMD-20-SE-40N, serial number ISE0A129. Another sensor has another."""
 
 
 _WELL = Status.of()
@@ -55,14 +55,14 @@ def _nothing_touches(time_s: float) -> npt.ArrayLike:
 class Sensors:
     """The simulated sensors.
 
-    scene: the loads; sensitivity: one for each channel, or one for all
+    scene: the loads; sensitivity: sensitivity of each channel, or of all
     offset_counts: what every axis reads without load before it is zeroed
     noise_counts: standard deviation of a sample, before the filter
     overload_ratio: beyond this multiple of the nominal load an axis says that it is overloaded (an assumption)
-    saturation_ratio: an axis reads no more than this multiple of its nominal load (an assumption)
-    clock_ppm: how much faster than the host's the DAQ's clock runs
+    saturation_ratio: largest reading of an axis, as a multiple of its nominal load (assumed)
+    clock_ppm: rate of the DAQ's clock above that of the host's
     counts_samples: the counter counts samples at 1 kHz, not readings (it is not documented which)
-    acknowledges: it answers `Configure`; some firmware does not
+    acknowledges: the DAQ answers `Configure`; some firmware does not
     """
 
     kind: Kind = Kind.THREE_AXIS
@@ -80,7 +80,7 @@ class Sensors:
     seed: int = 0
 
     def sensitivities(self) -> list[Sensitivity]:
-        """One for each channel."""
+        """The sensitivity of each channel."""
         given = self.sensitivity
         if given is None:
             given = OMD_20_SE_40N if self.kind.axes == 3 else Sensitivity((8000.0,) * 6, (100.0,) * 3 + (2.0,) * 3)
@@ -103,13 +103,13 @@ class _VolatileSettings:
 
 
 class OptoforceDouble:
-    """A DAQ. It starts at its default 100 Hz with the 15 Hz filter, as the real one does.
+    """A DAQ. It starts at 100 Hz with the 15 Hz filter, the defaults of a real DAQ.
 
     The filter is a first-order low-pass on samples at 1 kHz; the order of the real one is not known. An unknown
     setting is refused with result 1, which is an assumption: only 0 is documented.
 
     unplugged: channels without their sensor, which read 0 and report it; 0 is the first
-    silent: it hangs, and sends nothing
+    silent: the DAQ hangs, and sends nothing
     """
 
     def __init__(self, sensors: Sensors | None = None) -> None:
@@ -171,7 +171,7 @@ class OptoforceDouble:
         return self._line.due(now_ns)
 
     def next_ns(self, now_ns: int) -> int | None:
-        """When `due` has something next, without any bytes from the host."""
+        """When `due` next has bytes, without any from the host."""
         self._run_until(now_ns)
         times = [self._line.next_ns(), self._time_ns(self._next_sent) if self._settings.speed else None]
         return min((time for time in times if time is not None), default=None)

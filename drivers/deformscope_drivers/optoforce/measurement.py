@@ -1,6 +1,6 @@
 """A DAQ's reading in physical units: forces with a sensitivity report, counts otherwise.
 
-Nothing here has a port or a thread: the device measures with it, and so does the replay of a recording's bytes.
+Both the device and the replay of a recording's bytes use this module, which has neither port nor thread.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class ForceMeasurement:
     """Loads on all channels at one moment, in each sensor's own frame. Positive Fz is compression, as far as is known.
 
     stamp: arrival, with the DAQ's counter (u16, wraps) as ticks
-    status: status of DAQ and sensors; counts: (channels, axes) as sent
-    per_count: (channels, axes) what a count is worth [N], [N m]; None = no sensitivity report was given
-    offset_counts: (channels, axes) subtracted here, because the DAQ has lost the zero point that it was given
-    lost_before: readings missing right before this one; negative where that many, counted as missing before, were not
+    status: status of DAQ and sensors; counts: (channels, axes) counts as sent
+    per_count: (channels, axes) load of a count [N], [N m]; None = no sensitivity report was given
+    offset_counts: (channels, axes) counts subtracted here, because the DAQ has lost its zero point; lost_before: number
+    of readings missing directly before this one; negative corrects an earlier count that was too large
     follows: the counter's interpretation
     doubts: why it is unreliable: `status` and `load` are out of range, `counter` and `kind` do not follow the earlier
     ones, `zero` = it arrived while the zero point was changed or may have been lost

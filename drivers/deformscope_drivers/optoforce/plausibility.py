@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from deformscope_drivers.optoforce.protocol import DaqState, Kind, Reading, SensorState
 
 PLAUSIBLE_RATIO = 2.0
-"""How far beyond its nominal force a sensor may read, as a multiple of it: about where its signal ends."""
+"""Largest plausible reading, as a multiple of the nominal force: about the end of the sensor's range."""
 
 TORQUE_BITS = 0x70
 KNOWN_DAQ = frozenset(DaqState)

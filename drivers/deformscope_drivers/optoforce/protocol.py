@@ -39,7 +39,7 @@ SERIAL_SIZE = 8
 
 
 class Speed(IntEnum):
-    """How often the DAQ sends: the period [ms], as on the wire."""
+    """Period with which the DAQ sends [ms], as on the wire."""
 
     STOP = 0
     HZ_1000 = 1
@@ -67,7 +67,7 @@ class Filter(IntEnum):
 
     @property
     def cutoff_hz(self) -> float | None:
-        """Where it cuts off [Hz]; None = no filter."""
+        """Cut-off frequency [Hz]; None = no filter."""
         return {0: None, 1: 500.0, 2: 150.0, 3: 50.0, 4: 15.0, 5: 5.0, 6: 1.5}[self]
 
 
@@ -79,7 +79,7 @@ class Zero(IntEnum):
 
 
 class Kind(Enum):
-    """Which sensors are connected to the DAQ."""
+    """Type of the sensors at the DAQ."""
 
     THREE_AXIS = "3-axis"
     FOUR_CHANNEL = "4-channel"
@@ -117,16 +117,16 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 class Status(int):
-    """The status word, which is a number, and what its bits say."""
+    """The status word, which is a number, and the meaning of its bits."""
 
     @property
     def daq(self) -> DaqState | int:
-        """The DAQ's state; a bare number where it is none of the known."""
+        """The DAQ's state; a number if it is unknown."""
         return _named(DaqState, self >> 13)
 
     @property
     def sensor(self) -> SensorState | int:
-        """The sensor's state; a bare number where it is none of the known."""
+        """The sensor's state; a number if it is unknown."""
         return _named(SensorState, self >> 10 & 7)
 
     @property
@@ -141,7 +141,7 @@ class Status(int):
 
     @property
     def sensor_number(self) -> int:
-        """Which sensor it is about, 1 to 4; 0 where it does not say."""
+        """Number of the sensor concerned, 1 to 4; 0 if not stated."""
         return self & 7
 
     @property
@@ -186,7 +186,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Configure:
-    """Sets speed, filter and zero point, always all three. They cannot be read back.
+    """Sets speed, filter and zero point, always all three. The DAQ's settings, which cannot be read back.
 
     speed: a `Speed`; filter: a `Filter`; zero: a `Zero`. Bytes outside these may arrive on a wire.
     """
@@ -283,7 +283,7 @@ class CommandDecoder(_OptoforceDecoder[Command]):
 
 
 def encode(message: Command | Reply) -> bytes:
-    """The packet of this message. Raises ValueError for what does not fit into one."""
+    """The packet of this message. Raises ValueError for values that do not fit."""
     match message:
         case Reading(kind, counter, status, counts):
             values = [value for channel in counts for value in channel]

@@ -15,7 +15,7 @@ class Sensitivity:
     """A sensor's sensitivity report.
 
     counts_at_nominal: what each axis reads at its nominal load: Fx Fy Fz, or Fx Fy Fz Tx Ty Tz
-    nominal: those loads [N], [N m] for torques
+    nominal: nominal loads [N], [N m] for torques.
 
     Raises ValueError unless both have 3 numbers, or both 6, all finite, the nominal ones positive.
     """

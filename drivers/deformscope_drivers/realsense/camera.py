@@ -34,7 +34,7 @@ UNIT_STEP_M = 1.01e-6
 
 @dataclass(frozen=True, slots=True)
 class RealsenseSettings:
-    """How a camera is opened. serial: empty = the only one; preset: empty, unit_m: None = as the camera has it
+    """How a camera is opened. serial: empty = the only one; preset: empty, unit_m: None = the camera's present ones
     warm_up_s: time whose pictures are left out, while the exposure settles; global_time: stamps on the host's clock"""
 
     serial: str = ""
@@ -51,7 +51,7 @@ class RealsenseSettings:
 
 @dataclass(frozen=True, slots=True)
 class ListedRealsense:
-    """A camera that librealsense sees. usb: "3.2", "2.1"; trouble: why nothing is known of it, else empty"""
+    """A camera that librealsense sees. usb: "3.2", "2.1"; trouble: why it could not be read, else empty"""
 
     serial: str
     name: str = ""

@@ -1,6 +1,6 @@
 """Replaces the module pyrealsense2, as far as `camera.py` uses it, by cameras that a file describes.
 
-It behaves as librealsense 2.59 was seen to do on a camera made of software, and as its source and issues say:
+It behaves as librealsense 2.59 does with a software camera, and as its source and issues describe:
 - frames have numbers and time stamps from a camera on its own clock: a late reader finds numbers missing
 - an empty queue reports that after its time; a camera that was unplugged gives no more frames, and an event
 - the hardware clock wraps after 2^32 us; without the kernel's metadata the host stamps frames
@@ -36,13 +36,13 @@ FOCAL_OF_WIDTH = 0.5044
 
 @dataclass(frozen=True, slots=True)
 class DoubleCamera:
-    """A camera, and what goes wrong with it.
+    """A simulated camera with its faults.
 
     usb: "3.2" or "2.1"; hidden: what keeps the library from knowing it; busy: what starting it raises
     silent: no frames; frozen: the same picture; hung: a call that never comes back; lost: frames lost so far
-    clock_us: what its clock shows at the host's zero; metadata: the kernel passes its time stamps
+    clock_us: reading of its clock at the host's zero; metadata: the kernel passes its time stamps
     drifting_unit_m: the unit of its frames, whatever was set; notes: its warnings
-    deaf: it takes no setting; lens: distortion of its colour camera; color_late_ms: delay of its stamps relative to
+    deaf: it ignores settings; lens: distortion of its colour camera; color_late_ms: delay of its stamps relative to
     those of depth
     repeating: a picture of depth comes again with the next one's colour, as the library does where pairs do not match
     """
@@ -69,7 +69,7 @@ class DoubleCamera:
 
 
 def plug(file: Path, *cameras: DoubleCamera) -> None:
-    """From now on these cameras are there, for whoever was started with CAMERAS_FILE naming that file."""
+    """From now on these cameras are present, for processes that were started with that file as CAMERAS_FILE."""
     written = file.with_suffix(".new")
     written.write_text(json.dumps([dataclasses.asdict(one) for one in cameras]), encoding="utf-8")
     written.replace(file)
@@ -202,7 +202,8 @@ class video_stream_profile:
 
 
 class sensor:
-    """Depth's or colour's, with the settings of one device object: they end with it, as a camera's that is reset."""
+    """The sensor of depth or colour, with the settings of one device object: they end with the object, as with a reset
+    of a camera."""
 
     def __init__(self, serial: str, of: stream) -> None:
         self._serial, self._of = serial, of

@@ -3,8 +3,9 @@
     request  code u8, length u8, count u8 (0 or 7),            count x f32, [crc u16]
     reply    code u8, length u8, count u8,         status u8,      7 x f32, [crc u16]
 
-Little-endian. `length` counts every byte behind itself, with the checksum; so it shows whether there is one. There is
-one on RS-232, over all bytes before it, and none on CAN and TCP. Source: ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
+Little-endian. `length` counts all following bytes, including the checksum, so that it shows whether there is one.
+Messages on RS-232 have a checksum over all bytes before it, those on CAN and TCP have none. Source:
+ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def encode_reply(event: Reading | ValueReply | ErrorReply, *, checksummed: bool)
 
 
 def parse_reply(buffer: bytes, start: int, checksummed: bool | None) -> GoodFrame[Event] | Refused | None:
-    """The reply whose code is at `start`; checksummed: None = as its length says."""
+    """The reply whose code is at `start`; checksummed: None = decided by its length."""
     body = _body(buffer, start, {_REPLY_LENGTH: AXIS_COUNT}, checksummed)
     if not isinstance(body, bytes):
         return body

@@ -111,7 +111,8 @@ ERRORS: Final = (
     ("INTERNAL", "switch the hand off and on"),
     ("UNKNOWN_ERROR", "switch the hand off and on"),
 )
-"""Name and what to try, by number: what `E<n>` lines and binary status bytes say. Not the tactile controller's."""
+"""Name and what to try, by number: what `E<n>` lines and binary status bytes say. The hand's error codes, not those of
+the tactile controller."""
 
 
 def error_name(code: int) -> str:

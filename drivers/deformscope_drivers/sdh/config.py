@@ -25,7 +25,7 @@ class SdhConfig:
     checksum: checksum of binary messages; None = on serial ports, not on CAN and `socket://`
     rate_hz: rate of requests for positions, velocities and states (RS-232 has room for about 90 Hz)
     temperature_period_s: period of requests for temperatures
-    reply_timeout_s: for one try of a command; there are three
+    reply_timeout_s: time limit of one attempt of a command; there are three attempts
     leave_powered: close() leaves axes on that this session switched on (Schunk's library switches them off as well)
     """
 

@@ -94,10 +94,10 @@ class Sdh(SdhConnection):
         """Move to angles, all axes starting and ending together; the slowest one gives the time.
 
         targets_deg: (7,), or by axis, the others staying where they are; velocity_deg_s, acceleration_deg_s2: (7,) or
-        one for all (the sin² profile has no acceleration); timeout_s: None = the hand's own duration and 1 s more,
-        after which the hand is stopped, as it is by Ctrl-C. Firmware switches all axes on by this. A blocked axis
-        raises nothing; `result.outcome` reports it, because contact is a hand's purpose. Raises OutOfLimits (nothing
-        was sent), CommandRefused, LinkLost, NoReply.
+        one for all (the sin² profile has no acceleration); timeout_s: time after which the hand is stopped, as by
+        Ctrl-C; None = the duration that the hand reports, plus 1 s. The firmware then switches all axes on. A blocked
+        axis raises nothing; `result.outcome` reports it, because contact is a hand's purpose. Raises OutOfLimits
+        (nothing was sent), CommandRefused, LinkLost, NoReply.
         """
         speeds = self.limits.speeds(velocity_deg_s, self.name)
         accelerations = self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -125,7 +125,7 @@ class Sdh(SdhConnection):
     def grip(
         self, close: float, velocity_deg_s: float, *, wait: bool = True, timeout_s: float | None = None
     ) -> MoveResult:
-        """Close the grasp that was selected: 0 open to 1 closed, at up to 100 deg/s. `stop` does not end this."""
+        """Close the selected grasp: 0 open to 1 closed, at up to 100 deg/s. `stop` does not end this."""
         within("closing", "", close, 0.0, 1.0, self.name)
         within(
             "grip velocity", "deg/s", velocity_deg_s, GRIP_VELOCITY_MIN_DEG_S, codes.GRIP_VELOCITY_MAX_DEG_S, self.name
@@ -151,8 +151,9 @@ class Sdh(SdhConnection):
     ) -> None:
         """Turn the axes at velocities with sign, (7,), for `keep_s` from now; call again in time to continue.
 
-        Without a further call in time, the driver's thread sets all to 0. acceleration_deg_s2: ramp, given once; None =
-        as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for ever.
+        Without a further call in time, the driver's thread sets all velocities to 0. acceleration_deg_s2: ramp, given
+        once; None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for
+        ever.
         """
         velocities = self.limits.velocities(velocity_deg_s, self.name)
         ramp = None if acceleration_deg_s2 is None else self.limits.accelerations(acceleration_deg_s2, self.name)
@@ -178,7 +179,7 @@ class Sdh(SdhConnection):
     # Settings --------------------------------------------------------------------------------------------------------
 
     def power(self, on: bool | Sequence[bool]) -> None:
-        """Switch axes on, holding where they are, or off: one for all, or (7,).
+        """Switch axes on, so that they hold their angles, or off: one value for all, or (7,).
 
         Raises SettingsRefused when the hand reports another value than was set, as during a grip.
         """
@@ -202,7 +203,7 @@ class Sdh(SdhConnection):
         return self._do(lambda: self._values(CurrentMode(mode)), COMMAND_TIMEOUT_S)
 
     def set_current_limits(self, limit_a: Sequence[float] | float, mode: CurrentMode = CurrentMode.MOVE) -> None:
-        """Limit the motor currents: one for all, or (7,) [A], 0 to 1."""
+        """Limit the motor currents: one value for all, or (7,) [A], 0 to 1."""
         limits_a = self.limits.currents(limit_a, self.name)
         self._do(lambda: self._set(CurrentMode(mode), limits_a), COMMAND_TIMEOUT_S)
 

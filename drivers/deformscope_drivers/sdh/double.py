@@ -1,7 +1,7 @@
 """A simulated SDH hand that speaks the real one's bytes: a state machine fed bytes and time.
 
-`firmware` carries out commands, `motion` moves the axes; here are its line and its bytes. Assumed: that an empty line
-is answered with nothing, and numbers with two decimals.
+`firmware` carries out commands, `motion` moves the axes; here are its line and its bytes. Assumed: an empty line has no
+answer, and numbers have two decimals.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SdhDouble:
 
     firmware: determines its features: binary from 0.0.2.15 on, `con` and `rvel` from 0.0.2.6, `vlim` from 0.0.2.1,
     `alim` from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m`, `selgrip` and `grip` without duration
-    state_lag_s: how long after a command it reports the axis states from before (0.5 s is what IPA's driver waits)
+    state_lag_s: time after a command during which it reports the old axis states (IPA's driver waits for 0.5 s)
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class SdhDouble:
         return self._firmware.motion
 
     def power_up(self, now_ns: int) -> None:
-        """As after switching on: where it was, axes off, settings at their defaults."""
+        """Switch the hand on: its angles are unchanged, axes off, settings at their defaults."""
         self._firmware.power_up(now_ns)
         self._decoder = CommandDecoder(checksummed=self._checksummed)
         self._line.clear()

@@ -10,8 +10,8 @@ class Command:
     """A message of the host.
 
     name: the ASCII protocol's name, lower case; also for binary requests, whose code it stands for
-    values: one a value; none = ask
-    axis: 0 to 6, where the command is for one axis; None = for all
+    values: values to set; none = a query
+    axis: 0 to 6 for a command to one axis; None = all
     """
 
     name: str
@@ -24,8 +24,8 @@ class Reading:
     """A measurement of the hand.
 
     quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap` and `tvav`
-    are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity
-    values: 7, by axis; 9 temperatures: the 7 motors, the FPGA, the board; 1 if one axis was requested
+    are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity; values: 7
+    values, by axis; 9 temperatures: of the 7 motors, the FPGA and the board; 1 value if one axis was requested
     axis: None = all
     """
 
@@ -36,7 +36,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class ValueReply:
-    """A command was done; the values are what is now set, or a duration [s].
+    """A command was done; the values are the new settings, or a duration [s].
 
     name: lower case
     """

@@ -1,7 +1,7 @@
 """Commands of a simulated SDH hand, and its firmware's answers.
 
-Without documentation (marked "assumed") it takes the simplest behaviour: the answer to `stop`, that `selgrip` turns the
-base axis only, and the commands that are refused during a grip.
+Undocumented behaviour is the simplest one, marked "assumed": the answer to `stop`, that `selgrip` turns only the base
+axis, and the commands that are refused during a grip.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Refusal(Exception):
 class Firmware:
     """The commands of one release, on a hand that moves.
 
-    busy_until_ns: until then it answers nothing: older releases while they grip, all while they reference
+    busy_until_ns: until then it does not answer: older releases during a grip, all during referencing
     last_line: its output then
     """
 
@@ -50,7 +50,7 @@ class Firmware:
         self.power_up(0)
 
     def power_up(self, now_ns: int) -> None:
-        """At the angles it had, among the same things, as warm; axes off, settings at their defaults."""
+        """Switch on: angles, surroundings and temperatures are unchanged, axes off, settings at their defaults."""
         before, self.motion = self.motion, Motion(now_ns)
         self.motion.compliance = before.compliance
         for axis, old in zip(self.motion.axes, before.axes, strict=True):

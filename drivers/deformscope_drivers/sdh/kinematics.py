@@ -63,7 +63,7 @@ FINGERS: Final = (
 def finger_points(position_deg: FloatArray | tuple[float, ...], finger: int) -> FloatArray:
     """Proximal joint, distal joint and tip of finger 0, 1 (the thumb) or 2 in the hand frame: (3, 3) [m].
 
-    position_deg: (7,), by axis. At 0 a finger is upright; positive angles lean it over the palm.
+    position_deg: (7,) angles by axis. At 0 a finger is upright; positive angles lean it over the palm.
     """
     angles = np.radians(np.asarray(position_deg, dtype=np.float64))
     if angles.shape != (len(AXIS_NAMES),):
@@ -82,6 +82,6 @@ def finger_points(position_deg: FloatArray | tuple[float, ...], finger: int) -> 
 
 
 def fingertips(position_deg: FloatArray | tuple[float, ...]) -> FloatArray:
-    """The tips of fingers 0, 1 (the thumb) and 2 in the hand frame: (3, 3) [m]. They are the ends of the distal links'
-    axes; the pads lie in front of them."""
+    """The tips of fingers 0, 1 (the thumb) and 2 in the hand frame: (3, 3) [m]. Fingertips are the ends of the distal
+    links' axes; the pads are in front of them."""
     return np.stack([finger_points(position_deg, finger)[2] for finger in range(len(FINGERS))])

@@ -16,7 +16,8 @@ ByAxis = tuple[float, ...]
 class Limits:
     """The limits of the seven axes. Velocities and accelerations are the hand's own where its firmware reports them.
 
-    position_min_deg, position_max_deg, velocity_max_deg_s, acceleration_max_deg_s2, current_max_a: (7,) each
+    position_min_deg, position_max_deg, velocity_max_deg_s, acceleration_max_deg_s2, current_max_a: (7,) limits of each
+    axis
     """
 
     position_min_deg: ByAxis = codes.POSITION_MIN_DEG
@@ -50,7 +51,7 @@ class Limits:
 
 
 def within(name: str, unit: str, value: float, low: float, high: float, where: object = "") -> float:
-    """One number of a command that is for no axis. Raises OutOfLimits."""
+    """Check a number of a command that is not for an axis. Raises OutOfLimits."""
     if not low <= value <= high:  # not so for NaN either
         raise OutOfLimits(f"{name} of {low:g} to {high:g}{unit and ' ' + unit}", f"{value:g}", where=where)
     return float(value)

@@ -49,7 +49,7 @@ class Compliance(Protocol):
 
 
 def grasp_angles_deg(grasp: codes.Grasp, close: float) -> tuple[float, ...]:
-    """The angles of all axes, (7,), for a grasp closed by 0 (open) to 1."""
+    """The angles (7,) of all axes for a grasp that is closed by 0 (open) to 1."""
     base, (open_proximal, open_distal), (closed_proximal, closed_distal) = GRASPS[grasp]
     proximal = open_proximal + close * (closed_proximal - open_proximal)
     distal = open_distal + close * (closed_distal - open_distal)
@@ -225,7 +225,7 @@ class Motion:
         return duration_s
 
     def set_controller(self, controller: codes.Controller) -> None:
-        """Its defaults come with it, as since firmware 0.0.2.7."""
+        """Sets its defaults too, as firmware from 0.0.2.7 does."""
         self.controller = controller
         pose = controller is codes.Controller.POSE
         for axis in self.axes:

@@ -1,7 +1,7 @@
-r"""The SDH hand's bytes: commands to bytes, bytes to events. No port, no clock.
+r"""The SDH hand's bytes: commands to bytes, bytes to events. This module uses no port or clock.
 
-The hand speaks two protocols on the same line, and answers each command in the one that it came in. A binary reply
-starts with a byte of 128 or more; a line of text holds none. So one decoder takes both, in any order:
+The hand uses two protocols on the same line, and answers each command in the protocol of the command. A binary reply
+starts with a byte of 128 or more; a line of text holds none. Therefore one decoder accepts both, in any order:
 
     decoder = Decoder()
     for event in decoder.feed(b"POS=0.00,-10.00,20.00,-10.00,20.00,-10.00,20.00\r\n"):

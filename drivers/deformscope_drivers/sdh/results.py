@@ -17,10 +17,10 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandReading:
-    """Pose of the hand. The protocol has motor current limits and no measured currents, so there are none here.
+    """Pose of the hand. The protocol has no measured motor currents, so that a reading has none.
 
     stamp: when the angles arrived; states and velocities were requested right before them (3.4 ms each on RS-232)
-    position_deg, velocity_deg_s: (7,) by axis; state: state of each axis
+    position_deg, velocity_deg_s: (7,) angles and speeds by axis; state: state of each axis
     temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before
     """
 
@@ -34,7 +34,7 @@ class HandReading:
 
 @dataclass(frozen=True, slots=True)
 class HandIdentity:
-    """The hand's own identity. firmware: its release; binary: whether the driver speaks binary to it"""
+    """The hand's own identity. firmware: its release; binary: whether the driver uses the binary protocol"""
 
     firmware: str
     firmware_date: str

@@ -39,7 +39,7 @@ class Setting(Enum):
 
 
 class Capture(Protocol):
-    """An opened camera. One thread uses it."""
+    """An opened camera. Reads images from a camera; only one thread may use it."""
 
     def set(self, setting: Setting, value: float) -> None:
         """Ask for a setting; whether the camera took it is seen by `get` alone."""
@@ -54,7 +54,7 @@ class Capture(Protocol):
         """The camera's time of the image taken hold of [us]; None where it gives none."""
 
     def retrieve(self) -> NDArray[np.uint8] | None:
-        """That image, decoded: (H, W, 3) RGB; None where it cannot be decoded."""
+        """The grabbed image, decoded: (H, W, 3) RGB; None if it cannot be decoded."""
 
     def close(self) -> None:
         """Let go of the camera, in whatever state it is."""

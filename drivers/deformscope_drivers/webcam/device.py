@@ -30,8 +30,8 @@ class WebcamConfig:
     /dev/video0; width, height [px]; fps [Hz]; fourcc: the format on the wire, such as MJPG or YUYV
     exposure_s, gain, white_balance_k, focus: None = the camera's own (most choose automatically); gain and focus are in
     the driver's own units; autofocus: False switches it off where the camera has it, for a picture whose scale stays
-    silence_s: no image for this long means a lost camera; stuck_after_s: the same image for this long means a frozen
-    one, None = it may
+    silence_s: time without an image after which the camera counts as lost; stuck_after_s: the same image for this long
+    means a frozen one, None = it may
     """
 
     port: str | int = 0
@@ -183,7 +183,7 @@ def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
 
 
 def stable_name(path: str, links: Path) -> str:
-    """The link among `links` (/dev/v4l/by-id) to the same camera; the path itself where there is none."""
+    """The link among `links` (/dev/v4l/by-id) to the same camera, or else the path."""
     if not links.is_dir() or Path(path).parent == links or not Path(path).exists():
         return path
     target = Path(path).resolve()

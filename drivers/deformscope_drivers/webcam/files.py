@@ -28,7 +28,7 @@ DEFAULT_FPS = 30.0
 IMAGE_SUFFIXES = frozenset({".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 UNREADABLE = "unreadable"
 FAILED_READS = 8
-"""So many in a row are the end of a video: single pictures may be damaged."""
+"""Number of successive failed reads that end a video: single pictures may be damaged."""
 
 Picture = NDArray[np.uint8]
 
@@ -47,8 +47,8 @@ class Playback(Device[ColorImage]):
     """Pictures of a file, as from a camera.
 
     fps: pictures a second; None = as the file says, else 30
-    real_time: at that rate, as a camera would, so that a slow reader loses some. False = as fast as the readers take
-    them, and no reader loses any. No picture is read before a reader starts, and `next` advances by one picture
+    real_time: play at that rate, like a camera, so that a slow reader loses pictures. False = as fast as the readers
+    take them, and no reader loses any. No picture is read before a reader starts, and `next` advances by one picture
     loop: begin again at the end; otherwise the readers end A picture's device_ticks are its time in the file [us],
     which continues from round to round.
     """
