@@ -24,14 +24,21 @@ SCRIPTS = {
 }
 complete -o default -F _deformscope deformscope
 """,
-    "zsh": """_deformscope() {
+    "zsh": """(( $+functions[compdef] )) || { autoload -Uz compinit && compinit; }
+_deformscope() {
     local -a found
     found=("${(@f)$(deformscope completion zsh --line "${(j: :)words[1,CURRENT]}" 2>/dev/null)}")
     if [[ -n "$found" ]]; then compadd -Q -- $found; else _files; fi
 }
 compdef _deformscope deformscope
 """,
-    "fish": "complete -c deformscope -a '(deformscope completion fish --line (commandline -cp) 2>/dev/null)'\n",
+    "fish": """function __deformscope
+    set -l found (deformscope completion fish --line (commandline -cp | string collect) 2>/dev/null)
+    set -q found[1]; and printf '%s\\n' $found
+    or __fish_complete_path (commandline -ct)
+end
+complete -c deformscope -f -a '(__deformscope)'
+""",
 }
 
 
