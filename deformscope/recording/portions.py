@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -102,18 +102,18 @@ def item_size(item: Item) -> int:
 
 def arrays_size(value: object) -> int:
     """Bytes of an array, and of those in a dataclass or a sequence, however deep."""
-    match value:
-        case np.ndarray():
-            return value.nbytes
-        case tuple() | list():
-            return sum(map(arrays_size, value))
-        case Mapping():
-            return sum(map(arrays_size, value.values()))
-    names = _field_names(type(value))  # type: ignore[arg-type]
-    return sum(arrays_size(getattr(value, name)) for name in names)
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    parts = _parts_of(type(value))  # type: ignore[arg-type]
+    return sum(map(arrays_size, parts(value))) if parts is not None else 0
 
 
 @functools.cache
-def _field_names(kind: type[Any]) -> tuple[str, ...]:
-    """Names of a dataclass's fields; empty for another type."""
-    return tuple(field.name for field in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else ()
+def _parts_of(kind: type[Any]) -> Callable[[Any], Iterable[object]] | None:
+    """A function that gives the parts of an object of a type; None where no part may hold arrays."""
+    if issubclass(kind, tuple | list):
+        return iter
+    if issubclass(kind, Mapping):
+        return kind.values
+    names = [field.name for field in dataclasses.fields(kind)] if dataclasses.is_dataclass(kind) else []
+    return (lambda value: [getattr(value, name) for name in names]) if names else None

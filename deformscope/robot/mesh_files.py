@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import BinaryIO
 
 import numpy as np
@@ -105,6 +106,8 @@ def _write(path: str, out: BinaryIO, *, coarse: bool) -> None:
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # nothing is shown here, and the import of its windows takes half of the time
+    sys.modules["open3d.visualization"] = ModuleType("open3d.visualization")
     with os.fdopen(os.dup(1), "wb") as stdout:
         os.dup2(2, 1)  # Open3D prints its warnings there
         for file in sys.argv[2:]:

@@ -193,7 +193,7 @@ def test_what_makes_no_sense_is_refused(
 # The finger on the tip -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("presses", [True, False])
+@pytest.mark.parametrize("presses", [slow(True), False])
 def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     presses: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
+from tests.cli.quick_scene import CELL_M, use_coarse_maps
 
 
 class Results:
@@ -212,7 +213,9 @@ def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
     assert known_m[1] == pytest.approx(known_m[0] + 0.004, abs=5e-4)
 
 
-def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
+def test_results_of_a_touch_say_which_and_when_its_dent_was_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_coarse_maps(monkeypatch)
+
     class Once:
         inner = LabRobot(built_in("two-60-150", 0), ExploreOptions(beta_model="none"), sees=False)
         look = inner.look
@@ -220,7 +223,7 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen() -> None:
         def touch(self, command: Touch) -> TouchMeasurement:
             return dataclasses.replace(self.inner.touch(command), seen_ns=40)
 
-    _, found, moments = carried_out(Once(), ExploreOptions(budget=2, beta_model="none"))
+    _, found, moments = carried_out(Once(), ExploreOptions(budget=2, beta_model="none", cell_m=CELL_M))
     estimates = [moment for moment, results in moments if isinstance(results[0], TouchEstimate)]
     assert [(moment.touch, moment.seen_ns) for moment in estimates] == [(1, 40), (2, 40)]
     plans = [moment for moment, results in moments if isinstance(results[0], PlannedTouch)]
@@ -471,8 +474,9 @@ class HeldAtFirst:
         return self._robot.touch(command)
 
 
-def test_a_person_decides_and_a_replay_decides_the_same() -> None:
-    options = ExploreOptions(budget=2, beta_model="none")
+def test_a_person_decides_and_a_replay_decides_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_coarse_maps(monkeypatch)
+    options = ExploreOptions(budget=2, beta_model="none", cell_m=CELL_M)
     scene = built_in("two-60-150", options.seed)
     robot = HeldAtFirst(LabRobot(scene, options, sees=False))
     at = np.array([0.45, 0.3])

@@ -110,6 +110,7 @@ def test_the_lump_is_found_and_it_stops_by_itself(first: tuple[BumpRobot, Explor
     assert any("locates an inclusion best" in one.reason for one in plans)
 
 
+@pytest.mark.slow  # `test_explore` has it of the other goal
 def test_the_recorded_touches_give_the_same_to_the_last_bit(first: tuple[BumpRobot, Exploration, list[object]]) -> None:
     robot, _, results = first
     _, again = explored(RecordedRobot(list(robot.given)))

@@ -245,17 +245,13 @@ ARM_FAULTS = {
 turns, each with two of the hand's periods."""
 
 
-QUICK = {("close", "pushed"), ("hold", "twisted")}
-"""Phase and fault of those that are not slow together."""
+QUICK = ("close", "pushed")
+"""Phase and fault of what is not slow."""
 
 
 @pytest.mark.parametrize(
     ("phase", "fault"),
-    [
-        pytest.param(phase, fault, marks=() if (phase, fault) in QUICK else pytest.mark.slow)
-        for phase in ("close", "hold")
-        for fault in ARM_FAULTS
-    ],
+    slow_but([QUICK], [(phase, fault) for phase in ("close", "hold") for fault in ARM_FAULTS]),
 )
 def test_an_arm_that_does_not_stand_ends_the_squeeze_in_time(fault: str, phase: str) -> None:
     strike, noticed, within_s = ARM_FAULTS[fault]
@@ -382,7 +378,7 @@ def test_an_arm_that_cannot_be_watched_any_more_is_a_stop_with_its_reason(monkey
     def lost(**named: bool) -> object:
         raise LinkLost("the arm's port", "it is gone")
 
-    trial.at("approach", lambda: monkeypatch.setattr(trial.arm, "_robot", lost))
+    trial.at("travel", lambda: monkeypatch.setattr(trial.arm, "_robot", lost))
     found = trial.go()
     assert found.stop is not None
     assert "it is gone" in found.stop.reason

@@ -21,6 +21,7 @@ from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
+from tests.cli.quick_scene import use_coarse_maps
 
 UNSTATED = ExploreOptions(beta_model="none", relief="seen", thickness_stated=False, seed=1000)
 AWAY = np.eye(4)
@@ -53,7 +54,10 @@ def test_thickness_is_taken_from_the_table_beside_the_foam(name: str) -> None:
     assert 0.0 < surface.layer_sd_m < 3e-3
 
 
-def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_of_layers() -> None:
+def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_of_layers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    use_coarse_maps(monkeypatch)
     scene = built_in("homogeneous-60", 1000)
     robot = LabRobot(scene, UNSTATED, sees=False)
     explorers = [

@@ -92,8 +92,8 @@ def test_what_was_exported_comes_back_to_the_last_bit(path: Path, to: str, tmp_p
 numbers = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
 
-@settings(max_examples=12, deadline=None)
-@given(forces=st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=6), late=st.booleans())
+@settings(max_examples=4, deadline=None)
+@given(forces=st.lists(st.tuples(numbers, numbers, numbers), min_size=6, max_size=18), late=st.booleans())
 def test_any_force_comes_back(forces: list[tuple[float, float, float]], late: bool, tmp_path_factory: Any) -> None:
     folder = tmp_path_factory.mktemp("any")
     frames = [

@@ -18,21 +18,20 @@ from tests.verified import verify_here
 PLACES_M = [(0.05, 0.05), (0.19, 0.11), (0.06, 0.12), (0.18, 0.04), (0.15, 0.08)]
 
 
-@pytest.fixture(scope="module")
-def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("touched")
+def imported(folder: Path, *flags: str) -> Path:
+    """The recording that a bag of touches became."""
     bag = write_touched_bag(folder / "bag", PLACES_M)
     text = answered(inspected(bag), ('parent = "?"', 'parent = "base"'), ('child = "?"', 'child = "tool0"'))
     (folder / "map.toml").write_text(text + GEOMETRY)
-    stages = ["--stage", "contact", "--stage", "surface"]
     run = folder / "run.rrd"
-    assert main(["import", str(bag), "--map", str(folder / "map.toml"), "--record", str(run), *stages]) == 0
+    assert main(["import", str(bag), "--map", str(folder / "map.toml"), "--record", str(run), *flags]) == 0
     return run
 
 
 @pytest.mark.slow
-def test_stages_run_on_what_is_imported_and_are_replayed(imported: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    results = read_stage_results(imported)
+def test_stages_run_on_what_is_imported_and_are_replayed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    run = imported(tmp_path, "--stage", "contact", "--stage", "surface")
+    results = read_stage_results(run)
     felt = [one.result for one in results if isinstance(one.result, TouchEstimate)]
     assert len(felt) == len(PLACES_M)
     for (x, _), one in zip(PLACES_M, felt, strict=True):
@@ -41,14 +40,14 @@ def test_stages_run_on_what_is_imported_and_are_replayed(imported: Path, capfd: 
     seen = [one.result for one in results if isinstance(one.result, SurfaceEstimate)]
     assert len(seen) > 20
     np.testing.assert_allclose(np.median(seen[0].height_m), THICKNESS_M, atol=5e-4)
-    assert main(["replay", str(imported)]) == 0
+    assert main(["replay", str(run)]) == 0
     assert "identical" in "".join(capfd.readouterr())
 
 
-def test_recorded_touches_become_a_map(imported: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_recorded_touches_become_a_map(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     made = tmp_path / "map.rrd"
     flags = ["--beta-model", "none", "--record", str(made), "--json", str(tmp_path / "found.json")]
-    assert main(["explore", str(imported), *flags]) == 0
+    assert main(["explore", str(imported(tmp_path)), *flags]) == 0
     found = json.loads((tmp_path / "found.json").read_text())
     assert len(found["touches"]) == len(PLACES_M)
     for (x, y), one in zip(PLACES_M, found["touches"], strict=True):

@@ -19,6 +19,7 @@ import deformscope as ds
 from deformscope import terminal
 from deformscope.stages.msm import quiet
 from deformscope.stages.msm.quiet import GREETING, quiet_warp
+from tests.cases import slow
 from tests.cli.fake_bench import use_fake_bench
 from tests.experiments.toy_squeeze import use_toy_squeeze
 from tests.patience import PATIENCE_S
@@ -123,7 +124,7 @@ def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyP
     assert sys.stderr.getvalue()  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("progress", [False, lambda *said: None])
+@pytest.mark.parametrize("progress", [False, slow(lambda *said: None)])
 def test_nothing_is_written_to_a_terminal_where_it_is_not_wanted(
     call: Call, progress: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:

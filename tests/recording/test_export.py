@@ -178,9 +178,9 @@ def _check_csv(path: Path, table: pa.Table) -> None:
                 case bytes():
                     assert bytes.fromhex(text) == value
                 case list():
-                    np.testing.assert_array_equal(json.loads(text), value)
+                    assert_equal(json.loads(text), value, name)
                 case float():
-                    np.testing.assert_array_equal(float(text), value)
+                    assert_equal(float(text), value, name)
                 case _:
                     assert text == str(value)
 
@@ -198,12 +198,18 @@ def _check_npz(path: Path, table: pa.Table) -> None:
                 elif value and isinstance(value[0], str):
                     assert json.loads(one.tobytes()) == value
                 elif value:
-                    np.testing.assert_array_equal(one, value)
+                    assert_equal(one.tolist(), value, name)
         elif any(value is None for value in values) and read[name].dtype.kind != "f":
             assert read[f"{name}_valid"].tolist() == [value is not None for value in values]
         else:
             expected = [np.nan if value is None else value for value in values]
             np.testing.assert_array_equal(read[name], expected)
+
+
+def assert_equal(own: Any, value: Any, name: str) -> None:
+    """Of numbers or lists of them; by numpy, which is slow for single numbers, only where NaN may be among them."""
+    if own != value:
+        np.testing.assert_array_equal(own, value, err_msg=name)
 
 
 def read_mcap(path: Path) -> Iterator[tuple[str, int, Any]]:
@@ -264,7 +270,7 @@ def _check_topic(messages: list[tuple[int, Any]], table: pa.Table, start_ns: int
             if value is None:
                 assert own in ([], "", 0) or np.isnan(own), name
             else:
-                np.testing.assert_array_equal(own, list(value) if isinstance(value, bytes) else value, err_msg=name)
+                assert_equal(own, list(value) if isinstance(value, bytes) else value, name)
 
 
 def _check_standard(path: Path, by_topic: dict[str, list[tuple[int, Any]]]) -> None:
@@ -564,7 +570,7 @@ def test_a_robot_description_that_is_none_is_left_out_and_none_is_anonymous(
     whole = '<robot name="r"><!-- from /home/Mallory/r.xacro --></robot>'
     for text, anonymous in ((content, False), (whole, True), (whole, False)):
         urdf.write_bytes(text.encode("latin-1"))
-        asked: dict[str, Any] = {"only": ["arm", "wrench"], "anonymous": anonymous, "overwrite": True}
+        asked: dict[str, Any] = {"only": ["arm"], "anonymous": anonymous, "overwrite": True}
         (bag,) = exported(EXPLORED, "mcap", tmp_path / "bag", **asked).glob("*.mcap")
         found = [message.data for topic, _, message in read_mcap(bag) if topic.endswith("/robot_description")]
         assert found == ([whole] if text == whole and not anonymous else [])

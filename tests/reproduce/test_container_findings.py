@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from deformscope.stages.squeeze.table import LabelledTable
 FEW = EvaluationOptions(splits=16, costly_splits=0, curve_splits=0, protocols=("stratified",))
 
 
+@cache
 def evaluated(*, blind: bool = False) -> tuple[Evaluation, Evaluation]:
     """Touch orders contents by hardness, neighbours close together; vision knows water alone, or nothing."""
     random = np.random.default_rng(3)

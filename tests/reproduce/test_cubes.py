@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import itertools
 from pathlib import Path
 
 import cv2
@@ -34,6 +35,7 @@ from deformscope.reproduce.cubes import (
 )
 from deformscope.stages.fit.distance import distances
 from deformscope.stages.fit.model import Model, Observation
+from tests.cases import slow_but
 from tests.stages.bodies import lattice
 
 MODEL = Model("theta", "quadratic", None)
@@ -58,8 +60,10 @@ def of_the_model(theta: float, side: int = 5, depth: float = 0.03) -> Cube:
     return Cube(Observation(rest, deformed, held, np.ones(len(rest), dtype=bool)), 0.3, depth, "model")
 
 
-@pytest.mark.parametrize("method", ["sweep", "gradient"])
-@pytest.mark.parametrize("theta", [0.137, 0.62])
+@pytest.mark.parametrize(
+    ("method", "theta"),
+    slow_but([("sweep", 0.137), ("gradient", 0.62)], itertools.product(("sweep", "gradient"), (0.137, 0.62))),
+)
 def test_a_cube_of_the_model_gives_its_theta(method: str, theta: float) -> None:
     one = examine(of_the_model(theta), CubesConfig(method=method), False)  # type: ignore[arg-type]
 

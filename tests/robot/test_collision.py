@@ -15,6 +15,7 @@ from deformscope_drivers.arm.kinematics import FloatArray, jacobian_of
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.kuka.chains import KR6R900
 from deformscope_drivers.kuka.currents import COULOMB_NM, UNIT_NM, motor_currents
+from tests.cases import slow
 from tests.robot.quick_touch import quick_scene
 
 JOINTS_DEG = tuple(J2N6S300.home_deg)
@@ -169,9 +170,10 @@ def test_a_force_that_grows_shows_in_the_motors_currents_before_the_hard_stop(sp
     assert watched(np.tile(speed * RATES_DEG_S, (cycles, 1)), wrenches, 1.0, 2, unit) == []  # the force sensor feels it
 
 
-def test_motion_in_free_air_is_no_collision() -> None:
+@pytest.mark.parametrize("cycles", [5_000, slow(20_000)])  # one and four minutes
+def test_motion_in_free_air_is_no_collision(cycles: int) -> None:
     """Starts, stops, turns and slow drifts: gravity, friction, ripple and noise change the currents all the while."""
-    random, cycles = np.random.default_rng(8), 20_000  # four minutes
+    random = np.random.default_rng(8)
     rates_deg_s, rate = np.zeros((cycles, 6)), np.zeros(6)
     wanted = rate
     for number in range(cycles):

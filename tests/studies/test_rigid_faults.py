@@ -6,6 +6,7 @@ import pytest
 
 from deformscope.robot.supervisor import Limits
 from studies.rigid_faults import CASES, FELT, STIFFNESSES_N_M, RigidRun, SensorFault, run_rigid
+from tests.cases import slow, slow_but
 
 KUKA, CURRENTS, JACO = "kuka", "kuka with motor currents", "jaco"
 JACO_MOST_N = 16.0
@@ -16,7 +17,7 @@ def run(arm: str, fault: SensorFault, stiffness_n_m: float = 2e4) -> RigidRun:
     return run_rigid(CASES.index((arm, fault, stiffness_n_m)))
 
 
-@pytest.mark.parametrize("stiffness_n_m", STIFFNESSES_N_M)
+@pytest.mark.parametrize("stiffness_n_m", slow_but([2e4], STIFFNESSES_N_M))
 @pytest.mark.parametrize("fault", [one for one in FELT if one in SensorFault])
 def test_a_sensor_that_feels_wrongly_is_refused_before_anything_moves(fault: SensorFault, stiffness_n_m: float) -> None:
     found = run(KUKA, fault, stiffness_n_m)
@@ -34,10 +35,8 @@ def test_a_sensor_that_freezes_stops_the_arm_before_it_meets_anything(fault: Sen
 @pytest.mark.parametrize(
     ("fault", "stiffness_n_m"),
     [
-        (SensorFault.RIGHT, 5e3),
-        pytest.param(SensorFault.RIGHT, 2e4, marks=pytest.mark.slow),
-        pytest.param(SensorFault.RIGHT, 1e5, marks=pytest.mark.slow),
-        pytest.param(SensorFault.HIGHER, 2e4, marks=pytest.mark.slow),
+        *(slow(SensorFault.RIGHT, n_m) for n_m in (5e3, 2e4, 1e5)),
+        slow(SensorFault.HIGHER, 2e4),
         (SensorFault.HIGHER, 1e5),
     ],
 )
@@ -49,16 +48,22 @@ def test_a_sensor_that_is_right_touches_something_rigid_below_the_hard_stop(
     assert found.max_force_n < 8.0
 
 
-@pytest.mark.parametrize("stiffness_n_m", [5e3, *(pytest.param(n_m, marks=pytest.mark.slow) for n_m in (2e4, 1e5))])
+@pytest.mark.parametrize("stiffness_n_m", [5e3, slow(2e4), slow(1e5)])
 def test_motor_currents_stop_an_arm_whose_sensor_dies_on_its_way_down(stiffness_n_m: float) -> None:
-    seen, unseen = run(CURRENTS, SensorFault.DIES, stiffness_n_m), run(KUKA, SensorFault.DIES, stiffness_n_m)
+    seen = run(CURRENTS, SensorFault.DIES, stiffness_n_m)
     assert "the motor of joint" in seen.ended
     assert seen.max_force_n <= Limits().hard_force_n
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness_n_m", STIFFNESSES_N_M)
+def test_without_motor_currents_a_sensor_that_dies_costs_no_more_than_is_said(stiffness_n_m: float) -> None:
+    unseen = run(KUKA, SensorFault.DIES, stiffness_n_m)
     assert Limits().hard_force_n < unseen.max_force_n <= unseen.unavoidable_n
     assert unseen.unavoidable_n == pytest.approx(stiffness_n_m * 5e-3 + 9.0)  # and that is said
 
 
-@pytest.mark.parametrize("fault", [SensorFault.DEAD, SensorFault.SATURATED, SensorFault.SCALE])
+@pytest.mark.parametrize("fault", [SensorFault.DEAD, slow(SensorFault.SATURATED), slow(SensorFault.SCALE)])
 def test_joint_torques_stop_an_arm_whose_sensor_is_wrong(fault: SensorFault) -> None:
     found = run(JACO, fault)
     assert found.ended.startswith("stopped: joint")

@@ -15,9 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy
 from scipy.spatial import cKDTree
-from scipy.special import logsumexp
+from scipy.special import gammaincc, gammaincinv, logsumexp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.model import Observation
@@ -136,13 +135,13 @@ def outlying(
     around = residual[good[near[~itself].reshape(n, -1)]]
     middle = np.median(around, axis=1)
     apart = np.linalg.norm(residual - middle, axis=1)
-    typical = float(scipy.stats.chi.median(d))
+    typical = float(np.sqrt(2.0 * gammaincinv(0.5 * d, 0.5)))  # median of chi; scipy.stats takes a second to import
     here = np.median(np.linalg.norm(around - middle[:, None], axis=2), axis=1) / typical
     scale = np.maximum(np.maximum(here, np.median(apart[good]) / typical), floor)
     if noise is not None:
         scale = np.maximum(scale, noise)
     # the more there are, the nearer are the next ones looked for (Benjamini and Hochberg 1995)
-    chance = scipy.stats.chi.sf(apart / (SCALE_MARGIN * scale), d)
+    chance = gammaincc(0.5 * d, 0.5 * (apart / (SCALE_MARGIN * scale)) ** 2)
     order = np.argsort(chance)
     under = np.flatnonzero(chance[order] <= FALSE_ALARMS * np.arange(1, n + 1) / n)
     found = none.copy()

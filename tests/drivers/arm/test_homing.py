@@ -27,6 +27,7 @@ from deformscope_drivers.jaco import Jaco, JacoConfig, JacoDouble
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.device import HOME_PAUSE_S
 from deformscope_drivers.kuka import Kuka, KukaConfig
+from tests.cases import slow
 from tests.patience import PATIENCE_S
 
 PERIOD_S = 0.01
@@ -165,7 +166,7 @@ with HostedArm(Unhomed, JacoConfig(library=sys.argv[1])) as arm:
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, slow(signal.SIGINT), slow(signal.SIGTERM)])
 def test_the_arm_stands_when_the_program_that_sends_it_home_is_gone(number: signal.Signals, path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     root = Path(__file__).parents[3]
