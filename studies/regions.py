@@ -153,7 +153,7 @@ class RegionOutcome:
 
     @property
     def right(self) -> bool:
-        """Whether the surface has as many as reported, or more where it says so."""
+        """Whether the surface has as many as reported, or more if it reports "or more"."""
         return self.count == self.true_count or (self.at_least and self.true_count > self.count)
 
 

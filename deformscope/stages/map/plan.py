@@ -53,8 +53,8 @@ LEVEL_WORTH = 0.02
 """Weight of a nat about the levels relative to the share of cells with the right label."""
 
 NEWEST_PLAN = 3
-"""Version of `PlanOptions` that new explorations have. 3: of "3 regions or more" the probability is of as many or more
-(`RegionMap.claimed`), in earlier ones of exactly as many."""
+"""Version of `PlanOptions` that new explorations have. From 3 on, the probability of
+"3 regions or more" is that of as many or more (`RegionMap.claimed`), in earlier versions that of exactly as many."""
 
 
 @dataclass(frozen=True, slots=True)

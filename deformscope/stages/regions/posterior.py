@@ -160,8 +160,8 @@ class RegionMap:
     at_least: bool = False
 
     def claimed(self, *, or_more: bool = True) -> float:
-        """Probability of the verdict and `region_count`. or_more: of three regions and more, that there are as many or
-        more: the number is too low where a region has one touch (`studies regions`)"""
+        """Probability of the verdict and `region_count`. or_more: from three regions on, the probability of as many or
+        more, since the number is often too low (`studies regions`)"""
         k = self.region_count
         if or_more and k >= FIRST_REGIONS:
             return sum(share for number, share in self.probability.items() if number.isdigit() and int(number) >= k)
