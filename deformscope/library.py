@@ -126,7 +126,7 @@ def calibrate_both(
     progress: Progress | bool | None = None,
     **options: object,
 ) -> JointResult | list[JointResult]:
-    """Find beta and theta of pairs together, with their joint posterior: one result, or of several pairs one each.
+    """Find beta and theta of pairs together, with their joint posterior: one result for each pair.
 
     sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
     progress, options: as in `calibrate_beta`, out of `deformscope.config.BothConfig`.
@@ -144,7 +144,7 @@ def calibrate_both(
 def calibrate_axes(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
-    """Find a beta along each axis of a material: of images, a recording, or pair files in one fit.
+    """Find a beta along each axis of a material, from images, a recording, or pair files in one fit.
 
     progress, options: as in `calibrate_beta`, out of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
@@ -157,7 +157,7 @@ def calibrate_axes(
 def calibrate_field(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
-    """Find how stiff each place of a thing is against the others, of images, a recording, or one pair file.
+    """Find the stiffness of each place of a body relative to the others, from images, a recording, or one pair file.
 
     progress, options: as in `calibrate_beta`, out of `deformscope.config.FieldConfig`: frame, force_n...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
@@ -170,7 +170,7 @@ def calibrate_field(
 def calibrate_yield(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
-    """Find the strain at which a thing yields, of images, a recording, or a motion file (`sample:press`).
+    """Find the strain at which a body yields, from images, a recording, or a motion file (`sample:press`).
 
     progress, options: as in `calibrate_beta`, out of `deformscope.config.YieldConfig`: beta, creep, at, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
@@ -183,7 +183,8 @@ def calibrate_yield(
 def calibrate_viscous(
     sources: str | Path | Sequence[str | Path], *, progress: Progress | bool | None = None, **options: object
 ) -> MaterialResult:
-    """Find what share of a modulus relaxes, how fast, and what stays, of images, a recording, or a motion file.
+    """Find the share of a modulus that relaxes, the relaxation time, and the permanent share, from images, a recording,
+    or a motion file.
 
     progress, options: as in `calibrate_beta`, out of `deformscope.config.ViscousConfig`: at, released, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
@@ -224,9 +225,9 @@ def predict(
     """Predict a poke that was not fitted: deformed particles, depth and force with its interval.
 
     model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
-    at: (2,) or (3,) place [m]; depth_m or force_n: how far or how hard; tip, size_m: flat (sides), disc or sphere
-    (diameter), default as it was fitted; points_m: (n, 3) points of the surface whose deformed positions are predicted
-    too Raises InputError for unusable input.
+    at: (2,) or (3,) place [m]; depth_m or force_n: its depth [m] or force [N]; tip, size_m: flat (sides), disc or
+    sphere (diameter), default the tip of the fit; points_m: (n, 3) points of the surface whose deformed positions are
+    predicted too. Raises InputError for unusable input.
     """
     from deformscope.config.flags import PokeText
     from deformscope.runs.prediction import fitted_model, predicted
@@ -269,14 +270,14 @@ def explore(
 ) -> ExplorationResult:
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
-    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or a scene of one's own; planner: planner of a name, or of
-    one's own, which makes all touches; touches: most touches, default 8, or 30 for inclusions
+    rig: a rig file (.toml), a simulated scene (`lab:NAME`), or an own scene; planner: a planner's name, or an own
+    planner, which chooses all touches; touches: most touches, default 8, or 30 for inclusions
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
-    that are sought, default 0.06, for inclusions 0.02; set_force_n: force of a touch, at most 5 N
+    inclusions to find, default 0.06, with goal inclusions 0.02; set_force_n: force of a touch, at most 5 N
     pace: quick = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows
     how the foam creeps; feel: what is mapped: immediate stiffness, relaxed stiffness, or the share of its energy that a
     touch loses
-    record: a recording to make (.rrd); detail: lean = without what lies between frames and estimates
+    record: a recording to make (.rrd); detail: lean = without results between frames and estimates
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
     terminal or a notebook; True: always, False: never; without it those of a rig file always, unless there is a
@@ -319,10 +320,10 @@ def squeeze(
     trust_rig: bool = False,
     progress: Say | bool | None = None,
 ) -> SqueezeResult:
-    """Squeeze a container once, and take its features; with `model`, name its content.
+    """Squeeze a container once, and compute its features; with `model`, classify its content.
 
     rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed; the laboratory draws them if
-    they are empty; dataset: a data set to add the trial to, with its recording unless keep = "features"
+    they are empty; dataset: data set to which the trial is added, with its recording unless keep = "features"
     model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
     place: who brings the hand to the container; grasp: where an arm is to [mm, deg, deg], None = drawn from the seed
     progress: as in `explore` Raises InputError for unusable input, and for a squeeze that did not reach its steady
@@ -353,7 +354,7 @@ def record(
     trust_rig: bool = False,
     progress: Say | bool | None = None,
 ) -> RecordResult:
-    """Record all devices of a rig for some seconds, with every byte of their wires and what was lost.
+    """Record all devices of a rig for some seconds, with every byte of their wires and all losses.
 
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
     progress: called with each line about devices, links and rates; default: as in `explore`.
@@ -377,7 +378,7 @@ def replay(
     overwrite: bool = False,
     progress: Progress | bool | None = None,
 ) -> ReplayResult:
-    """Compute a recording again from its inputs, and compare with the numbers that it holds.
+    """Compute a recording again from its inputs, and compare with the recorded numbers.
 
     settings: settings of an exploration that replace the recorded ones, by name, or as KEY=VALUE; their results are not
     compared to the bit
@@ -417,8 +418,8 @@ def sweep(
     function: function of this library, or of another module; sources: files, or a folder with recordings, pair files
     and videos; out: a folder for tasks.jsonl, results.parquet and index.html; vary: values of options, of which every
     combination is computed
-    executor, address: `ray` at a cluster's address; workers: most workers; send: the file instead of its path
-    limit_s: a task that takes longer is given up; progress: as in `calibrate_beta`; options: options of the function.
+    executor, address: `ray` at a cluster's address; workers: most workers; send: send the file instead of its path
+    limit_s: time limit of a task; progress: as in `calibrate_beta`; options: options of the function.
     Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
     """
     from deformscope.config.executor import ExecutorOptions
@@ -451,7 +452,7 @@ def classify(
     """Evaluate how well the content is classified from each modality, and from all of them fused.
 
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: use only these
-    merge: classes that become one, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
+    merge: classes that are merged, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
     containers, or as TRAINED:TESTED
     splits: 70/30, random, stratified and by group; costly_splits: splits of boosting and the Gaussian process, 0 =
     without
@@ -498,8 +499,8 @@ def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> 
 
 
 def recover(path: Path | str, out: Path | str | None = None) -> FoundResult:
-    """Make a whole recording of one that was cut short; `found["recovered"]` is its path. out: a new file, default
-    NAME.recovered.rrd next to it. Raises InputError where nothing can be read."""
+    """Make a complete recording from one that was cut short; `found["recovered"]` is its path. out: a new file, default
+    NAME.recovered.rrd next to it. Raises InputError if nothing can be read."""
     from deformscope.runs.recovery import recover_recording
 
     return recover_recording(Path(path), None if out is None else Path(out))

@@ -18,7 +18,7 @@ from typing import Any
 SPAWN = multiprocessing.get_context("spawn")
 """Start method of processes: locks of other threads do not survive a fork."""
 END_S = 5.0
-"""Time limit of a process's own end, after which it is killed."""
+"""Time limit for a process to end, after which it is killed."""
 NICE, LAST_NICE = 10, 19
 """Child processes of a robot run leave the processor to the control loop; those that follow devices leave it to all
 others."""
@@ -29,7 +29,7 @@ BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def release_memory() -> None:
-    """Give the system back what the process has freed. glibc keeps it, and grows without end where large arrays come
+    """Return freed memory to the system. glibc keeps it, and grows without end where large arrays come
     and go between small ones that stay. It does nothing with another C library."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
@@ -37,9 +37,9 @@ def release_memory() -> None:
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """Processes that are made within have one thread of BLAS. They do not import the user's script: it would run again
-    in each, unless it is guarded by `if __name__ == "__main__"`. A Ctrl-C does not end them while they begin, which
-    takes seconds; this process takes it when they are made."""
+    """A context in which processes start with one thread of BLAS. They do not import the user's script: it would run
+    again in each, unless it is guarded by `if __name__ == "__main__"`. A Ctrl-C does not end them during their start,
+    which takes seconds; this process handles it afterwards."""
     kept = {name: os.environ.get(name) for name in BLAS_THREADS}
     main = sys.modules["__main__"]
     os.environ.update(dict.fromkeys(BLAS_THREADS, "1"))

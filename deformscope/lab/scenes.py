@@ -282,7 +282,7 @@ class Scene:
 
     @property
     def regions(self) -> IntArray | None:
-        """(rows, columns) as `truth`; None where the modulus changes smoothly."""
+        """Labels (rows, columns) as `truth`; None if the modulus changes smoothly."""
         return self.truth() if self.pieces else None
 
     def truth(self) -> IntArray:
@@ -291,9 +291,10 @@ class Scene:
 
 
 class OwnScene(Protocol):
-    """A simulated table of one's own, for `deformscope.explore(scene)`: foams of `THICKNESS_M` side by side.
+    """A simulated table that a script defines, for `deformscope.explore(scene)`: foams of `THICKNESS_M` next to each
+    other.
 
-    name: name of it in recordings; hardnesses: hardnesses of each foam in N, as in the names of scenes: "60",
+    name: its name in recordings; hardnesses: hardnesses of each foam in N, as in the names of scenes: "60",
     "110c30p20", "rigid"
     """
 
@@ -301,11 +302,11 @@ class OwnScene(Protocol):
     hardnesses: Sequence[str]
 
     def label(self, xy_m: FloatArray) -> IntArray:
-        """(n,) which of the foams is at places (n, 2) [m], from 0 to `SIZE_M`."""
+        """(n,) index of the foam at places (n, 2) [m], from 0 to `SIZE_M`."""
 
 
 def scene_of(own: OwnScene, seed: int = 0) -> Scene:
-    """A scene as explorations take it. Raises InputError for labels that are of no foam."""
+    """The scene for explorations. Raises InputError for labels without a foam."""
     scene = Scene(own.name, seed, tuple(map(Piece.named, own.hardnesses)), {}, _label=partial(_own_label, own))
     found, last = np.unique(scene.truth()), len(own.hardnesses) - 1
     if found.min() < 0 or found.max() > last:
@@ -348,7 +349,7 @@ BURIED = {
     "buried": "a foam of 60 N, 20 by 20 cm and 7 cm thick, with a ball of 600 N in it, 4 cm across, 1 to 2 cm deep",
     "empty": "the same foam with nothing in it",
 }
-"""Scenes whose surface shows nothing, in which inclusions are sought."""
+"""Scenes with inclusions that the surface does not show."""
 
 PIECES = {
     "disc": ("30", "200"),

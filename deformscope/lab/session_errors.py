@@ -1,4 +1,4 @@
-"""Hidden errors of a laboratory, drawn once for each session; no measurement contains them.
+"""Hidden errors of a laboratory, drawn once for each session; the estimator does not receive them.
 
     errors = LabErrors().draw(seed)        # LabErrors.none() is the old, clean laboratory
     errors.arm_n_per_m, errors.gain, errors.scatter(xy_m)
@@ -23,17 +23,18 @@ from deformscope.lab.scenes import Scene
 TOUCHES_S = 100.0
 """Time in which ten touches are made."""
 HERTZ = 1.5
-"""Log modulus for log stiffness at a set force, under a ball: the stiffness scatters."""
+"""Change of log modulus for one of log stiffness at a set force, under a ball: the scatter is one of stiffness."""
 WAVES = 96
-"""Cosines that a random field is made of."""
+"""Number of cosines in a random field."""
 
 
 @dataclass(frozen=True, slots=True)
 class LabErrors:
     """Differences between sessions.
 
-    arm: deviation of the arm's compliance as a share of its calibrated value; gain: deviation of the force sensor's;
-    drift: deviation of its change in TOUCHES_S
+    arm: deviation of the arm's compliance as a share of its calibrated value; gain: deviation of the force sensor's
+    gain;
+    drift: deviation of the gain's change in TOUCHES_S
     scatter: range of the deviation of log stiffness within one material, drawn evenly in logarithms;
     scatter_length_m: length over which it changes
     thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the
@@ -51,7 +52,7 @@ class LabErrors:
 
     @classmethod
     def none(cls) -> LabErrors:
-        """The clean laboratory: everything is as the estimator assumes."""
+        """The clean laboratory, without errors beyond those that the estimator assumes."""
         return cls(0.0, 0.0, 0.0, (0.0, 0.0), 0.04, 0.0, 0.0, 0.0)
 
     def draw(self, seed: int | list[int]) -> SessionErrors:
@@ -74,7 +75,7 @@ class LabErrors:
         )
 
     def plain(self) -> dict[str, Any]:
-        """The fields as a dict that JSON can hold."""
+        """The fields as a dict for JSON."""
         return dataclasses.asdict(self)
 
 
@@ -82,7 +83,7 @@ class LabErrors:
 class SessionErrors:
     """One session's.
 
-    arm_n_per_m: the arm's true stiffness; gain: force as measured over the true one at first, drift: its change in
+    arm_n_per_m: the arm's true stiffness; gain: initial ratio of measured to true force, drift: its change in
     TOUCHES_S; scatter_sd: deviation of log stiffness within a material; thickness: true over stated; overshoot_m;
     friction: sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) wave and phase of
     the scatter's field
@@ -106,7 +107,7 @@ class SessionErrors:
         return np.asarray(self.scatter_sd * np.sqrt(2.0 / WAVES) * waves.sum(axis=-1))
 
     def gain_at(self, time_s: float) -> float:
-        """Force as measured over the true one, at a time since the first touch [s]."""
+        """Ratio of measured to true force, at a time since the first touch [s]."""
         return self.gain + self.drift * time_s / TOUCHES_S
 
     def as_felt(self, force_n: FloatArray, time_s: float) -> FloatArray:
@@ -120,7 +121,7 @@ class SessionErrors:
         return dataclasses.replace(scene, thickness_m=scene.thickness_m * self.thickness)
 
     def foam(self, scene: Scene) -> Scene:
-        """The slab whose foams scatter, too: the touched one."""
+        """The touched slab, whose foams scatter."""
         slab = self.slab(scene)
         return dataclasses.replace(slab, _modulus=partial(self._modulus_pa, slab)) if self.scatter_sd > 0.0 else slab
 

@@ -16,18 +16,18 @@ from deformscope.errors import InputError
 from deformscope.lab.elasticity import ElasticBox, Solved
 
 REACH = 2.4
-"""The mesh goes this many thicknesses beyond the tip; a free side there changes force and dent by less than 0.3 %."""
+"""Extent of the mesh beyond the tip, in thicknesses; a free side there changes force and dent by less than 0.3 %."""
 
 GROWTH = 1.6
-"""Ratio of neighbouring elements away from the tip."""
+"""Ratio of the sizes of neighbouring elements, away from the tip."""
 
 MOST_CONTACT_ROUNDS = 30
 
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """A slab with its corner at the origin, up is +z. size: (x, y, thickness) [m]; young: [Pa], a number or a function
-    of places (n, 3); poisson: Poisson's ratio"""
+    """A slab with its corner at the origin, up is +z. size: (x, y, thickness) [m]; young: Young's modulus [Pa], a
+    number or a function of places (n, 3); poisson: Poisson's ratio"""
 
     size: tuple[float, float, float]
     young: float | Callable[[FloatArray], FloatArray]
@@ -42,7 +42,8 @@ class Slab:
 
 @dataclass(frozen=True, slots=True)
 class RigidTip:
-    """half: half the sides (x, y) of a flat tip [m], or None for a ball of `radius` [m]; bonded: sticks to the foam."""
+    """half: half the sides (x, y) of a flat tip [m], or None for a ball of `radius` [m]; bonded: the tip sticks to the
+    foam."""
 
     half: tuple[float, float] | None = None
     radius: float | None = None
@@ -76,7 +77,7 @@ def press(
 ) -> Dent:
     """Press a tip into a slab at a place (x, y) [m], to a depth [m] or with a force [N].
 
-    points: (n, 3) points of the upper face at rest; those beyond the mesh come back unmoved
+    points: (n, 3) points of the upper face at rest; those beyond the mesh do not move
     finest: size of the elements at the tip [m], default a third of its half width
     """
     if (depth is None) == (force is None):

@@ -44,13 +44,14 @@ GROWTH_ASIDE, GROWTH_DOWN = 2.0, 1.9
 """Ratio of neighbouring elements away from the tip."""
 
 REACH = 1.6
-"""The mesh goes this many thicknesses beyond the tip; a free side there changes the force by less than 0.2 %."""
+"""Extent of the mesh beyond the tip, in thicknesses; a free side there changes the force by less than 0.2 %."""
 
 MARGIN = 1.0
-"""Elements between a tip and the edge of its possible contact: how far it may drift before a new mesh is made."""
+"""Number of elements between a tip and the edge of its possible contact: how far the tip may drift before a new mesh is
+made."""
 
 FLAT_DRIFT = 0.25
-"""Share of that for a flat tip: it keeps to its nodes meanwhile."""
+"""Share of that margin for a flat tip, which stays on its nodes."""
 
 TABLE_N_PER_M = 2e5
 """Stiffness of the table's top, which a tip touches outside the slab or through it."""
@@ -64,7 +65,7 @@ SAMPLES = 5
 FOOT_ROUNDS = 3
 MOST_ROUNDS = 30
 MOST_PATCHES = 3
-"""Number of stored meshes (0.25 GB each); the oldest goes first."""
+"""Largest number of stored meshes (0.25 GB each); the oldest is dropped first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +76,9 @@ class Contact:
     below it; depth_m: how far the lowest point is below the rest surface, along the normal; negative above it [m]
     gap_m: distance from tip to foam along the normal; 0 in contact [m]
     force_n: (3,) force on the tip [N]: opposite to the sum of the nodes' forces, plus that of the table
-    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each, along the normal [N]: its contact
-    force, on foam without a memory
-    tip: which; mesh_m: (2,) the place that the mesh was made for [m], None where the tip is far from the foam;
+    place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each node along the normal [N]: the
+    contact force on foam without a memory
+    tip: which; mesh_m: (2,) place of the mesh [m], None if the tip is far from the foam;
     node: (n,) numbers of the nodes in contact
     """
 
@@ -99,7 +100,7 @@ class Contact:
 
 
 class Patch:
-    """The foam around one place, its equations factorised: for tips of one kind there.
+    """The foam around one place, with factorised equations for tips of one kind.
 
     xy_m: (2,) the place [m]; reach_m: (2,) largest distance along x and y at which a tip's edge may be [m]
     fine_m: (2,) size of the elements there [m]
@@ -155,7 +156,7 @@ class Patch:
         return _without_pull(softer * self.compliance, overlap)
 
     def displaced_m(self, node_force_n: FloatArray, node: IntArray, xy_m: FloatArray) -> FloatArray:
-        """(n, 3) how the surface at (n, 2) moves when `node` of the candidates are pushed down along the normal."""
+        """(n, 3) displacement of the surface at (n, 2) if `node` of the candidates are pushed down along the normal."""
         load = np.zeros(len(self._order))
         load[len(load) - len(self.candidate_m) + node] = -node_force_n
         moved = np.zeros(self._size)
@@ -165,7 +166,7 @@ class Patch:
 
 
 class SlabWorld:
-    """A scene's foam, to be pressed anywhere. Meshes are made on demand and stored."""
+    """A scene's foam, which can be pressed anywhere. Meshes are made on demand and stored."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -193,8 +194,8 @@ class SlabWorld:
         return Patch(self.scene, xy_m, reach_m, fine_m)
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """The force on a tip at a place, at rest. center_m: (3,) the middle of a ball, or of a flat tip's face, in the
-        surface frame [m]. A flat tip lies along the rest surface below it."""
+        """The force on a tip at rest at a place. center_m: (3,) the middle of a ball, or of a flat tip's face, in the
+        surface frame [m]. A flat tip is parallel to the rest surface below it."""
         center = np.asarray(center_m, dtype=np.float64)
         if center.shape != (3,) or not np.isfinite(center).all():
             raise InputError("a place of three finite numbers", str(center_m))
@@ -222,7 +223,7 @@ class SlabWorld:
         return force, force
 
     def displaced_m(self, contact: Contact, xy_m: FloatArray) -> FloatArray:
-        """(..., 3) how material points of the surface, at rest at (..., 2), have moved [m]; 0 far from the touch."""
+        """(..., 3) displacement of material points of the surface, at rest at (..., 2) [m]; 0 far from the touch."""
         xy_m = np.asarray(xy_m, dtype=np.float64)
         moved = np.zeros((*xy_m.shape[:-1], 3))
         if contact.mesh_m is not None and len(contact.node):

@@ -1,4 +1,4 @@
-"""A camera's view of a pressed foam: speckles that move as the finite elements say.
+"""A camera's view of a pressed foam: speckles that move with the finite elements.
 
 The image is made backwards: for each pixel, the rest position of its point (Newton's method on the true motion, a
 bicubic spline of the finite element displacement). The speckles there, also a spline, are averaged over the pixel.
@@ -7,7 +7,7 @@ Therefore the rendering adds no displacement, which would appear as motion.
 Foam that bulges around the clamp would overlap the clamp's side by about a millimetre, as the finite elements have no
 contact there. The clamp is drawn in front.
 
-Image axes: x to the right, y down, a whole number at a pixel's middle [px].
+Image axes: x to the right, y down; whole numbers are pixels' middles [px].
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ FOAM_GREY, FOAM_CONTRAST = 130.0, 34.0
 BEHIND_GREY, GROUND_GREY, CLAMP_GREY, STILL_CONTRAST = 55.0, 85.0, 190.0, 8.0
 
 KNOT_PX = 5
-"""Distance of the places where the finite element displacement is taken [px]."""
+"""Distance of the places where the finite element displacement is computed [px]."""
 
 INVERSE_TOLERANCE_PX = 1e-4
 EDGE_FINENESS = 8
-"""Parts of a pixel along each axis, by which the outline's share of it is counted."""
+"""Parts of a pixel along each axis, for computing the share of it inside the outline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class View:
 
 
 class SpeckleMotion:
-    """The true motion of one pose in the image: where each point of the foam at rest has gone."""
+    """The true motion of one pose in the image: the place of each point of the foam at rest."""
 
     def __init__(self, pressed: PressedBlock | None, block: Block, view: View) -> None:
         reach = 40  # the surroundings that are pushed into the view
@@ -99,7 +99,7 @@ class SpeckleMotion:
         return rest
 
     def surface(self, view: View) -> FloatArray:
-        """The foam's upper outline now, (k, 2) [px], from left to right."""
+        """The foam's present upper outline, (k, 2) [px], from left to right."""
         x = np.arange(self._low[0], self._high[0])
         rest = np.column_stack([x, np.full_like(x, view.top_px)])
         return np.asarray(rest + self.displacement(rest))
@@ -107,8 +107,8 @@ class SpeckleMotion:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A push as a camera takes it. mask: (H, W) True where the foam is in the first image; motions: the true one at
-    each image; images: makes each (H, W) uint8 image on demand"""
+    """A push as a camera records it. mask: (H, W) True where the foam is in the first image; motions: the true motion
+    at each image; images: functions that make each (H, W) uint8 image on demand"""
 
     mask: BoolArray
     motions: tuple[SpeckleMotion, ...]

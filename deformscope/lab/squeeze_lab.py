@@ -64,9 +64,9 @@ OPEN_DEG: Final = (90.0, -17.3, 5.3, -70.0, 0.0, -17.3, 5.3)
 joints alone; the thumb is out of the way."""
 CLOSING_AXES: Final = (1, 5)
 CLOSED_DEG: Final = 10.0
-"""Proximal angle that no container lets them reach."""
+"""Proximal angle of a command to close: containers stop the fingers before it."""
 STILL_DEG_S: Final = 0.2
-"""A finger's joints are still while they turn less fast."""
+"""Speed below which a finger's joints count as still."""
 NAMES: Final = ("hand", "pads", "camera")
 
 
@@ -77,8 +77,8 @@ class ContainerTruth:
     content, container: their names; fill: share of the height; mass_kg: mass of all that is squeezed
     contact_ns: when a finger first pressed the wall; steady_ns: when the pressing joints began to turn less than
     `STILL_DEG_S` until they were opened again, or until now; None without such a time
-    T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force and dent of finger 0 and finger 2: how hard
-    they press, and the most that the wall moved inwards
+    T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force of finger 0 and finger 2, and the largest
+    inward displacement of the wall below each
     inward_m: (nodes along s, along z) depth of the wall within the undeformed container; a content bulges it also
     before contact
     """
@@ -101,7 +101,7 @@ class ContainerCase:
     """The content of the laboratory.
 
     container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
-    seed: seed of grasp, fill, temperatures and noise; session: session of the room's temperature
+    seed: seed of grasp, fill, temperatures and noise; session: seed of the room's temperature
     grasp: (4, 4) container to hand as planned, from which the true pose differs a little; None = a random one
     alike: every content has the physics of water, whatever its name
     """
@@ -116,7 +116,7 @@ class ContainerCase:
 
 
 class SqueezedContainer:
-    """A container between the fingers of a simulated hand, in a camera's view: the world of the doubles. hand, pads:
+    """The world of the doubles: a container between the fingers of a simulated hand, in a camera's view. hand, pads:
     the doubles; shape, world, view: the container's form, the pressed body, the camera"""
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
@@ -155,7 +155,7 @@ class SqueezedContainer:
         )
 
     def seen(self) -> View:
-        """The camera's present scene, without its own errors."""
+        """The camera's present scene, without the camera's errors."""
         position = np.array([axis.position_deg for axis in self.hand.motion.axes])
         exact = self.view.render(self.world.inward_m(), self.world.T_hand_container, position)
         flat = np.abs(exact.facing) < np.sin(np.radians(self.view.config.grazing_deg))
@@ -200,8 +200,8 @@ class SqueezedContainer:
 
 
 class SqueezeLab:
-    """The laboratory with one container in it, closed. hand, pads, camera: the real drivers' devices, to be opened by
-    `open`; simulated: the world behind them"""
+    """The laboratory with one container in it, closed. hand, pads, camera: the real drivers' devices, which `open`
+    opens; simulated: the world behind them"""
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)
@@ -233,7 +233,7 @@ class SqueezeLab:
 
     @property
     def view(self) -> ContainerView:
-        """The camera's, exact."""
+        """The camera's view, without errors."""
         return self.simulated.view
 
     def open(self) -> None:
@@ -242,7 +242,7 @@ class SqueezeLab:
             device.open(own_thread=False)
 
     def close(self) -> None:
-        """Close them, all."""
+        """Close all devices."""
         with contextlib.ExitStack() as stack:
             for device in self._devices:
                 stack.callback(device.close)

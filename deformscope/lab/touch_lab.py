@@ -43,7 +43,7 @@ POLL_NS = 2_000_000
 class TouchLab:
     """The doubles of a laboratory, devices for them that are not opened, and their faults.
 
-    arm, force, camera: the real drivers' devices, to be opened by `open`; body: body of the simulated arm; contact: its
+    arm, force, camera: the real drivers' devices, which `open` opens; body: body of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
     arm_late_s: the arm's driver runs only this often, as on a busy host
     """
@@ -126,7 +126,7 @@ class TouchLab:
         return self._jaco[1]
 
     def open(self) -> None:
-        """Open the devices on the laboratory's clock, the force sensor's zero taken."""
+        """Open the devices on the laboratory's clock, and set the force sensor's zero."""
         self.force.open(own_thread=False)
         self.force.zero()
         self.wait_until((self.clock() // ARM_CYCLE_NS + 1) * ARM_CYCLE_NS)  # its slots are then those of its double
@@ -135,7 +135,7 @@ class TouchLab:
             self.camera.open(own_thread=False)
 
     def close(self) -> None:
-        """Close them, all. Raises NotStopped, as a real arm's driver does, where the arm cannot be reached."""
+        """Close all devices. Raises NotStopped, as a real arm's driver does, if the arm does not answer."""
         with contextlib.ExitStack() as stack:
             for device in (self.arm, self.force, self.camera):
                 if device is not None:
@@ -187,7 +187,7 @@ class TouchLab:
     # Faults ----------------------------------------------------------------------------------------------------------
 
     def schedule(self, moment_ns: int, action: Callable[[], None]) -> None:
-        """Do something at a moment of the clock, between two control periods."""
+        """Call a function at a time of the clock, between two control periods."""
         self.scheduled.append((moment_ns, action))
         self.scheduled.sort(key=lambda one: one[0])
 
@@ -212,8 +212,8 @@ def _poll(device: Device[Any]) -> None:
 class SpoiledWire(MemoryTransport):
     """A wire from the force sensor that can be spoiled: a share of its bytes, or everything repeated or held back.
 
-    spoiled: chance of a byte to be turned into another; frozen: repeated counts, in complete frames (their counter
-    advances), of all axes or of those that are `stuck`
+    spoiled: probability that a byte is changed; frozen: counts are repeated, in complete frames whose counter advances,
+    for all axes or for those that are `stuck`
     """
 
     def __init__(self, double: OptoforceDouble, clock: SimulatedClock, seed: int = 0) -> None:
@@ -252,9 +252,9 @@ class SpoiledWire(MemoryTransport):
 
 
 class Spoiled:
-    """The vendor's functions, whose answers and orders can be spoiled.
+    """The vendor's functions, whose results and arguments can be changed.
 
-    invalid: poses and joint angles are not numbers; frozen: every reading is the one before; waits: called before each
+    invalid: poses and joint angles are NaN; frozen: every reading is the one before; waits: called before each
     call, which takes its time
     turning_rad_s: (3,) rotation of the arm's end in addition to each point of joint rates, about the tip's centre, in
     the base frame

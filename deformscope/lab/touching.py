@@ -1,4 +1,4 @@
-"""A controller's record of a tip that comes down on the foam and stops: for statistics over many touches.
+"""A controller's record of a tip that moves down on the foam and stops, for statistics over many touches.
 
 Touches without wires or a control loop: the foam's force over depth is computed once, and read at the arm's place at
 each sample.
@@ -26,9 +26,10 @@ class Sensing:
     """Errors of arm and force sensor.
 
     rate_hz: samples a second; speed_m_s: speed of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
-    arm_n_per_m: stiffness of the arm, which reads joints and does not see itself bend; infinite by default
-    gain: force as measured over the true one, which decides where it stops; overshoot_m: overshoot after that
-    friction: force aside over the normal one, towards `friction_rad` from the x axis
+    arm_n_per_m: stiffness of the arm, whose joint angles do not show its bending; infinite by default
+    gain: ratio of measured to true force; the measured one determines where the arm stops; overshoot_m: overshoot after
+    the stop
+    friction: lateral over normal force, in the direction `friction_rad` from the x axis
     """
 
     rate_hz: float = 100.0
@@ -48,8 +49,9 @@ class Approach:
 
     time_s: (n,) time from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
     force_n: (n, 3) measured force on the tip; all in the surface frame
-    true_depth_m: (n,) how far the tip had sunk along the normal, negative above; true_force_n: (n,) along the normal
-    level_n: the force that it was to stop at last; reached: the set force was reached, not only the largest depth
+    true_depth_m: (n,) how far the tip had sunk along the normal, negative above; true_force_n: (n,) true force along
+    the normal
+    level_n: the last set force; reached: the set force was reached, not only the largest depth
     """
 
     time_s: FloatArray
@@ -76,7 +78,7 @@ def approach(
     sensing: Sensing | None = None,
     random: np.random.Generator,
 ) -> Approach:
-    """Come down on a place (2,) along the surface's normal (3,) until the force is reached, or the depth.
+    """Move down on a place (2,) along the surface's normal (3,) until the force or the depth is reached.
 
     If the dent at the set force is shallower than `shallow_m`, the arm continues to the second force. It starts
     `clearance_m` above the surface, and stays `dwell_s` where it stopped. The last sample before the stay is at the
@@ -115,8 +117,8 @@ def approach(
 def force_curve(
     world: SlabWorld, tip: RigidTip, rest_m: FloatArray, normal: FloatArray, most_n: float, deepest_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """(n,) depths [m], rising from 0, and the force along the normal at each [N], until one is beyond `most_n` or at
-    `deepest_m`. rest_m: (3,) the tip where it just touches"""
+    """Depths (n,) [m], rising from 0, and the force along the normal at each [N], until a force exceeds `most_n` or the
+    depth is `deepest_m`. rest_m: (3,) place of the tip at first contact"""
     depths, forces = [0.0], [0.0]
     while forces[-1] <= most_n and depths[-1] < deepest_m:
         last = depths[-1]

@@ -1,1 +1,2 @@
-"""How results are logged: a view for each type of result. The only package, with the recorder, that imports rerun."""
+"""How results are logged: a view for each type of result. Views and recording by rerun: only this package and the
+recorder import it."""

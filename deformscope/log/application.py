@@ -1,4 +1,4 @@
-"""Kind of a recording, as far as it decides something before devices are opened."""
+"""Kinds of recordings, as far as they matter before devices are opened."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 PictureLayout = Literal["images", "flow", "pair", "pair-3d"]
-"""A calibrated sequence of images; optical flow alone; pairs of particle sets in the plane; in space."""
+"""Layouts over a picture: a calibrated sequence of images; optical flow; pairs of particle sets in the plane; in
+space."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,8 +17,8 @@ class Application:
 
     name: rerun's id of the application; over_picture: the views of results over a picture, once the picture is known,
     None = the views come with their results
-    devices: whether devices are recorded; robot_moves: whether a robot moves meanwhile, whose run reports its state on
-    a page. A recording without its results is useless
+    devices: whether devices are recorded; robot_moves: whether a robot moves during the recording, whose run reports
+    its state on a page. A recording without its results is useless
     """
 
     name: str

@@ -20,9 +20,9 @@ CHART = "Error and posterior over the parameter"
 PAPER = [232, 235, 240]
 """Background of particles without an image: all their colours are visible on it."""
 FLAT_CLOSER = 0.82
-"""A flat body fills a view from nearer by."""
+"""Factor on the distance of the eye for a flat body, which fills a view from nearer."""
 WIDE_FROM = 3.0
-"""Width over height from which pictures are stacked rather than put side by side."""
+"""Width over height from which pictures are placed below each other, not next to each other."""
 
 
 def blueprint(layout: PictureLayout, canvas: Canvas, chart: str = CHART, body: str = "") -> rrb.Blueprint:
@@ -108,7 +108,7 @@ def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
 
 
 def deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:
-    """A view whose eye is far enough away to have everything in sight, above and to the side."""
+    """A view from above and the side, far enough away to show everything."""
     low, high = list(canvas.low), list(canvas.high)
     low[1] -= 0.32 * max(canvas.width, canvas.height)  # the legend
     middle = [(first + last) / 2 for first, last in zip(low, high, strict=True)]

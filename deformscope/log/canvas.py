@@ -1,4 +1,4 @@
-"""Common parts of every twin: colours, the picture below, its legend and its colour bar."""
+"""Common parts of all views over a picture: colours, the picture, its legend and its colour bar."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from deformscope.pictures.palette import Rgb, colors, readable
 TEXT: Rgb = (225, 225, 225)
 
 SIDE_LEGEND_FROM = 3.5
-"""Height over width from which the legend is at the picture's side rather than below it."""
+"""Height over width from which the legend is at the picture's side, not below it."""
 COLUMN_SHARE, ROW_SHARE = 0.8, 0.14
 """Size of the legend at the picture's side, of its width, or below it, of its longer side."""
 
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """The picture that results are drawn upon.
+    """The picture on which results are drawn.
 
     low, high: (d,) its corners, d = 2 or 3, in pixels of the image or in the pair's unit
     spacing: distance between neighbouring particles, in the same unit; 0 = not yet known; particles: (K, 2) present
@@ -75,7 +75,7 @@ class Canvas:
 
     @property
     def rim(self) -> float:
-        """Room for the marks of particles on the edge; an image has its own."""
+        """Margin for the marks of particles at the edge; an image needs none."""
         return 0.0 if self.image else 0.4 * self.spacing
 
     @property
@@ -85,7 +85,7 @@ class Canvas:
 
 
 def sides_of(triangles: IntArray) -> IntArray:
-    """(n, 2) the sides of triangles (m, 3), each once."""
+    """(n, 2) sides of triangles (m, 3), each once."""
     every = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     return np.unique(np.sort(every, axis=1), axis=0)
 
@@ -112,7 +112,8 @@ def log_legend(
 
 
 def log_labels(rec: rr.RecordingStream, path: str, canvas: Canvas, labels: Sequence[tuple[float, float, str]]) -> None:
-    """Text under (x, y). A label takes its mark's colour, and not every colour can be read: its mark is tiny."""
+    """Text under (x, y). Log labels. A label has its mark's colour, and not every colour is readable: therefore labels
+    have separate, tiny marks."""
     rec.log(
         path,
         rr.Points2D(

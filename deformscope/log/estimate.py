@@ -24,13 +24,13 @@ RESIDUAL_RADIUS, DEEP_RADIUS, DEEP_OBSERVED_RADIUS = 0.15, 0.13, 0.16
 """Shares of the spacing. In space observed spheres are larger, so that red marks deviations from them."""
 
 NET = 1.2
-"""Largest distance, in spacings, of a surface's particles that a net joins."""
+"""Largest distance, in spacings, of a surface's particles that lines connect."""
 
 CELLS, OVER_IMAGE = 192, 0.75
 """The heat map in the plane: cells along its longer side, and how much of it covers an image."""
 
 BANDS = 32
-"""Colours of the heat map: steps that the eye can follow, and that are stored small."""
+"""Number of colours of the heat map: enough to see, and small in a file."""
 
 RING: Rgb = (20, 20, 20)
 

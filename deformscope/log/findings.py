@@ -31,17 +31,17 @@ class RigFindings:
 
 
 BODY = "on_body/points"
-"""A result on the body that it is of."""
+"""Entity of a result on its body."""
 UNKNOWN: Rgb = (150, 155, 165)
 STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
-"""Possible ends of its colour scale."""
+"""Possible ends of the colour scale."""
 ACROSS = 3
-"""Pictures side by side, at most."""
+"""Most pictures next to each other."""
 
 
 def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint | None = None) -> None:
-    """Log pictures, bodies, the tables as Markdown for people and as JSON for programs, and their views. below: views
-    that there are already"""
+    """Log pictures, bodies, the tables as Markdown for people and as JSON for programs, and their views. below:
+    existing views"""
     for number, figure in enumerate(found.figures):
         rec.log(f"found/picture/{number}", rr.EncodedImage(contents=figure.png, media_type="image/png"))
     for number, body in enumerate(found.bodies):
@@ -56,7 +56,7 @@ def log_rig_findings(rec: rr.RecordingStream, result: RigFindings) -> None:
 
 
 def log_evidence(rec: rr.RecordingStream, found: Findings, canvas: Canvas) -> None:
-    """The same next to particles: the first picture and the tables replace an estimate's."""
+    """Log findings next to particles: the first picture and the tables replace those of an estimate."""
     whole = bool(canvas.image)  # what is found of a sequence belongs to all of it
     _log_tables(rec, found, "calibration/summary", whole=whole)
     if not found.figures:

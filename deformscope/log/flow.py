@@ -11,13 +11,13 @@ from deformscope.pictures.palette import colors, round_up
 from deformscope.stages.see.flow import FlowField
 
 ARROWS_ALONG = 34
-"""Arrows along the longer side of the image: more would hide it."""
+"""Number of arrows along the longer side of the image: more would hide it."""
 STILL_PX = 0.25
-"""Below this an arrow would show the flow's noise."""
+"""Length below which an arrow would show the flow's noise."""
 
 
 def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str = "flow") -> None:
-    """The motion since the frame before, at the particles, or on a sparse grid, coloured by its length."""
+    """Log the motion since the previous frame, at the particles or on a sparse grid, coloured by its length."""
     origin, vector, step_px = _sparse(flow.flow_px, canvas)
     length_px = np.hypot(vector[:, 0], vector[:, 1])
     end_px = round_up(float(np.max(length_px, initial=0.0)))

@@ -1,4 +1,4 @@
-"""The part of an experiment with devices in its recorder: the views that a viewer opens with, and those of results."""
+"""What an experiment with devices adds to its recorder: the views with which a viewer opens, and those of results."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RecordingLayout(ABC):
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
     ) -> Batch:
-        """Make results ready, those of one moment: items of a robot that touches, unless a layout takes others.
+        """Prepare results of one time: items of a robot that touches, unless a layout accepts others.
 
         session_ns: when, since the recording's start [ns]; place: place on the timelines of an exploration
         cell_m: cell size of maps that do not say it themselves [m]; failed: receives errors of views

@@ -15,10 +15,11 @@ from deformscope.log.stages import prepare_stage_results
 
 
 class LiveStream:
-    """Entries of `rec` are sent immediately; items of devices are gathered, and thinned when it is flushed.
+    """A stream to a viewer: entries of `rec` are sent immediately; items of devices are gathered, and thinned at a
+    flush.
 
-    check: raises TimeoutError where the viewer does not answer within a time [s], another error where it is gone
-    passing: receives items that a later viewer does not need, None = `rec` does
+    check: raises TimeoutError if the viewer does not answer within a time [s], another error if it is gone
+    passing: receives items that a later viewer does not need, None = `rec` receives them
     """
 
     def __init__(
@@ -38,24 +39,24 @@ class LiveStream:
         self._latest: dict[str, StageResult] = {}
 
     def add_items(self, items: Sequence[Item], start_ns: int, streams: Sequence[Stream], place: Place | None) -> None:
-        """Show them with the next flush; the arguments are those of `prepare_items`."""
+        """Show items with the next flush; the arguments are those of `prepare_items`."""
         touch = -1 if place is None else place.touch
         self._start_ns, self._streams = start_ns, tuple(streams)
         self._items.setdefault(touch, []).extend(items)
         self._places[touch] = place  # the latest: it knows the most pictures
 
     def add_results(self, results: Sequence[StageResult], start_ns: int, streams: Sequence[Stream]) -> None:
-        """Show them with the next flush: all numbers over time, of pictures and marks the newest."""
+        """Show results with the next flush: all numbers over time, but only the newest pictures and marks."""
         self._start_ns, self._streams = start_ns, tuple(streams)
         self._results += results
 
     def send(self, batch: Batch, *, lasting: bool = False) -> None:
-        """Show its visible part: a page's time goes by the number of entities."""
+        """Send the batch's visible part: a page's time depends on the number of entities."""
         batch.send(self.rec if lasting else self._passing, visible_in(self._streams))
 
     def flush(self, *, timeout_sec: float) -> None:
-        """Send the gathered items, and return once the viewer has all. Raises TimeoutError where that takes longer,
-        another error where the viewer is gone."""
+        """Send the gathered items, and return once the viewer has all. Raises TimeoutError if that takes longer,
+        another error if the viewer is gone."""
         for touch, items in sorted(self._items.items()):
             place = self._places[touch]
             few = thinned(items)

@@ -1,4 +1,4 @@
-"""Portions of a recording put together: few and large ones are read, and shown, many times faster."""
+"""Merges portions of a recording: a few large ones are read and shown many times faster."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_NS, MOST_NS_OF_RESULTS = 20_000_000_000, 300_000_000_000
 hold the span of the longest one. Each portion costs rerun about 70 bytes of memory, until the file is closed, for every
 column of any entity of the file: 20 kB in an exploration."""
 RESULTS = ("/exploration/", "/display/")
-"""Entities of a few rows per touch, which no reader merges with device items in the order of time."""
+"""Entities with a few rows for each touch, which no reader needs to merge with device items in order of time."""
 
 
 @dataclass(slots=True)
@@ -33,7 +33,7 @@ class Merged:
         self._growing: dict[tuple[object, ...], _Growing] = {}
 
     def add(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Chunks that are complete with this portion, which is not static."""
+        """Add a portion that is not static; returns the chunks that it completes."""
         batch = chunk.to_record_batch()
         session_ns = batch.column("session").cast(pa.int64())
         columns = ((column.name, column.type) for column in batch.schema)

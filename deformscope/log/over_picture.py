@@ -74,7 +74,7 @@ def picture_views(canvas: Canvas) -> Views[rr.RecordingStream]:
 
 
 def canvas_after(result: object, canvas: Canvas) -> Canvas:
-    """The canvas after this result: some say where the particles are, and how far apart."""
+    """The canvas after this result: some results state the particles' positions and spacing."""
     match result:
         case ParticleGrid():
             return dataclasses.replace(canvas.around(result.rest_px), spacing=spacing_of(result.rest_px))

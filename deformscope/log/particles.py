@@ -1,4 +1,4 @@
-"""Particles over the image: where they rest, where they were seen, and which were lost."""
+"""Particles over the image: their rest positions, their seen positions, and those that were lost."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ REST_RADIUS, OBSERVED_RADIUS, SIMULATED_RADIUS, CROSS = 0.10, 0.22, 0.12, 0.2
 
 
 def log_grid(rec: rr.RecordingStream, grid: ParticleGrid, canvas: Canvas, path: str = "particles") -> None:
-    """The particles at rest. Log the lattice. It does not move, but is on the timeline from the first frame on."""
+    """Log the particles at rest. Log the lattice. It does not move, but is on the timeline from the first frame on."""
     log_rest(rec, grid.rest_px, canvas, path)
 
 
 def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas, path: str = "particles") -> None:
-    """(K, 2) rest positions in green."""
+    """Log rest positions (K, 2) in green."""
     radius = canvas.spacing * REST_RADIUS
     log_place(rec, canvas, f"{path}/rest")
     rec.log(f"{path}/rest", rr.Points2D(rest, radii=radius, colors=REST, draw_order=30.0))
@@ -29,7 +29,7 @@ def log_rest(rec: rr.RecordingStream, rest: FloatArray, canvas: Canvas, path: st
 
 
 def log_tracked(rec: rr.RecordingStream, tracked: Tracked, canvas: Canvas, path: str = "particles") -> None:
-    """Seen particles as blue discs; lost ones as pale crosses where they were last known."""
+    """Log seen particles as blue discs, and lost ones as pale crosses at their last known places."""
     seen = tracked.seen & np.isfinite(tracked.position_px).all(axis=1)
     log_observed(rec, tracked.position_px, seen, canvas, path)
     rec.log(f"{path}/observed", rr.AnyValues(noise_px=tracked.noise_px, seen=tracked.seen))
@@ -38,7 +38,7 @@ def log_tracked(rec: rr.RecordingStream, tracked: Tracked, canvas: Canvas, path:
 def log_observed(
     rec: rr.RecordingStream, position: FloatArray, seen: np.typing.NDArray[np.bool_], canvas: Canvas, path: str
 ) -> None:
-    """(K, 2) positions: blue discs where seen, pale crosses elsewhere."""
+    """Log positions (K, 2): blue discs for seen particles, pale crosses for others."""
     lost = ~seen & np.isfinite(position).all(axis=1)
     radius = canvas.spacing * OBSERVED_RADIUS
     log_place(rec, canvas, f"{path}/observed", f"{path}/lost")

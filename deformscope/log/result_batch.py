@@ -1,4 +1,4 @@
-"""Results of one moment, made ready for rerun."""
+"""Results of one time, prepared for rerun."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ResultBatch:
         self._batch.send_series(path, host_ns, columns)
 
     def log_static(self, path: str, entity: rr.AsComponents) -> None:
-        """Log an entity that holds at all times but is known only now."""
+        """Log an entity that is constant but only known now."""
         self._batch.log(path, entity, static=True)
 
     def record(self, result: Any) -> None:
@@ -46,7 +46,7 @@ class ResultBatch:
         self._batch.send_columns(ENTITIES[type(result)], self._times, recorded([result]))
 
     def show_png(self, path: str, draw: Callable[P, bytes], *given: P.args, **named: P.kwargs) -> None:
-        """The PNG that `draw`, a function of a module, makes from its arguments."""
+        """Log the PNG that `draw`, a function of a module, makes from its arguments."""
         self.show(path, rr.EncodedImage(contents=render(draw, *given, **named), media_type="image/png"))
 
     def show_text(self, path: str, markdown: str) -> None:
@@ -54,7 +54,7 @@ class ResultBatch:
         self.show(path, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
 
     def show_words(self, path: str, text: str, level: str) -> None:
-        """A line of a log."""
+        """Log a line of text."""
         self.show(path, rr.TextLog(text, level=level))
 
     def show_phase(self, phase: Any, known: Mapping[str, Rgb]) -> None:

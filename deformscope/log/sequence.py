@@ -17,7 +17,7 @@ DISPLAY = "display/image"
 
 
 def canvas_of(frame: ColorFrame) -> Canvas:
-    """The picture that results are drawn upon."""
+    """The picture on which results are drawn."""
     height, width = frame.image.shape[:2]
     path = root("color", frame.device) if frame.image.dtype == np.uint8 else DISPLAY
     return Canvas(low=(0.0, 0.0), high=(float(width), float(height)), image=path)
@@ -29,8 +29,8 @@ def range_of(image: ImageArray) -> tuple[float, float]:
 
 
 def prepare_image(frame: ColorFrame, start_ns: int, limits: tuple[float, float], *, lossless: bool) -> Batch:
-    """Make one image ready, as it is recorded or, not lossless, as a live view gets it. start_ns: host time at which
-    `session` is 0 [ns]; limits: spread over 8 bits where the image has 16, as viewers do not show it otherwise"""
+    """Prepare one image for a recording or, with losses, for a live view. start_ns: host time at which
+    `session` is 0 [ns]; limits: range that is mapped to 8 bits if the image has 16, as viewers do not show these"""
     batch = Batch()
     eight = frame.image.dtype == np.uint8
     if eight or lossless:

@@ -1,4 +1,4 @@
-"""The registry of views: the logging function of each type of result, and the stages that it is a result of. Every
+"""The registry of views: for each type of result the logging function, and the stages that give it. Every
 recorded type has one, and all are looked up here."""
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class ShownStage:
     result in words; entity: place of its rows, with entities below it, "" = that of its type of result
     field: field of the result, without which a row holds nothing of the stage, "" = each does
     costs: names of other stages that are computed for it
-    when: the setting of a recording that requests it, as `explore.hold_s`, or with one of its values, as
-    `stages.names=beta`. Several, separated by spaces, are all needed; "" = it is always present, `SOMETIMES` = it may
-    be absent
+    when: the setting of a recording that requests it, such as `explore.hold_s`, or a setting with one of its values,
+    such as `stages.names=beta`. Several, separated by spaces, are all needed; "" = it is always present, `SOMETIMES` =
+    it may be absent
     """
 
     name: str
@@ -36,7 +36,7 @@ class ShownStage:
     when: str = ""
 
     def is_expected(self, settings: Mapping[str, Any]) -> bool:
-        """Whether a run gives it, by the settings of its recording."""
+        """Whether a run gives this result, by the settings of its recording."""
         return all(_holds(one, settings) for one in self.when.split())
 
 

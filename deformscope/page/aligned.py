@@ -21,14 +21,14 @@ from deformscope.recording.reader import Replay
 
 STEP_NS = 10_000_000
 AROUND_NS = -1_000_000_000, 5_000_000_000
-"""The chapter around the contact."""
+"""Time around the contact in its chapter."""
 FREE_NS = -1_200_000_000, -200_000_000
-"""Before the contact: nothing touches yet."""
+"""Time before the contact, without a touch."""
 
 
 def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[float, float]]:
-    """Serve the measurements of the devices of two recordings, to play; its address is printed. Also returns when each
-    recording's first contact was, from its start [s].
+    """Serve the measurements of the devices of two recordings on a page that plays them; its address is printed. Also
+    returns when each recording's first contact was, from its start [s].
 
     Raises InputError for a recording without a contact in a force sensor or a tactile array.
     """

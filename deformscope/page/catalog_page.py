@@ -15,9 +15,9 @@ from deformscope.page.playback import playback_of
 from deformscope.page.server.page_server import PageServer
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
-"""The page brings its pictures along, and has no script."""
+"""Policy of the page, which contains its pictures and has no script."""
 MOST_OPEN = 8
-"""Recordings that are ready to be played; more take the place of the first."""
+"""Largest number of recordings that are open for playback; a further one replaces the oldest."""
 
 
 class CatalogServer(PageServer):

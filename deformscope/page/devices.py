@@ -22,7 +22,7 @@ UNTOUCHED = ("look", "plan", "travel", "tare", "done")
 
 class ShownDevices:
     """Shows on a page the health of devices, computed from all their items, and the robot's use of them. touching:
-    whether something may touch a force sensor, whose drift is then not known"""
+    whether something may touch a force sensor, whose drift is then unknown"""
 
     def __init__(self, session: PageSession, streams: Sequence[Stream]) -> None:
         self.touching = False
@@ -50,7 +50,7 @@ class ShownDevices:
                 self._session.remark(words, bad=bad)
 
     def tared(self, device: str) -> None:
-        """Start the drift of a tared device again."""
+        """Restart the drift of a tared device."""
         self._drifts.pop(device, None)
 
     def _state(self, name: str, health: Health) -> DeviceState:

@@ -1,5 +1,5 @@
-"""A fit whose settings are made on a page, in its own process: changes are simulated immediately, and the newest change
-wins.
+"""A fit whose settings are made on a page, in a separate process: changes are simulated immediately, and only the
+newest one counts.
 
 Images of a followed camera are in no file. A picture that is held, by a person or by a whole fit, is written together
 with the picture at rest, and the command line names both.
@@ -55,7 +55,7 @@ VALUES, COARSELY = 25, 5
 QUIET_S = 0.3
 """Time without a change after which it begins."""
 SWIFT_S = 0.15
-"""The error curve of a picture that is followed is drawn while it does not take longer."""
+"""Longest time for drawing the error curve of each picture of a followed camera."""
 BUSY_EVERY_S = 0.2
 PICTURE_NAMES = 8
 """Number of a camera's pictures that can still be requested: a page draws one together with its particles."""
@@ -121,7 +121,8 @@ class PageFit:
             self._news.notify()
 
     def run(self) -> None:
-        """Simulate and fit on requests of pages, until one of them stops it. `config` then has the last settings."""
+        """Simulate and fit on requests of pages, until one of these stops the run. `config` then has the last
+        settings."""
         while True:
             with self._news:
                 self._wait()
@@ -146,7 +147,7 @@ class PageFit:
 
     @property
     def command(self) -> str:
-        """The command of the same numbers at a terminal; empty without one."""
+        """The command that gives the same numbers at a terminal; empty without one."""
         if self.state.following:
             return ""
         return shlex.join(command_line(f"calibrate {self.state.parameter}", self.result_config))
@@ -365,7 +366,7 @@ def format_error(problem: Exception) -> str:
 
 
 def found_of(estimate: Estimate, command: str) -> FitResult:
-    """A whole fit as a page says it. command: command that gives this result"""
+    """A whole fit for a page. command: command that gives this result"""
     low, high = estimate.interval
     words = estimate.verdict_text()
     return FitResult(command, estimate.value, low, high, estimate.level, estimate.aee_free, words)
@@ -396,8 +397,8 @@ def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
 def run_fit(
     config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
 ) -> None:
-    """Go on until a `StopRun` comes, or the pipe ends. next_folder: makes a folder for pictures of a camera, None = a
-    fit of files
+    """Run the fit until a `StopRun` comes, or the pipe ends. next_folder: makes a folder for pictures of a camera, None
+    = a fit of files
 
     The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given the messages of a
     `PageFit`, ("note", a step before it), and ("end", the last options if keeps_last, or an error).

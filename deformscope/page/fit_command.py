@@ -1,4 +1,4 @@
-"""A fit that a command has set on a page, before it makes it: of files, or of a rig's camera, which is then opened."""
+"""A fit that is set on a page before a command computes it: of files, or of a rig's camera, which is then opened."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from deformscope.stages.fit.estimate import Estimate
 def set_on_page(
     config: BetaConfig | ThetaConfig, note: Callable[[str], None]
 ) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]:
-    """Have a page set a fit, until it is stopped there. Yields the chosen options, and the view of the result.
+    """Set a fit on a page, until it is stopped there. Yields the chosen options, and the view of the result.
 
-    The page is served on until the process ends. Raises InputError for unreadable sources.
+    The page is served until the process ends. Raises InputError for unreadable sources.
     """
     if (reason := not_on_a_page(config)) is not None:
         if config.from_rig:
@@ -94,7 +94,7 @@ def _set(
 
 def follow(entry: RigDevice, fit: FitProcess, session: PageSession) -> None:
     """Open only a rig's camera, and give its pictures to a fit until the camera or the fit ends. session:
-    receives remarks on the camera. Raises InputError where it gives no picture."""
+    receives remarks on the camera. Raises InputError if it gives no picture."""
     came = ended = False
     with member_of(entry) as member, RigSource((member,), raw=False) as source:
         while fit.goes_on and not ended:

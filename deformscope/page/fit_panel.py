@@ -22,7 +22,7 @@ from deformscope.page.server.page_server import PageServer
 class FitPanel:
     """`PageRun` of a page, besides that of the main session. No fit begins before a page requests it.
 
-    rig: the rig's name on a command line; folder: where held pictures go; name: theirs begin so
+    rig: the rig's name on a command line; folder: where held pictures go; name: beginning of the names of its commands
     images: options with which a fit begins; their camera is followed first, None = the first camera
     """
 
@@ -34,7 +34,8 @@ class FitPanel:
         self._reported: set[FitResult] = set()
 
     def bind(self, page: PageServer, streams: Sequence[Stream], found: Callable[[str], None]) -> None:
-        """From now on a page can open the panel, if there is a camera. found: is given each whole fit once, in words"""
+        """From now on a page can open the panel, if there is a camera. found: called once with each whole fit, in
+        words"""
         self._page, self._found = page, found
         self._cameras = tuple(one.device for kind in ("color", "depth") for one in streams if one.kind == kind)
         if self._cameras:
@@ -63,7 +64,7 @@ class FitPanel:
         return fit.handle(command)
 
     def close(self) -> None:
-        """End it, and print the command of its numbers at the terminal."""
+        """End the fit, and print the command of its numbers at the terminal."""
         if self._fit is not None:
             self._fit.close()
 

@@ -30,10 +30,10 @@ MOST_CHANGES = 1000
 
 class FitProcess:
     """`PageRun` of a fit. The process of a fit, which requests a camera's newest picture when it is ready for one. The
-    device loop passes it on without waiting, and passes none while no page shows the fit.
+    device loop passes pictures on without waiting, and none while no page shows the fit.
 
     config: the command's options, with which it begins; state: the state that was shown last; commands: commands that
-    are possible then; changed: is called with it after every change, in the thread that listens to the process
+    are possible then; changed: called with the state after every change, in the thread that receives from the process
     next_folder: makes a folder for held pictures of a camera, None = it is a fit of files
     keeps_last: the final picture is held
     drawn_ms: time from a change on the page until the page has drawn it [ms]

@@ -14,7 +14,7 @@ IN_PICTURE = ("roi", "grid", "spacing_px", "outline", "contact", "held")
 
 
 def images_with(images: ImageOptions, asked: FitSettings) -> ImageOptions:
-    """The options with the settings made in the picture. Raises InputError where it does not go together."""
+    """The options with the settings made in the picture. Raises InputError if they contradict each other."""
     outline = tuple(value for corner in asked.outline for value in corner) or None
     same = {name: getattr(asked, name) for name in ("roi", "grid", "spacing_px", "contact")}
     images = dataclasses.replace(images, **same, outline=outline, held=None)

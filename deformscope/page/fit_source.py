@@ -48,7 +48,7 @@ class ImagesSubject:
         self.images = tuple(encode_jpeg(_eight_bits(one, low, high)) for one in both)
 
     def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
-        """The observation with these options, and a fit's record of it. Raises InputError where there is nothing."""
+        """The observation with these options, and a fit's record of it. Raises InputError without particles."""
         images = images_of(config)
         height, width = self._motion.first.shape[:2]
         mask = mask_of(config.sources, images, (height, width))
@@ -100,12 +100,12 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
 
 
 class FollowedCamera:
-    """Pictures may come from any thread; all else is for one other.
+    """A camera that is followed. Pictures may come from any thread; only one other thread may call the other methods.
 
     name: name of the camera; first: its first picture, which shows the thing at rest; method: method of the flow
-    flow: computes it in a process, whose OpenCV nothing else uses meanwhile: the same pictures give the same to the
-    last bit
-    next_folder: makes a folder for pictures to store; want: asks for the next picture
+    flow: computes the motion in a process in which nothing else uses OpenCV: the same pictures give the same result to
+    the last bit
+    next_folder: makes a folder for pictures to store; want: requests the next picture
     """
 
     def __init__(
@@ -137,8 +137,8 @@ class FollowedCamera:
         self._rest, self._requested, self._pair = self._newest, None, None
 
     def request(self, call: Callable[[], None]) -> None:
-        """Have the motion computed from rest to the newest picture, unless it is shown already, or another is being
-        computed; meanwhile the next picture arrives. call: called when the picture is there, in any thread"""
+        """Compute the motion from rest to the newest picture, unless it is shown already, or another one is being
+        computed. Meanwhile the next picture arrives. call: called when the picture is there, in any thread"""
         if not self._wants:
             self._wants = True
             self._want()
@@ -165,8 +165,7 @@ class FollowedCamera:
         return motion
 
     def keep(self) -> None:
-        """Write both pictures that are shown as files, without loss. Raises OSError, and InputError where they cannot
-        be written."""
+        """Write both shown pictures as files, without loss. Raises OSError, or InputError if they cannot be written."""
         if self._kept is not None:
             return
         assert self._shown is not None
@@ -181,7 +180,7 @@ class FollowedCamera:
         self._kept = str(rest), str(now)
 
     def named(self, config: BetaConfig | ThetaConfig) -> BetaConfig | ThetaConfig:
-        """The options, with the stored files. Raises InputError where none were."""
+        """The options, with the stored files. Raises InputError without such files."""
         if self._kept is None:
             raise InputError("stored pictures of the camera", "none", "space and permissions in [record] folder")
         return dataclasses.replace(config, sources=self._kept, images=dataclasses.replace(config.images, camera=None))
@@ -189,7 +188,7 @@ class FollowedCamera:
 
 def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> CachedFlow:
     """Motion from one picture (H, W[, 3]) to the other, as with two files. threads: number of threads of OpenCV. Raises
-    InputError where the sizes differ."""
+    InputError if the sizes differ."""
     if rest.shape != newest.shape:
         came = f"{newest.shape[1]}x{newest.shape[0]} after {rest.shape[1]}x{rest.shape[0]}"
         raise InputError("pictures of one size", came, "take the image at rest again")

@@ -20,12 +20,12 @@ from deformscope.stages.squeeze.trial import SqueezePhase
 
 LAYER = "layer.rrd"
 STEP_NS = 100_000_000
-"""About a picture of a camera that is recorded at 10 Hz."""
+"""Step: about a picture of a camera at 10 Hz."""
 
 
 def play_on_page(path: Path) -> PageServer:
-    """Serve a recording to play; its address is printed. Play a recording on a page until `close`, or the end of the
-    process."""
+    """Serve a recording on a page that plays it; its address is printed. Play a recording on a page until `close`, or
+    the end of the process."""
     page = PageServer(path.name, path)
     page.session.show(playback=playback_of(path))
     page.open()

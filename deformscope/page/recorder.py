@@ -1,4 +1,4 @@
-"""A rig that is watched on a page: its devices stay open while files come and go as the page's buttons say."""
+"""A rig that is watched on a page: its devices stay open while the page's buttons begin and end files."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class EpisodeNotes:
         self._waiting.append(SessionNote(monotonic_ns(), about, text))
 
     def take(self) -> list[SessionNote]:
-        """The waiting notes, which are then removed."""
+        """Remove and return the waiting notes."""
         notes, self._waiting = self._waiting, []
         return notes
 
@@ -90,7 +90,7 @@ class EpisodeNotes:
         self.note("episode-begin", label)
 
     def end(self) -> str:
-        """End the episode; its label."""
+        """End the episode; returns its label."""
         label, self.episode = self.episode, ""
         if label:
             self.note("episode-end", label)
@@ -101,7 +101,7 @@ class EpisodeNotes:
         self._last_episode = ""
 
     def lose_file(self) -> None:
-        """The file has ended before the episode."""
+        """Note that the file has ended before the episode."""
         self.episode = ""
 
     def discard(self, command: DiscardPart) -> tuple[Outcome, str]:
@@ -116,7 +116,7 @@ class EpisodeNotes:
 
 
 class BackgroundWork:
-    """Slow tasks, each in its own thread. failed: receives the error; ended: is called after each"""
+    """Slow tasks, each in its own thread. failed: receives the error; ended: called after each task"""
 
     def __init__(self, failed: Callable[[str], None], ended: Callable[[str], None]) -> None:
         self.busy: set[str] = set()
@@ -152,9 +152,9 @@ class MakeRecorder(Protocol):
 class PageRecorder:
     """A session's recorder whose file is begun and ended from a page, and which carries out the page's other commands.
 
-    file: the first file, None = none yet; next_file: a name for each that follows
-    ended: is set where the page asks to stop; recent: the last seconds, which can still be recorded
-    fit: fit that can be set during the recording; at_end: a file for items that are held at the end
+    file: the first file, None = none yet; next_file: gives a name for each further file
+    ended: set if the page requests a stop; recent: the last seconds, which can still be recorded
+    fit: fit that can be set during the recording; at_end: file for items that are in memory at the end
     """
 
     def __init__(

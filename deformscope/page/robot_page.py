@@ -1,5 +1,5 @@
-"""Common parts of every page of a robot: it moves once a person there has confirmed that, and only while the page is
-present."""
+"""Common parts of all pages of a robot: it moves after a person has confirmed the motion on the page, and only while
+the page is present."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from deformscope.page.server.page_session import PageSession
 
 
 class RobotPage(ABC):
-    """`PageRun` of a robot's page. robot: the moving part, as text; button: a page's button for a motion"""
+    """`PageRun` of a robot's page. robot: the moving part, as text; button: text of the page's button for a motion"""
 
     robot = button = ""
 
@@ -29,14 +29,14 @@ class RobotPage(ABC):
 
     @abstractmethod
     def wait_for(self, what: str) -> None:
-        """Have the page confirm the next motion. what: the motion"""
+        """Request a confirmation of the next motion from the page. what: the motion"""
 
     @abstractmethod
     def go_on(self) -> None:
-        """Go on after a person agreed, at the page or elsewhere, or where no agreement is needed."""
+        """Continue after a person agreed, at the page or elsewhere, or if no agreement is needed."""
 
     def is_agreed(self) -> bool:
-        """Whether a person at the page has confirmed it."""
+        """Whether a person at the page has confirmed the motion."""
         return self._agreed
 
     def reason_to_stand(self) -> str:

@@ -48,7 +48,7 @@ CURVE_POINTS = 60
 
 class PageSteering(RobotPage):
     """`Steering` of an exploration, and `PageRun` of its page. arm: its name; set_force_n: set force of a touch;
-    budget: touches at most where it explores; paused: begin so, and touch only where the page says"""
+    budget: most touches of the exploration; paused: begin paused, and touch only on a request of the page"""
 
     robot, button = "arm", "Explore"
 
@@ -135,7 +135,7 @@ class PageSteering(RobotPage):
             self._choice = self._confirm = None
 
     def on_results(self, results: Sequence[object]) -> None:
-        """Results of the loop."""
+        """Receives results of the loop."""
         for result in results:
             if isinstance(result, TouchEstimate) and (curve := self.session.state.curve) is not None:
                 near = np.hypot(result.xyz_m[0] - curve.x_m, result.xyz_m[1] - curve.y_m) < 1e-3
@@ -250,7 +250,8 @@ def curve_of(forecast: TouchForecast) -> ForceCurve:
 
 
 def add_measured(curve: ForceCurve, touch: TouchEstimate, compliance_m_per_n: float) -> ForceCurve:
-    """The same with the measured curve: the dent without the arm's deflection, from contact to the largest force."""
+    """The force curve with the measured one: the dent without the arm's deflection, from contact to the largest
+    force."""
     if not touch.usable:
         return msgspec.structs.replace(curve, words="measured: no stiffness resulted")
     end = int(np.argmax(touch.approach_n)) + 1

@@ -1,1 +1,1 @@
-"""Results as pictures and words, the same for recordings, reports and figures."""
+"""Results as pictures and texts, which recordings, reports and figures share."""

@@ -28,9 +28,9 @@ NAMED = 30
 SHOWN_IMAGES = 15
 """Classes of which a mean image is shown."""
 ABREAST = 4
-"""Confusion matrices in a row."""
+"""Most confusion matrices in a row."""
 UNITS = {"tactile": (1.0, "counts"), "vision": (1e3, "mm"), "vision_small": (1e3, "mm")}
-"""Units of the features of a data set of squeezes: factor and unit as they are drawn."""
+"""Factor and unit with which features of a data set of squeezes are drawn."""
 PADS, PAD_SIDE = 36, 6
 """Cells of a fingertip's tactile array in a feature, 6 by 6 (Thesis 2.5.1)."""
 
@@ -48,7 +48,7 @@ def class_colors(count: int) -> list[Any]:
 
 
 def image_of(features: FloatArray) -> FloatArray:
-    """(p,) features as their picture: two tactile arrays side by side, a square patch, else one row."""
+    """The picture of features (p,): two tactile arrays next to each other, a square patch, or else one row."""
     if features.size == 2 * PADS:
         gap = np.full((PAD_SIDE, 1), np.nan)
         first, second = features.reshape(2, PAD_SIDE, PAD_SIDE)
@@ -196,8 +196,8 @@ def _percent(axis: Axes, name: str = "accuracy") -> None:
 
 
 def confusion_png(scores: Sequence[ClassificationScore], labels: Sequence[str]) -> bytes:
-    """Confusion matrices side by side: rows are the true contents, each adding up to 100 %; with their intervals where
-    classes are few."""
+    """Confusion matrices side by side: rows are the true contents, each adding up to 100 %; with intervals if there are
+    few classes."""
     count = len(labels)
     side = 3.6 if count <= 6 else 4.8 if count <= NUMBERED else 5.6 if count <= NAMED else 7.5
     columns = min(len(scores), ABREAST)

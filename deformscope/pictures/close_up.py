@@ -12,7 +12,7 @@ from deformscope.stages.fit.estimate import Comparison
 from deformscope.stages.see.triangulation import is_surface, spacing_of
 
 STIRRED = 0.05
-"""Particles that moved this share of the largest motion belong into the picture."""
+"""Share of the largest motion from which a particle is shown."""
 
 ROOM, LEAST = 1.5, 8.0
 """Side of the picture: a multiple of the moved part, and at least this number of spacings."""
@@ -21,12 +21,13 @@ RELIEF = 0.25
 """Share of the picture's side that heights should fill."""
 
 THIN = 0.3
-"""A surface is seen from above, and its heights may be drawn out, if they span less than this share of its sides."""
+"""If a surface's heights span less than this share of its sides, it is shown from above and its heights may be
+magnified."""
 
 
 @dataclass(frozen=True, slots=True)
 class CloseUp:
-    """The part of a body that is worth showing. low, high: (3,) its corners [unit]; heights: how many times z is drawn
+    """The part of a body that is shown. low, high: (3,) its corners [unit]; heights: how many times z is drawn
     out; surface: a layer seen from above"""
 
     low: FloatArray

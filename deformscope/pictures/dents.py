@@ -1,4 +1,4 @@
-"""Dents as pictures: cuts through the surface along x under each tip, predicted and where it was measured too."""
+"""Dents as pictures: cuts through the surface along x under each tip, predicted and, if available, measured."""
 
 from __future__ import annotations
 

@@ -38,20 +38,21 @@ APART = 0.02
 """Largest distance of a posterior's peak from the estimate, as a share of the range, at which the peak has no mark. A
 peak outside of the interval has no mark either."""
 NARROW = 0.05
-"""An interval below this share of the range is drawn once more, enlarged."""
+"""An interval below this share of the range is drawn a second time, enlarged."""
 
 MOST_ROWS = 8
-"""Comparisons in one picture; of more, the worst-fitted are shown."""
+"""Most comparisons in one picture; of more, those with the worst fit are shown."""
 
 SMOOTH = 3000
-"""Faces of a skin from which its colours look even."""
+"""Number of faces of a surface from which its colours look smooth."""
 
 DPI = 110
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One estimate and its views: (n,) comparisons, each with a name; image: under the particles, None = none."""
+    """One estimate and its views: (n,) comparisons, each with a name; image: picture under the particles, None =
+    none."""
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
@@ -60,7 +61,7 @@ class Result:
 
 
 def errors(comparison: Comparison) -> FloatArray:
-    """(K,) how far each simulated particle is from where it was observed [unit]; NaN where it was not."""
+    """(K,) distance of each simulated particle from its observed place [unit]; NaN if it was not observed."""
     return np.asarray(
         np.where(comparison.seen, distances(comparison.simulated, comparison.observed), np.nan), dtype=np.float64
     )
@@ -79,7 +80,7 @@ def verdict_color(estimate: Estimate) -> str:
 
 
 def where_wrong(comparison: Comparison) -> str:
-    """Place of the model's error, in a sentence."""
+    """A sentence on the place of the model's error."""
     error = errors(comparison)
     if not np.isfinite(error).any():
         return "No particle was observed."

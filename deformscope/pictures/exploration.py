@@ -73,9 +73,9 @@ PLACE = (0.12, 0.12, 0.7, 0.69)
 """Place of a map in its picture (left, bottom, width, height): room for title, labels and colour bar."""
 ROWS_OF_WORDS = 3
 UNIT_LETTERS = 8
-"""A longer label of a colour bar is part of the label of x."""
+"""Most letters of a colour bar's label; a longer one is part of the label of x."""
 NEAR_EDGE = 0.12
-"""Share of a map's side from its far edge on in which a touch's number is written on the other side of the touch."""
+"""Share of a map's side at its far edge in which a touch's number is written on the other side of the touch."""
 LEAST_SURE = 0.25
 """Probability of a label at and below which its colour is palest."""
 
@@ -83,7 +83,7 @@ LEAST_SURE = 0.25
 @dataclass(frozen=True, slots=True)
 class DrawnMap:
     """A map as a picture. values: (rows, columns) values in the units of the colour bar; colors: (rows, columns, 3)
-    colours of each cell, from 0 to 255; both empty where there is no field to draw"""
+    colours of each cell, from 0 to 255; both empty without a field"""
 
     png: bytes
     values: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -709,7 +709,7 @@ error_png = _picture(draw_error, (0.17, 0.155, 0.79, 0.66))
 section_png = _picture(draw_section, (0.17, 0.155, 0.79, 0.62))
 """The dent around the tip, observed and simulated: height over the distance from the contact."""
 height_png = _picture(draw_height)
-"""The surface as in its Gaussian process: height, and lines of equal standard deviation [mm]."""
+"""The surface of the Gaussian process: height, and lines of equal standard deviation [mm]."""
 region_comparison_png = _picture(draw_region_comparison, (0.12, 0.12, 0.84, 0.62))
 """Borders of the regions in a recorded map, and in the map with other settings, which are named."""
 touch_comparison_png = _picture(draw_touch_comparison, (0.16, 0.14, 0.8, 0.62))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Distinct to colour-blind readers too (Okabe and Ito 2008)."""
+"""Colours that colour-blind readers can distinguish (Okabe and Ito 2008)."""
 
 LINES = ("-", "--", ":", "-.")
 
@@ -39,7 +39,8 @@ def png_of(drawn: Figure, dpi: int) -> bytes:
 
 @contextmanager
 def figure(path: Path, columns: int, rows: int = 1, *, share_y: bool = False) -> Iterator[Any]:
-    """Axes (rows, columns) to draw on; written to `path` as PNG at the end. Unused axes (without a title) vanish."""
+    """Axes (rows, columns) to draw on; written to `path` as PNG at the end. Unused axes (without a title) are
+    removed."""
     drawn = canvas(4.6 * columns, 3.9 * rows, layout="constrained")
     axes = drawn.subplots(rows, columns, squeeze=False, sharey=share_y)
     yield axes
@@ -50,8 +51,7 @@ def figure(path: Path, columns: int, rows: int = 1, *, share_y: bool = False) ->
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
-    """A CSV table of rows that have the same names, where there are any; floats with six digits that count, None as an
-    empty field."""
+    """Write a CSV table of rows with the same names; floats have six significant digits, None is an empty field."""
     if not rows:
         return
     with path.open("w", newline="", encoding="utf-8") as file:

@@ -49,7 +49,7 @@ def cell_text(value: object) -> str:
 
 
 def table_text(table: Table) -> str:
-    """Plain lines, never folded: a path or a number cut in two is useless in a pipe."""
+    """The table as plain lines, which are never wrapped: a divided path or number is useless in a pipe."""
     lines = [list(map(str, row)) for row in ((table.names, *table.rows) if table.names else table.rows)]
     widths = [max(map(len, column)) for column in zip(*(row[:-1] for row in lines), strict=True)] if lines else []
     shown = ("  ".join([*map(str.ljust, row, widths), row[-1]]).rstrip() for row in lines)

@@ -8,7 +8,7 @@ from deformscope.arrays import FloatArray, ImageArray
 from deformscope.pictures.figures import canvas, png_of
 
 ARROWS = 36
-"""Arrows along the longer side of the picture."""
+"""Number of arrows along the longer side of the picture."""
 
 
 def flow_png(image: ImageArray, flow_px: FloatArray) -> bytes:

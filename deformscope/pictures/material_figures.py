@@ -59,7 +59,7 @@ def axes_png(found: AxisEstimate) -> bytes:
 
 
 FIELD_LAYERS = 4
-"""Layers of a body in space that are drawn, at most."""
+"""Most layers of a body in space that are drawn."""
 
 
 def field_png(found: FieldEstimate) -> bytes:

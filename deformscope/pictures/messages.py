@@ -42,7 +42,7 @@ ENDED = {
 
 
 def format_stop(stop_reason: str) -> str:
-    """Why no further touch was made; reasons that are no plan's are in words already."""
+    """Why no further touch was made; reasons that do not come from a plan are texts already."""
     return ENDED.get(stop_reason, stop_reason or "before its plan was carried out")
 
 
@@ -73,7 +73,7 @@ def format_failure(failed: StageFailure) -> str:
 
 
 def estimate_tables(estimate: Estimate, title: str) -> list[Table]:
-    """The numbers, and the ways of fitting that were tried where some were."""
+    """Tables of the numbers, and of the ways of fitting that were tried, if any."""
     tables = [Table(estimate_rows(estimate), caption=title)]
     if estimate.selection:
         ways = list(map(_choice_row, estimate.selection))
@@ -117,7 +117,7 @@ def estimate_rows(estimate: Estimate) -> list[tuple[str, str]]:
 
 
 def value_rows(estimate: Estimate) -> list[tuple[str, str]]:
-    """Value, interval, verdict and why to doubt it."""
+    """Value, interval, verdict and the reasons to doubt it."""
     low, high = estimate.interval
     return [
         (estimate.parameter, f"{estimate.value:.4g}"),

@@ -28,7 +28,7 @@ JOINTS: tuple[Rgb, ...] = (
 )
 
 BACKGROUND: Rgb = (30, 33, 38)
-"""Behind pictures that do not fill their view."""
+"""Background of pictures that do not fill their view."""
 
 # Of a device's state.
 GOOD: Rgb = (40, 150, 70)
@@ -38,7 +38,7 @@ IDLE: Rgb = (110, 115, 125)
 
 
 def tints_of(count: int) -> list[Rgb]:
-    """The colours of lines of a plot, in their order."""
+    """The colours of a plot's lines, in their order."""
     return [JOINTS[at % len(JOINTS)] for at in range(count)]
 
 

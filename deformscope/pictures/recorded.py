@@ -13,7 +13,7 @@ from deformscope.pictures.figures import COLOURS, LINES, canvas, png_of
 
 DPI = 110
 MARKED = 30
-"""Fewer points are marked each."""
+"""Number of points below which each is marked."""
 PHASES = ("#eef3f8", "#dfe6ee")
 APART = 0.024
 """Distance between the names of phases, as a share of the axis: short phases follow one another within some tenths of a
@@ -40,8 +40,8 @@ def curves_png(
     events: Sequence[tuple[str, float]] = (),
     phases: Sequence[tuple[str, float]] = (),
 ) -> bytes:
-    """Panels below one another over the same axis. label: its name, with its unit; events: upright lines; phases:
-    shaded, by name and where they begin"""
+    """Panels below each other over the same axis. label: its name, with its unit; events: vertical lines; phases:
+    shaded ranges, by name and start"""
     from matplotlib.ticker import MaxNLocator
 
     figure = canvas(9.0, 0.9 + 1.75 * len(panels), layout="constrained")

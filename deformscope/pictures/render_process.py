@@ -22,7 +22,7 @@ _process: Executor | None = None
 
 @contextlib.contextmanager
 def render_process() -> Iterator[None]:
-    """Within it `drawn` draws in a process of low priority."""
+    """A context in which `drawn` draws in a process of low priority."""
     global _process
     with computing(_warm_up) as _process:
         try:

@@ -1,4 +1,4 @@
-"""Reports as one HTML file: words, tables and pictures, with nothing that has to be fetched from elsewhere."""
+"""Reports as one HTML file with texts, tables and pictures, which needs no other file."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ReportVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A cell that leads to a file or a page. to: address as in a URL, relative to the page; png: shown above the
+    """A cell that leads to a file or a page. to: address as in a URL, relative to the page; png: picture above the
     text"""
 
     text: str
@@ -74,7 +74,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """Lines to type, or to read letter by letter."""
+    """Lines of code."""
 
     text: str
 
@@ -85,7 +85,7 @@ Part = str | ReportVerdict | Table | Figure | Code | tuple[Figure, ...]
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """parts: parts in order; a str is a paragraph; title: empty = none"""
+    """parts: parts in order; a str is a paragraph; title: its title, empty = none"""
 
     title: str
     parts: Sequence[Part]
@@ -107,7 +107,7 @@ def html_report(title: str, sections: Sequence[Section]) -> str:
 
 
 def html_parts(parts: Sequence[Part]) -> str:
-    """Parts of a page, without the page."""
+    """HTML of the parts of a page, without the page."""
     return "\n".join(_part(one) for one in parts)
 
 

@@ -14,7 +14,7 @@ from deformscope.stages.setup.timing import TimeOffset
 
 def off_figure(off: FloatArray, names: Sequence[str], unit: str, sd: float, *, each: str, caption: str) -> Figure:
     """Distance of each measurement (n,) from the solution, with the estimated standard deviation. each: name of one
-    measurement, as under its bars"""
+    measurement, for the text under the bars"""
     drawn = canvas(5.2, 4.2, layout="constrained")
     axis = drawn.subplots()
     axis.bar(np.arange(len(off)), off, color=COLOURS[0])

@@ -1,1 +1,1 @@
-"""A recording, in a file and in a viewer, and how it is read."""
+"""Recordings in files and viewers, and reading them."""

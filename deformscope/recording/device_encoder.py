@@ -24,7 +24,7 @@ class DeviceEncoder:
 
     layout: layout of the recording; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour
     images are stored without loss; at_frames: number of frames, for inputs and for results without a time
-    failed: takes results that could not be shown; gather_s: time over which items are gathered [s]
+    failed: receives results that could not be shown; gather_s: time over which items are gathered [s]
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class DeviceEncoder:
         return len(self._portions)
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
-        """Shown at once, and gathered with others of the same touch."""
+        """Show items immediately, and gather them with others of the same touch."""
         self._newest_ns = max([self._newest_ns, *(item.stamp.host_ns for item in items if isinstance(item, Frame))])
         pictures = [item for item in items if isinstance(item, DepthFrame) and item.device == self._camera]
         self._pictures_ns.add([item.stamp.host_ns - self._start_ns for item in pictures])

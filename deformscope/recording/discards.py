@@ -38,7 +38,7 @@ def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
 def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionNote]) -> Discard:
     """Mark a finished recording, or one of its episodes (0 = all), in its ledger; the recording is unchanged.
 
-    Raises InputError where it has no such episode, or no ledger that fits it.
+    Raises InputError if it has no such episode, or no valid ledger.
     """
     labels = [note.text for note in notes if note.about == "episode-begin"]
     if not 0 <= episode <= len(labels):

@@ -1,4 +1,4 @@
-"""Content and end of a recording, and `rerun rrd`, each in a child process: damaged bytes can end rerun's reader.
+"""Content and end of a recording, and `rerun rrd`, each in a child process: damaged bytes can crash rerun's reader.
 
 python -m deformscope.recording.facts run.rrd [brief]    one line of JSON: the fields of `Facts`
 """
@@ -49,16 +49,16 @@ class Facts:
 
 
 def salvage(path: Path, readable: Path) -> tuple[Facts, str]:
-    """Write the readable part of a recording as another one; its content, and the place where reading ended before the
-    end of the file, empty = nowhere."""
+    """Write the readable part of a recording as another one. Returns its content, and the place where reading ended
+    before the end of the file, empty = it was read completely."""
     damage = run_rrd("merge", path, "-o", readable)
     refused = damage and run_rrd("merge", "--continue-on-error", path, "-o", readable)
     return Facts(damage=refused) if refused else read_facts(readable), damage
 
 
 def is_recoverable(path: Path) -> bool:
-    """Whether `deformscope recover` gets anything out of an unfinished recording: by its begin, where it has no footer.
-    Its own disk may be full: the copy is made in memory where that is possible."""
+    """Whether `deformscope recover` can read a part of an unfinished recording, judged by its beginning if it has no
+    footer. Its own disk may be full: the copy is made in memory where that is possible."""
     if has_footer(path):  # the format, which nothing is read without, may stand at its end
         return bool(read_facts(path, brief=True).counts)
     with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as scratch:
@@ -69,7 +69,7 @@ def is_recoverable(path: Path) -> bool:
 
 
 def read_facts(path: Path, *, brief: bool = False) -> Facts:
-    """Read them in a child process; whatever happens to it becomes `damage`. brief: report only whether there are
+    """Read the facts in a child process; an error or crash of it becomes `damage`. brief: report only whether there are
     any"""
     done = _run([sys.executable, "-m", __name__, str(path), *(["brief"] if brief else [])])
     if isinstance(done, str):
@@ -82,7 +82,7 @@ def read_facts(path: Path, *, brief: bool = False) -> Facts:
 
 
 def run_rrd(*arguments: str | Path) -> str:
-    """Run `rerun rrd ...` of the installed wheel; its refusal, in a line; empty if it is done."""
+    """Run `rerun rrd ...` of the installed wheel; returns its error in a line, empty if it succeeded."""
     from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 
     words = (str(utf8_path(one)) if isinstance(one, Path) else one for one in arguments)
@@ -108,7 +108,7 @@ def _run(command: list[str], environment: dict[str, str] | None = None) -> subpr
 
 
 def gather_facts(path: Path, *, brief: bool = False) -> Facts:
-    """Read them here. brief: as in `read_facts`"""
+    """Read the facts in this process. brief: as in `read_facts`"""
     from deformscope.recording.reader import Replay
 
     facts: dict[str, Any] = {}

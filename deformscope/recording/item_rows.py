@@ -25,7 +25,7 @@ _CONTROL = {"n": "\n", "r": "\r", "t": "\t"}
 _logger = logging.getLogger(__name__)
 
 Cells = dict[str, Any]
-"""Parts of one object: arrays, or lists of words, by field."""
+"""Parts of one object: arrays, or lists of texts, by field."""
 
 
 class Chunked(Protocol):
@@ -37,7 +37,7 @@ class Chunked(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """An object and when it came. session_ns: time since the recording's start [ns]; touch: its place on the timeline
+    """An object and its time. session_ns: time since the recording's start [ns]; touch: its place on the timeline
     `touch`"""
 
     session_ns: int
@@ -62,7 +62,7 @@ def read_rows(
     *,
     device: str | None = None,
 ) -> Iterator[Row]:
-    """The objects of these kinds in order of time; of one moment in the order in which they were recorded.
+    """The objects of these kinds in order of time; those of one time in recorded order.
 
     Portions of a recording may lie in any order, and hold parts of the same rows. The times of rows are read first.
     Then a row waits only until no earlier one can follow, so that memory never holds a long recording. JPEG images are
@@ -94,7 +94,7 @@ def read_rows(
 
 
 class Starts:
-    """The earliest time of each portion that is still to come. coming: (earliest time [ns], id) coming of each"""
+    """The earliest time of each portion that is not read yet. coming: (earliest time [ns], id) coming of each"""
 
     def __init__(self, coming: Iterable[tuple[int, str]]) -> None:
         self._coming = list(coming)
@@ -110,7 +110,7 @@ class Starts:
 
 
 def portions(replay: Chunked, kinds: Sequence[type], device: str | None = None) -> Iterator[tuple[Chunk, type, str]]:
-    """The portions that hold parts of these kinds, in any order, and the kind and the device that each is of."""
+    """The portions that hold parts of these kinds, in any order, with the kind and the device of each."""
     alone = {ENTITIES[kind]: kind for kind in kinds if kind in ENTITIES}
     of_devices = {OF_DEVICES[kind]: kind for kind in kinds if kind in OF_DEVICES}
     for chunk in replay.chunks(*(f"/{entity}" for entity in alone), *(f"/{entity}/**" for entity in of_devices)):

@@ -15,8 +15,8 @@ BATCH_NS, BATCH_BYTES = 200_000_000, 16 << 20
 class ItemSource:
     """`session.run(ItemSource(items, streams), ...)`: `take` gives about a fifth of a second at a time.
 
-    streams: streams of the devices; start_ns: start of the session, None = the first item's; now_ns: now time of the
-    newest that was taken; ended: no item is left; until_ns: no later item is given
+    streams: streams of the devices; start_ns: start of the session, None = time of the first item; now_ns: time of the
+    newest item that was taken; ended: no item is left; until_ns: no later item is given
     """
 
     failures: Mapping[str, str] = {}
@@ -36,7 +36,7 @@ class ItemSource:
         self.close()
 
     def take(self, wait_s: float) -> list[Item]:
-        """The next items. wait_s: is not waited"""
+        """The next items. wait_s: ignored, as nothing waits"""
         found: list[Item] = []
         size = 0
         until_ns = self.until_ns if self._next is None else min(host_ns(self._next) + BATCH_NS, self.until_ns)
@@ -59,4 +59,4 @@ class ItemSource:
         return []
 
     def close(self) -> None:
-        """The caller closes the source."""
+        """Does nothing: the caller closes the source of the items."""

@@ -1,4 +1,4 @@
-"""A recording read back: the same objects that were recorded, in order of time."""
+"""Reads a recording: the objects that were recorded, in order of time."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def read_estimates(replay: Replay) -> list[Estimate]:
 
 
 def read_found(replay: Replay, kind: type[T]) -> list[T]:
-    """The same of any kind that a calibration finds.
+    """The results of any type that a calibration gives.
 
-    Raises InputError where they were recorded in format 1.
+    Raises InputError if they were recorded in format 1.
     """
     found: list[tuple[int, T]] = []
     for chunk in replay.chunks("/calibration/estimate"):
@@ -92,7 +92,7 @@ KINDS: tuple[type, ...] = (
 
 
 def read_stage_results(path: Path, *, trust: bool = False) -> list[StageResult]:
-    """The results in the order of the frames that they belong to, equal to the recorded ones. trust: skip the
+    """The results in the order of their frames, equal to the recorded ones. trust: skip the
     comparison with the ledger"""
     found: list[StageResult] = []
     for chunk in Replay(path, trust=trust).chunks("/stage/**"):

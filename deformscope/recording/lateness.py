@@ -29,8 +29,8 @@ class RecordingError(InputError):
 
 
 def check_room(path: Path, reserve: int = 0) -> None:
-    """Raise RecordingError where the disk has too little room for a file there. reserve: bytes that it needs at least,
-    where that is more than it needs in any case"""
+    """Raise RecordingError if the disk has too little space for a file there. reserve: bytes that it needs at least, if
+    that is more than the usual reserve"""
     free, need = shutil.disk_usage(path.parent).free, max(FREE_BYTES, reserve)
     if free < need:
         raise RecordingError(f"{need >> 20} MiB free on the disk", f"{free >> 20} MiB free", OTHER_DISK, path)
@@ -66,7 +66,7 @@ class DiskForecast:
 
 
 def writes_are_held_up() -> bool:
-    """Whether the system has one of rerun's threads wait at this moment for a file that it writes."""
+    """Whether one of rerun's threads waits at present for the system to write a file."""
     with suppress(OSError):
         for task in TASKS.iterdir():
             with suppress(OSError):  # a thread that has just ended
@@ -83,8 +83,8 @@ def _waits(task: Path) -> bool:
 
 
 class Lateness:
-    """Looked at with every job that is handed over, while more than `late_bytes` wait. thread_id: the system's, of the
-    thread that encodes"""
+    """Checks with every job, while more than `late_bytes` wait, why the recording is late. thread_id: the system's
+    number of the thread that encodes"""
 
     def __init__(self, late_bytes: int, thread_id: int | None) -> None:
         self._late_bytes, self._task = late_bytes, TASKS / str(thread_id)
@@ -92,7 +92,7 @@ class Lateness:
         self._looks = self._held_up = 0
 
     def look(self, waiting_bytes: int) -> None:
-        """Note how many bytes wait; called from the thread that hands jobs over."""
+        """Note how many bytes wait; called by the thread that gives the jobs."""
         if waiting_bytes < self._late_bytes:
             self._began = None
             return
@@ -103,7 +103,7 @@ class Lateness:
         self._held_up += writes_are_held_up()
 
     def error(self, waiting_bytes: int, path: Path) -> RecordingError:
-        """Why the data for the file there are delayed."""
+        """Why the data for the file are delayed."""
         try:
             check_room(path)
         except RecordingError as full:

@@ -27,7 +27,7 @@ FORMAT, OLD_FORMAT = "deformscope-ledger-2", "deformscope-ledger-1"
 BLOCK_BYTES = 1 << 20
 """Most bytes of a block whose contents are unknown."""
 SEVERAL = 4
-"""Most streams that are named of a block."""
+"""Most streams that are named for a block."""
 
 
 def ledger_path(recording: Path) -> Path:
@@ -45,7 +45,7 @@ Losses = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, slots=True)
 class LedgerBlock:
-    """Bytes from start to before end. streams: entities that they hold rows of, between these session times [s]"""
+    """Bytes from start to before end. streams: entities whose rows they contain, between these session times [s]"""
 
     start: int
     end: int
@@ -63,7 +63,7 @@ class LedgerBlock:
 
 @dataclass(slots=True)
 class Ledger:
-    """What a ledger says. ended: its last line; None = the run was cut short; problems: errors in it"""
+    """The content of a ledger. ended: its last line; None = the run was cut short; problems: errors in it"""
 
     blocks: list[LedgerBlock] = field(default_factory=list)
     ended: dict[str, Any] | None = None
@@ -73,14 +73,14 @@ class Ledger:
 
     @property
     def committed(self) -> int:
-        """Bytes of the recording that it answers for."""
+        """Bytes of the recording that it covers."""
         return max([int((self.ended or {}).get("size", 0)), *(one.end for one in self.blocks)])
 
 
 @dataclass(frozen=True, slots=True)
 class LedgerCheck:
     """A recording compared with its ledger. problems: one line each, none if every byte in the ledger is unchanged;
-    truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run came to its end"""
+    truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run was completed"""
 
     problems: list[str]
     truncated: bool
@@ -90,7 +90,7 @@ class LedgerCheck:
 
 
 class LedgerWriter:
-    """Makes a ledger, a block at a time. path: path of the ledger; one that is there is replaced"""
+    """Makes a ledger, a block at a time. path: path of the ledger; an existing one is replaced"""
 
     def __init__(self, path: Path, recording: Path) -> None:
         self._recording, self._at, self._chain = recording, 0, ""
@@ -99,7 +99,7 @@ class LedgerWriter:
         self._file.write(f"{FORMAT}\n".encode())
 
     def commit(self, end: int, streams: Sequence[str] = (), span_s: tuple[float, float] | None = None) -> None:
-        """Answer for the recording's bytes up to END, which are on the disk. Raises OSError."""
+        """Add the recording's bytes up to END, which are on the disk. Raises OSError."""
         if end <= self._at:
             return
         digest, whole = hashlib.sha256(), self._whole.copy()
@@ -114,7 +114,7 @@ class LedgerWriter:
         self._at, self._whole = end, whole
 
     def end(self, counts: Mapping[str, int], losses: Losses) -> None:
-        """Answer for the whole."""
+        """Add the line for the complete recording."""
         told = {"size": self._at, "sha256": self._whole.hexdigest(), "counts": dict(counts), "losses": dict(losses)}
         self.add({"ended": told})
 
@@ -131,7 +131,7 @@ class LedgerWriter:
         self._chain = link
 
     def close(self) -> None:
-        """Have it on the disk, where that takes it."""
+        """Write the ledger to the disk, if the disk accepts it."""
         with self._file, suppress(OSError):
             os.fsync(self._file.fileno())
 
@@ -146,7 +146,7 @@ def write_ledger(
     """Write the ledger of a finished recording: a block for each portion of its index, or the blocks of the ledger that
     grew with it.
 
-    counts: what was recorded, by kind; losses: what was not; discarded: see `add_discard`
+    counts: what was recorded, by kind; losses: numbers of losses; discarded: see `add_discard`
     """
     path, size = ledger_path(recording), recording.stat().st_size
     grown = [one for one in read_ledger(recording).blocks if one.end <= size] if path.exists() else []
@@ -187,7 +187,7 @@ def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
 
 
 def read_discards(recording: Path) -> list[dict[str, Any]]:
-    """What `add_discard` wrote; nothing where there is no ledger, or one that cannot be read."""
+    """The lines of `add_discard`; empty without a readable ledger."""
     try:
         found: list[Any] = read_ledger(recording).discarded  # of whatever wrote that ledger
         return [one for one in found if isinstance(one, dict)]
@@ -196,7 +196,7 @@ def read_discards(recording: Path) -> list[dict[str, Any]]:
 
 
 def read_counts(recording: Path) -> dict[str, int]:
-    """What the ledger says was recorded, by kind; nothing of a run that was cut short, nor where it is missing or
+    """Recorded numbers by kind, from the ledger; empty if the run was cut short, or the ledger is missing or
     damaged."""
     ledger = read_ledger(recording) if ledger_path(recording).exists() else Ledger()
     if ledger.problems:
@@ -205,7 +205,7 @@ def read_counts(recording: Path) -> dict[str, int]:
 
 
 def check_recording(recording: Path) -> LedgerCheck:
-    """Compare a recording with its ledger, block by block. Raises FileNotFoundError where there is no ledger."""
+    """Compare a recording with its ledger, block by block. Raises FileNotFoundError without a ledger."""
     ledger = read_ledger(recording)
     size, committed = recording.stat().st_size, ledger.committed
     problems, damaged, whole, at = list(ledger.problems), list[LedgerBlock](), hashlib.sha256(), 0

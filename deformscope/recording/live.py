@@ -29,11 +29,11 @@ ViewerKind = Literal["none", "native", "page"]
 
 
 class ViewerStream(Protocol):
-    """The feed's interface of a stream to a viewer."""
+    """A stream to a viewer, as the feed uses it."""
 
     def flush(self, *, timeout_sec: float) -> None:
-        """Return when the viewer has received all data. Raises TimeoutError where that takes longer, another error
-        where the viewer is gone."""
+        """Return when the viewer has received all data. Raises TimeoutError if that takes longer, another error if the
+        viewer is gone."""
 
     def disconnect(self) -> None: ...
 
@@ -81,7 +81,7 @@ class Viewer:
 def start_viewer() -> Viewer:
     """Start rerun's window on loopback and return without waiting for it; the window stays open after this process.
 
-    Raises InputError where there is no display.
+    Raises InputError without a display.
     """
     if sys.platform.startswith("linux") and not _has_display():
         raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
@@ -114,7 +114,7 @@ _abandoned: list[object] = []
 def live_stream(
     application: str, recording_id: str, viewer: Viewer, properties: Mapping[str, object], give_up: threading.Event
 ) -> LiveStream:
-    """Connected to the viewer; blocks until it is there."""
+    """A stream that is connected to the viewer; blocks until the viewer answers."""
     import rerun as rr
 
     from deformscope.log.live_stream import LiveStream
@@ -160,7 +160,7 @@ def page_stream(
 
 
 def wait_for_viewer(viewer: Viewer, give_up: threading.Event) -> None:
-    """Return once it listens; raise where it ends or stays away."""
+    """Return when the viewer listens; raises an error if it ends or does not start."""
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline and not give_up.is_set():
         check_running(viewer)
@@ -179,9 +179,9 @@ def check_running(viewer: Viewer) -> None:
 
 
 def check_answers(viewer: Viewer, timeout_s: float) -> None:
-    """Return once the viewer's server answers. Raises TimeoutError where it does not, ConnectionError where it is gone.
+    """Return once the viewer's server answers. Raises TimeoutError if it does not, ConnectionError if it is gone.
 
-    A connection alone is no proof: the system accepts it, and a hundred kilobytes, for a process that is stopped.
+    A connection is not sufficient: the system accepts it, and a hundred kilobytes, even for a stopped process.
     """
     with socket.create_connection((LOOPBACK, _port(viewer)), timeout=timeout_s) as connection:
         connection.sendall(f"GET / HTTP/1.1\r\nHost: {LOOPBACK}\r\nConnection: close\r\n\r\n".encode())
@@ -207,7 +207,7 @@ def _has_display() -> bool:
 class LiveFeed(Generic[StreamT]):
     """Passes jobs to a live stream from a separate thread; drops the oldest when the viewer is too slow.
 
-    connect: opens the stream, in the feed's thread; gives up once the event that it is given is set
+    connect: opens the stream, in the feed's thread; gives up when its event is set
     period_s: shortest period of passing jobs on together; a function is polled until it has passed
     """
 
@@ -236,8 +236,8 @@ class LiveFeed(Generic[StreamT]):
 
     @property
     def dropped(self) -> int:
-        """Jobs without the viewer's confirmation: dropped, or handed over and never confirmed, once the feed has ended;
-        while it runs, those dropped."""
+        """Number of jobs without the viewer's confirmation: while the feed runs, dropped jobs; after its end also those
+        that were never confirmed."""
         with self._ready:
             return self._lost
 
@@ -245,7 +245,7 @@ class LiveFeed(Generic[StreamT]):
         self._thread.start()
 
     def put(self, job: Callable[[StreamT], None], size: int, *, lasting: bool = False) -> None:
-        """Hand a job over; returns at once. size: bytes that it keeps alive; lasting: later jobs depend on this job, so
+        """Add a job; returns immediately. size: bytes that it keeps alive; lasting: later jobs depend on this job, so
         that it is dropped last"""
         with self._ready:
             self._given += 1
@@ -261,9 +261,9 @@ class LiveFeed(Generic[StreamT]):
     def close(self, timeout_s: float) -> bool:
         """Show waiting jobs, within the time; return whether the stream ended normally.
 
-        A viewer that has not answered for a while is not waited for. Jobs without its confirmation are counted as
-        dropped. A stream without a normal end stays with its thread for good: dropping it waits for the viewer, and so
-        does the end of the process, unless rerun's part in that is called off.
+        It does not wait for a viewer that has not answered for a while. Jobs without its confirmation are counted as
+        dropped. A stream without a normal end is never released: releasing it would wait for the viewer, and so would
+        the end of the process, unless rerun's part in it is cancelled.
         """
         with self._ready:
             self._closing.set()

@@ -21,7 +21,7 @@ def create_locked(path: Path) -> BinaryIO:
 
 
 def is_being_written(path: Path) -> bool:
-    """Whether a run that still lives holds this file."""
+    """Whether a running process holds this file."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -34,7 +34,7 @@ def is_being_written(path: Path) -> bool:
 
 @contextlib.contextmanager
 def one_at_a_time(folder: Path) -> Iterator[None]:
-    """Within, no other run is in this context of the same folder."""
+    """A context that only one run at a time enters for the same folder."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):

@@ -27,7 +27,7 @@ def lost_by(health: Health) -> dict[str, float]:
     """A device's losses above 0; empty = none.
 
     readings: readings that should have come; readings_by_time: those of them that only the time shows; silent_s: the
-    time without readings [s]; dropped, raw_dropped: readings and pieces of bytes that came and were not taken in time
+    time without readings [s]; dropped, raw_dropped: readings and pieces of bytes that arrived and were not read in time
     """
     found: dict[str, float] = {
         "readings": health.lost,
@@ -43,7 +43,7 @@ def lost_by(health: Health) -> dict[str, float]:
 
 
 def since(report: HealthReport, before: HealthReport) -> HealthReport:
-    """Health of the devices whose counts begin with an earlier one: losses of a recording that began then."""
+    """Health of the devices with counts relative to an earlier health: losses of a recording that began then."""
     earlier = dict(before.devices)
     return HealthReport(report.host_ns, tuple((name, _since(now, earlier[name])) for name, now in report.devices))
 

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from deformscope.recording.rrd_file import RecordingFile
 
 COSTS_AT_ONCE = 200
-"""Rows of costs that are written together."""
+"""Number of rows of costs that are written together."""
 
 
 class Outputs:
-    """The file and the live view of a recording, as far as there are any; written to by the writer's thread."""
+    """The file and the live view of a recording, if any; only the writer's thread uses them."""
 
     def __init__(self) -> None:
         self.file: RecordingFile | None = None
@@ -39,19 +39,19 @@ class Outputs:
         self.show(lambda live: job(live.rec), size, lasting=True)
 
     def send(self, batch: Batch, size: int) -> None:
-        """The same of encoded data; in the live view those in one of its views."""
+        """Send encoded data; to the live view only those in one of its views."""
         self.keep(batch)
         self.show(lambda live: live.send(batch, lasting=True), size, lasting=True)
 
     def keep(self, batch: Batch) -> None:
-        """Send a batch to the file alone."""
+        """Send a batch to the file only."""
         if self.file is not None:
             self.file.send(batch)
 
     def add_cost(
         self, session_ns: int, cost: StageCost, *, frame: int | None = None, behind_ns: int | None = None
     ) -> None:
-        """Gather a stage's cost for the file: many in one portion, which alone takes a kilobyte.
+        """Gather a stage's cost for the file: many are written in one portion, as a portion takes a kilobyte.
 
         session_ns, frame: session time and frame of its result; behind_ns: time from there to the newest frame; None if
         frames wait, or continue
@@ -71,19 +71,19 @@ class Outputs:
             self._costs = []
 
     def show(self, job: Callable[[LiveStream], None], size: int, *, lasting: bool = False) -> None:
-        """Log to the live view only. lasting: dropped last where the viewer cannot follow"""
+        """Log to the live view only. lasting: dropped last if the viewer is too slow"""
         if self.feed is not None:
             self.feed.put(job, size, lasting=lasting)
 
     def lay_out(self, views: rr.blueprint.Blueprint, shown: rr.blueprint.Blueprint) -> None:
-        """The views of the file, and those of the window or page."""
+        """Set the views of the file, and those of the window or page."""
         if self.file is not None:
             self.file.log(lambda rec: rec.send_blueprint(views))
         self.show(lambda live: live.rec.send_blueprint(shown), 0, lasting=True)
 
 
 class Encoder(Protocol):
-    """Encodes items for rerun, in the writer's thread, and hands them to the outputs."""
+    """Encodes items for rerun, in the writer's thread, and gives them to the outputs."""
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
         """Write items of devices, files or cameras."""
@@ -92,7 +92,7 @@ class Encoder(Protocol):
         """Write the results of a step."""
 
     def write_input(self, given: InputFile) -> None:
-        """Write an input file to the recording's file alone: no view shows it."""
+        """Write an input file only to the recording's file: no view shows it."""
 
     def write_overdue(self) -> None:
         """Write the items that have been gathered for long enough."""
@@ -102,7 +102,7 @@ class Encoder(Protocol):
 
 
 def open_window(application: str, recording_id: str, properties: Mapping[str, object]) -> LiveFeed[LiveStream]:
-    """Start rerun's window; its feed."""
+    """Start rerun's window; returns its feed."""
     viewer = start_viewer()
     print(viewer.where, file=sys.stderr, flush=True)
     return LiveFeed(partial(live_stream, application, recording_id, viewer, properties))

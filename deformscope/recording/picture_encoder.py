@@ -1,4 +1,4 @@
-"""Images of a file or a camera, and results over them or over particles, made ready for rerun."""
+"""Images of a file or a camera, and results over them or over particles, prepared for rerun."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PictureEncoder:
         self._limits = 0.0, 1.0
 
     def write_items(self, items: Sequence[Item], size: int) -> None:
-        """Images without loss, at once; shown as JPEG, a tenth of the bytes."""
+        """Write images without loss, immediately; they are shown as JPEG, with a tenth of the bytes."""
         from deformscope.log.sequence import canvas_of, prepare_image, range_of
 
         for frame in (item for item in items if isinstance(item, ColorFrame)):

@@ -1,4 +1,4 @@
-"""Device items, gathered into portions: writing costs by portion, little by item."""
+"""Device items, gathered into portions: writing has a cost for each portion, and little for each item."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from deformscope.frames import HealthReport, Item, LinkChange, RawBytes, Session
 GATHER_S, GATHER_BYTES = 1.0, 8 << 20
 """Time over which items are gathered, and their largest amount."""
 GATHER_LIVE_S = 0.15
-"""The same of devices on their own clock: gathered items are lost if the process is killed."""
+"""Time of gathering items of devices on their own clock: gathered items are lost if the process is killed."""
 ITEM_BYTES = 1 << 10
 """Memory of an item besides its arrays."""
 
 
 class Portions:
-    """Items of one touch after another, gathered for this time [s]."""
+    """Gathers items for this time [s], separately for each touch."""
 
     def __init__(self, gather_s: float = GATHER_S) -> None:
         self._gather_s = gather_s
@@ -59,7 +59,7 @@ class Portions:
 
 
 class RisingTimes:
-    """Times that only rise: earlier readings of them do not change."""
+    """Times that only rise: earlier ones do not change."""
 
     def __init__(self) -> None:
         self._held: IntArray = np.zeros(1024, np.int64)
@@ -81,7 +81,7 @@ class RisingTimes:
 
 
 def counted_as(item: Item) -> str:
-    """The count that an item belongs to: of its device, and of its kind."""
+    """The count to which an item belongs: that of its device, or of its kind."""
     match item:
         case RawBytes():
             return f"{item.device}/{'sent' if item.sent else 'received'}"
@@ -96,7 +96,7 @@ def counted_as(item: Item) -> str:
 
 
 def item_size(item: Item) -> int:
-    """Bytes that an item keeps alive."""
+    """Bytes of memory that an item holds."""
     return ITEM_BYTES + (len(item.data) if isinstance(item, RawBytes) else arrays_size(item))
 
 

@@ -27,7 +27,8 @@ def versions() -> dict[str, str]:
 
 
 def git_state() -> dict[str, object]:
-    """Commit and cleanliness of the checkout that the package runs from; empty when installed elsewhere."""
+    """Commit of the checkout from which the package runs, and whether it is clean; empty if it is installed
+    elsewhere."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return {}
@@ -43,7 +44,7 @@ def git_state() -> dict[str, object]:
 
 
 def command() -> list[str]:
-    """The command line of this process as it was typed: without the folder that the program was found in."""
+    """The command line of this process as typed, without the program's folder."""
     program = Path(sys.argv[0])
     name = program.parent.name if program.name == "__main__.py" else program.name
     return [name if program.is_absolute() else sys.argv[0], *sys.argv[1:]]
@@ -68,7 +69,7 @@ def properties(settings: Mapping[str, object], *, brief: bool) -> dict[str, obje
 
 
 def exported(properties: Mapping[str, object], *, anonymous: bool) -> dict[str, object]:
-    """Provenance of the recording in an export. anonymous: versions, and of the settings the numbers alone: commands,
+    """Provenance of the recording in an export. anonymous: only versions and the numbers of the settings: commands,
     machines, commits and words may name a person, a machine or a path"""
     found = {name: _parsed(value) for name, value in properties.items()}
     if not anonymous:

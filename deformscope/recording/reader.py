@@ -1,4 +1,4 @@
-"""A recording as a source: the same frames, stamps and settings that its run had, bit for bit."""
+"""A recording as a source: its frames, stamps and settings are equal to those of its run, bit for bit."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def check_exists(path: Path) -> None:
 
 
 def check_magic(path: Path) -> None:
-    """Raises InputError for a file that does not begin as rerun's recordings do."""
+    """Raises InputError for a file that does not begin like rerun's recordings."""
     with path.open("rb") as file:
         magic = file.read(len(RRD_MAGIC))
     if magic != RRD_MAGIC:
@@ -71,7 +71,7 @@ class Replay:
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """Everything that decided the recorded results."""
+        """All settings that determined the recorded results."""
         found = json.loads(self.properties.get("settings", "null"))
         if not isinstance(found, dict):
             raise InputError("a recording with settings", "one without", where=self.path)
@@ -124,7 +124,7 @@ class Replay:
         return sum(self.color_counts.values())
 
     def camera(self, name: str | None = None) -> str:
-        """The camera of this name; without a name, the only one that was recorded, or the only one that is no depth
+        """The camera of this name; without a name, the only recorded camera, or the only one that is no depth
         camera."""
         known = list(self.color_counts)
         if not known:
@@ -160,8 +160,8 @@ class Replay:
     ) -> Iterator[ColorFrame]:
         """The recorded colour images in their order, with their recorded stamps.
 
-        pace: "fast" as they can be read; "real" as they were taken; "step" each after `wait` (called with the frame
-        that comes next) returns; camera: name of the camera, needed if several were recorded
+        pace: "fast" = as fast as possible; "real" = at the recorded times; "step" = each after `wait` (called with the
+        next frame) returns; camera: name of the camera, needed if several were recorded
         """
         if pace == "step" and wait is None:
             raise ValueError('a pace of "step" needs something to wait for')

@@ -38,7 +38,8 @@ class _Stretch:
 
 
 class RecentItems:
-    """seconds: stored time, from the devices' health before it; most_bytes: less is held where that is more"""
+    """seconds: stored time, from the devices' health before it; most_bytes: limit of the memory, which may shorten that
+    time"""
 
     def __init__(self, seconds: float, most_bytes: int = MOST_BYTES) -> None:
         self.seconds = seconds
@@ -47,7 +48,7 @@ class RecentItems:
         self._newest_ns = 0
 
     def add(self, items: Sequence[Item]) -> None:
-        """Device items, in their order. Items before their first health are not stored."""
+        """Add device items, in their order. Items before their first health are not stored."""
         batch: list[Item] = []
         for item in items:
             if isinstance(item, HealthReport):
@@ -75,7 +76,7 @@ class RecentItems:
 
     @property
     def held_bytes(self) -> int:
-        """Memory that it keeps."""
+        """Memory of the stored items."""
         return sum(stretch.bytes for stretch in self._stretches)
 
     def taken(self) -> tuple[HealthReport, list[list[Item]]] | None:
@@ -86,8 +87,8 @@ class RecentItems:
 
 
 class WatchedRecorder:
-    """A session's recorder whose view continues where its file cannot; the file's error is raised in the end. watch:
-    shows it; kept: records"""
+    """A session's recorder whose view continues after an error of its file; the error is raised at the end. watch: the
+    view of the session; kept: records"""
 
     def __init__(self, watch: Recorder, kept: Recorder) -> None:
         self._watch, self._kept = watch, kept
@@ -139,8 +140,8 @@ class WatchedRecorder:
 
 
 class LastRecorder(WatchedRecorder):
-    """A session's recorder that shows the whole session and records its last seconds. kept: may wait: all of it comes
-    at once"""
+    """A session's recorder that shows the whole session and records its last seconds. kept: recorder of the last
+    seconds; it may wait, as all of them are written at once"""
 
     def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
         super().__init__(watch, kept)
@@ -177,7 +178,7 @@ def write_recent(
     streams: Sequence[Stream],
     lossless: Collection[str] = (),
 ) -> None:
-    """Record the stored items. recorder: entered, and one that may wait: all of it comes at once"""
+    """Record the stored items. recorder: an open recorder that may wait, as all items are written at once"""
     before, batches = taken
     start_ns = min(host_ns(item) for batch in batches for item in batch)
     recorder.start(RigLayout(tuple(streams)), start_ns, lossless)

@@ -1,9 +1,9 @@
-"""Everything that is recorded or shown goes through here: the file, the live view, timelines, provenance.
+"""The recorder, through which everything is recorded or shown: the file, the live view, timelines, provenance.
 
 A recording in progress is `NAME.part.rrd`, a file like any other recording. It becomes `NAME.rrd` after a normal end,
-or when its subject was stopped and the recording holds that (`stopped_because`). A run that crashes, or that ends in an
-error, leaves it there with all its data (a crash: except for the last moments), and an existing `NAME.rrd` is
-untouched. An unfinished recording is never written over.
+or when its subject was stopped and the recording holds that (`stopped_because`). A run that crashes or ends in an error
+leaves this file with all its data (after a crash without the last moments). An existing `NAME.rrd` is not changed. An
+unfinished recording is never overwritten.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ LIVE_TIMEOUT_S = 3.0
 class RecordingSummary:
     """Summary of a recording.
 
-    path: the finished file, or the unfinished one after an error; None where nothing was written
+    path: the finished file, or the unfinished one after an error; None if no file was written
     dropped: portions (a frame, a step, an input, device items of a tenth of a second) without the viewer's
     confirmation; bytes: size of the file
     """
@@ -75,15 +75,15 @@ class Recorder:
 
     file: an `.rrd` to make; None = none. viewer: a window, a page for a browser, or none. Without file and viewer it
     does nothing and does not import rerun.
-    settings: everything that decides the results, JSON-able; application: kind of its recording
+    settings: everything that determines the results, of JSON's types; application: kind of its recording
     deterministic: two runs of one input give recordings that `rerun rrd compare --unordered` finds equal. It leaves out
     differences between runs (start time, command line, versions, git state) and writes in larger portions
     real_time: its source does not wait, as devices do not: a disk that stays too slow ends the recording with a
-    RecordingError. Otherwise whoever writes waits, once the disk is far behind
-    whole_or_nothing: an error leaves no unfinished file: its source can be read again
+    RecordingError. Otherwise a call of `write` waits if the disk is far behind
+    whole_or_nothing: an error leaves no unfinished file, as its source can be read again
 
     The thread that calls `write` neither encodes nor waits for a disk. A thread of the recorder does that in order, so
-    items must not be changed after the call. An error there is raised by the next call, or in the end.
+    items must not be changed after the call. An error in that thread is raised by the next call, or at the end.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Recorder:
 
     @property
     def page(self) -> PageServer | None:
-        """The page that it is shown on."""
+        """The page that shows the recording."""
         return self._page
 
     def __enter__(self) -> Recorder:
@@ -178,10 +178,11 @@ class Recorder:
         self._encoder = DeviceEncoder(self._outputs, layout, start_ns, lossless, at_frames, self._not_shown, gather_s)
 
     def write(self, items: object) -> None:
-        """Record one thing, or a sequence of things, without loss; an empty one checks whether it can continue.
+        """Record an object, or a sequence of objects, without loss; an empty sequence checks whether recording can
+        continue.
 
-        Items of devices, files and cameras (`deformscope.frames.Item`) are at their own stamp, an `InputFile` at the
-        frame before it. The results of a `Step` are at its moment, or at the frame that they belong to, which a
+        Items of devices, files and cameras (`deformscope.frames.Item`) have the time of their stamp, an `InputFile`
+        that of the frame before it. The results of a `Step` have its time, or that of their frame, which a
         `StageResult` names.
         """
         given = tuple(items) if isinstance(items, Sequence) else (items,)

@@ -1,9 +1,9 @@
-"""The file of a recording in progress: flushed several times a second, and readable whatever ends the process.
+"""The file of a recording in progress: it is flushed several times a second, and readable however the process ends.
 
-A recording goes to two files. `NAME.part.rrd` has all of it at the next flush, in many small portions and without a
+A recording goes to two files. `NAME.part.rrd` has all data after each flush, in many small portions and without a
 footer. With one, rerun keeps some kilobytes of memory for each portion until the file is closed (1 MB for each second
 of a rig's recording), and a viewer reads a file of many portions slowly. `NAME.part.rrd.merged` gets the same rows in a
-hundredth of the portions, with a footer: it becomes the recording in the end. It is optional: if it fails, or the disk
+hundredth of the portions, with a footer: it becomes the recording at the end. It is optional: if it fails, or the disk
 is short, it is left out, and the recording is the first file.
 """
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 BEAT_S = 0.15
 BEAT_FRAMES = 32
 BEAT_BYTES = 16 << 20
-"""Data since the last flush: rerun's pending writes are not missing on the disk when its room is checked."""
+"""Most bytes between two flushes, so that a check of the disk's space misses few pending writes."""
 FULL_BYTES = 1 << 20
 """Free space below which a file cannot be completed."""
 BEATS_MERGED = 200
-"""Beats from one flush of the merged file to the next: each ends the portions that rerun is gathering."""
+"""Number of checks between two flushes of the merged file: each flush ends the portions that rerun gathers."""
 FLUSH_TIMEOUT_S = 20.0
 CLOSE_TIMEOUT_S = 60.0
 NEVER = 10**9
@@ -55,9 +55,9 @@ def merged_path(part: Path) -> Path:
 
 
 class RecordingFile:
-    """Written by one thread at a time.
+    """The file of a recording; one thread at a time writes to it.
 
-    part: an empty file to record into; properties: properties of the whole; name: name of the recording in a viewer
+    part: an empty file for the recording; properties: properties of the whole; name: name of the recording in a viewer
     deterministic: content and portions depend only on the recorded items Raises RecordingError once the disk has too
     little room, with enough left to end the file, or takes no more; `broken` then, and only `close` is left.
     """
@@ -106,7 +106,7 @@ class RecordingFile:
         self._log(job)
 
     def send(self, batch: Batch) -> None:
-        """Encoded data, with a check of the disk as well."""
+        """Send encoded data, with a check of the disk."""
         from rerun.chunk import Chunk
 
         self.beat()
@@ -126,7 +126,7 @@ class RecordingFile:
         self._log(lambda rec: rec.send_property(name, rr.AnyValues(True, **values)))
 
     def beat(self) -> None:
-        """Check now and then whether the disk is full or gone: rerun would continue without a report."""
+        """Check from time to time whether the disk is full or gone: rerun would continue without an error."""
         if self.broken:
             raise RecordingError("a recording that continues", "one that has failed", where=self.path)
         if self._deterministic:  # by count, since every flush ends a portion of the file
@@ -138,7 +138,7 @@ class RecordingFile:
             self.flush()
 
     def flush(self) -> None:
-        """Have the disk take the written data, if it has room for more."""
+        """Write the data to the disk, if it has enough space."""
         self._look_at_disk()
         self.flush_last()
 
@@ -160,7 +160,7 @@ class RecordingFile:
     def close(self) -> Path:
         """Complete both files, within a time limit; returns where the recording is: in a separate file, or at `path`.
 
-        Raises nothing; `broken` where neither could be ended.
+        Raises no error; `broken` is set if neither file could be completed.
         """
         if self._merged_stream is not None and not self.broken:
             self._merged_stream.send_chunks(list(self._merged.rest()))
@@ -303,7 +303,7 @@ def has_footer(path: Path) -> bool:
 
 
 def within(action: Callable[[], object], timeout_s: float) -> bool:
-    """Run an action that may hang; whether it ended in time."""
+    """Run an action that may hang; returns whether it ended in time."""
     thread = threading.Thread(target=action, name="deformscope-close", daemon=True)
     thread.start()
     thread.join(timeout_s)
@@ -318,7 +318,7 @@ def leave_streams_alone() -> None:
 
 
 def sync(path: Path) -> None:
-    """Have the operating system put a file or a folder on the disk."""
+    """Write a file or a folder from the system's cache to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

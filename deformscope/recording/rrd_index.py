@@ -23,7 +23,7 @@ class Portion:
     """Bytes of a recording that belong together. end: place after the last byte; entity: its path without the leading
     slash
 
-    from_s, to_s: session time of its rows [s]; None where they have none
+    from_s, to_s: first and last session time of its rows [s]; None without times
     """
 
     end: int
@@ -33,7 +33,7 @@ class Portion:
 
 
 def read_index(path: Path) -> list[Portion]:
-    """The portions in the order in which they lie in the file; none where it has no index that can be read."""
+    """The portions in their order in the file; empty without a readable index."""
     try:
         return sorted(_read_index(path), key=lambda one: one.end)
     except (ArithmeticError, LookupError, MemoryError, OSError, TypeError, ValueError, struct.error, pa.ArrowException):

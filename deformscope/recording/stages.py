@@ -33,10 +33,11 @@ LIVE_MS = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class RecordedStage:
-    """A stage as in a recording.
+    """A stage in a recording.
 
     timelines: timelines of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms:
-    median delay of its results behind the newest frame; live: whether that is soon; None where it was not recorded
+    median delay of its results behind the newest frame; live: whether the results come soon; None if that was not
+    recorded
     missing: the recording's settings require rows, and there are none; when: the case in which rows are expected
     """
 

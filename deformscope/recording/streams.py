@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 SCHEMA_VERSION = 1
-"""Version of every export: which streams, columns and messages it has. Version of the schema: a change that a reader
+"""Version of an export's streams, columns and messages. Version of the schema: a change that a reader
 would misread increases it."""
 
 UNITS = {
@@ -118,7 +118,7 @@ _logger = logging.getLogger(__name__)
 class RecordedStream:
     """One stream. entity: its place in the recording; kinds: kinds of what each row holds; about: the device, or None
     schema: schema of its batches; rows: how many there are, those that were recorded in part included
-    until_ns: time of the last since the recording's start [ns]; paths: paths of the entities, in rerun's spelling
+    until_ns: time of the last row since the recording's start [ns]; paths: paths of the entities, in rerun's spelling
     words: columns that an anonymous export leaves out
     """
 
@@ -137,7 +137,7 @@ class RecordedStream:
 
     @property
     def rate_hz(self) -> float:
-        """Rows a second in the mean; 0 where there is one."""
+        """Mean number of rows a second; 0 with a single row."""
         span_ns = self.until_ns - min(self._starts)[0]
         return 1e9 * (self.rows - 1) / span_ns if span_ns else 0.0
 
@@ -148,7 +148,7 @@ class RecordedStream:
         return rest if first in (*OF_DEVICES.values(), "health") else ""
 
     def see(self, chunk: Chunk, raw: pa.Table) -> None:
-        """Learn from a portion which columns there are."""
+        """Note the columns of a portion."""
         self.rows += raw.num_rows
         self.paths.add(chunk.entity_path)
         first_ns, last_ns = pc.min_max(raw.column(_SESSION)).as_py().values()
@@ -189,7 +189,7 @@ class RecordedStream:
         return found
 
     def arrange(self, offset_ns: int | None, anonymous: bool) -> None:
-        """Settle the schema. offset_ns: host time at which `session` is 0, where it is known"""
+        """Settle the schema. offset_ns: host time at which `session` is 0, if known"""
         places = [pa.field("session_ns", pa.int64()), pa.field("host_ns", pa.int64())]
         none = pa.Table.from_batches([], pa.schema(list(self._types.items())))
         fields = {one.name: one for one in places}
@@ -210,7 +210,7 @@ class RecordedStream:
         self.schema = pa.schema(known, {f"deformscope.{key}": value for key, value in about.items()})
 
     def convert(self, raw: pa.Table, offset_ns: int | None) -> pa.RecordBatch:
-        """Rows as the schema has them."""
+        """Rows in the form of the schema."""
         found = {"session_ns": raw.column(_SESSION).combine_chunks(), **self._own(raw)}
         if "host_ns" not in found and offset_ns is not None:
             found["host_ns"] = pc.add(found["session_ns"], offset_ns)
@@ -325,8 +325,8 @@ class RecordingTables:
         return dict(sorted(found.items())), offset
 
     def left_out(self) -> dict[str, str]:
-        """Parts that an anonymous export leaves out of the streams, by entity and column, and the devices' own
-        information, which no export has."""
+        """Parts of the streams that an anonymous export leaves out, by entity and column, and information on devices,
+        which no export has."""
         found: dict[str, str] = {}
         for entity, stream in self.streams.items():
             if entity.split("/")[0] in PRIVATE:
@@ -340,7 +340,7 @@ class RecordingTables:
 
     def select(self, names: Sequence[str] = ()) -> dict[str, RecordedStream]:
         """The streams of these entities, of those below them, or of these devices; without a name all streams. Raises
-        InputError for one that is not there."""
+        InputError for a missing stream."""
         found: dict[str, RecordedStream] = {}
         for name in names:
             own = {

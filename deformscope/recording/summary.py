@@ -34,7 +34,7 @@ SETTINGS = "settings."
 
 def summarise(path: Path) -> dict[str, Any]:
     """All of it. Damage is reported in `status` and `problem`, with the readable part. Raises OSError and MemoryError
-    where the system refuses."""
+    if the system refuses."""
     row: dict[str, Any] = {"status": WHOLE, "damaged": False, "problem": None}
     if is_being_written(path):
         return row | {"status": WRITTEN}

@@ -1,4 +1,4 @@
-"""The name that a recording gets, and its unfinished file in the same folder until then."""
+"""The name of a recording, and its unfinished file in the same folder until the end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _logger = logging.getLogger(__name__)
 
 
 class RecordingTarget:
-    """`NAME.rrd`, and `NAME.part.rrd`, which is locked while it is recorded into."""
+    """The files `NAME.rrd` and `NAME.part.rrd`, which is locked during the recording."""
 
     def __init__(self, file: Path, *, overwrite: bool) -> None:
         self.path = _followed(file)
@@ -47,12 +47,12 @@ class RecordingTarget:
         self.release()
 
     def release(self) -> None:
-        """Let others record to this name."""
+        """Release the name for other recordings."""
         if self._lock is not None:
             self._lock.close()
 
     def publish(self, whole: Path, counts: Mapping[str, int], losses: Losses) -> Path:
-        """Give the recording its name, and its ledger. whole: the file that holds it, which is gone then"""
+        """Give the recording its name, and its ledger. whole: the file of the recording, which is renamed"""
         if self.path.exists() and not self._overwrite:
             self._keep(whole)
             came, hint = "one made during the run", f"the new one: {self.part}"
@@ -70,7 +70,7 @@ class RecordingTarget:
         return self.path
 
     def keep_unfinished(self, whole: Path, *, worth_it: bool) -> Path | None:
-        """Leave existing data in place, unless they are useless."""
+        """Keep the unfinished file, unless it is useless."""
         self._keep(whole)
         if not worth_it:
             self.part.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Files whose names are not UTF-8, for rerun, which opens no such path."""
+"""Paths for rerun of files whose names are not UTF-8, which rerun cannot open."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ Job = Callable[[], None]
 
 
 class Writer:
-    """`put` jobs from any thread; they are done one after the other in a thread of the writer's own.
+    """Does jobs that any thread may `put`, one after the other in a separate thread.
 
     tick: called after each job and at the least every `tick_s`; the first job or tick that fails ends the thread, and
     every later `put` raises its error
@@ -41,7 +41,7 @@ class Writer:
         self._thread.start()
 
     def put(self, job: Job, size: int) -> None:
-        """Hand a job over. size: bytes that it keeps alive. Raises the writer's error."""
+        """Add a job. size: bytes of memory that it holds. Raises the writer's error."""
         with self._changed:
             while self._is_full(size) and self.failure is None:
                 if self._overrun is not None:
@@ -61,7 +61,7 @@ class Writer:
             raise self.failure
 
     def settle(self, timeout_s: float) -> None:
-        """Return once everything was done that was handed over, the writer has failed, or the time is over."""
+        """Return when all jobs are done, the writer has failed, or the time is over."""
         with self._changed:
             self._changed.wait_for(lambda: self._done == self._given or self.failure is not None, timeout_s)
 

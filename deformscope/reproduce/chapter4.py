@@ -1,7 +1,8 @@
-"""Thesis chapter 4 in the laboratory: beta of foams by how a touch is held, and explorations by its own rules.
+"""Thesis chapter 4 in the laboratory: beta of foams for several held sets of a touch, and explorations by the thesis's
+rules.
 
-Figure 4.5: one touch of 3 N at the same place of each foam, its beta by several held sets of the model and sizes of its
-clusters. Figures 4.4, 4.6, 4.7 and table 4.1: the input of the sweep, the dents, and the fields of beta of the six
+Figure 4.5: one touch of 3 N at the same place of each foam, and its beta with several held sets and cluster sizes of
+the model. Figures 4.4, 4.6, 4.7 and table 4.1: the input of the sweep, the dents, and the fields of beta of the six
 scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires.
 """
 
@@ -54,11 +55,12 @@ Hold = Literal[
     "layers, whole patch, raw points",
 ]
 HOLDS: tuple[Hold, ...] = get_args(Hold)
-"""Particles and held set of the model, and the surface that it is compared with; else the thesis's Gaussian process
-surface."""
+"""Particles and held set of the model, and the surface with which it is compared, by default the thesis's Gaussian
+process surface."""
 
 CLUSTER_SIZES: tuple[int | None, ...] = (2, 3, 4, 5, None)
-"""Particles a side; None: no clusters, one that deforms quadratically (Thesis figure 4.5 (b), note 5)."""
+"""Particles along a cluster's side; None: no clusters, one that deforms quadratically (Thesis figure 4.5 (b), note
+5)."""
 
 SCENARIOS: dict[str, tuple[int, int]] = {
     "homogeneous-60": (3, 1),
@@ -72,19 +74,20 @@ SCENARIOS: dict[str, tuple[int, int]] = {
 
 MOST_TOUCHES = 10
 AROUND_M = 2.0 * THESIS_SIDE_M
-"""Material points of the exact dent lie this far across, 2.5 mm apart."""
+"""Width of the square of material points of the exact dent, which are 2.5 mm apart."""
 
 
 OWN = ExploreOptions(
     planner="thesis", beta_model="layers", beta_grid_m=THESIS_GRID_M, beta_step=THESIS_STEP, sigma_w_m=FINE_SIGMA_W_M
 )
-"""The thesis's own rules, except for layers below its single one, which is shown for comparison."""
+"""The thesis's rules, except that layers below its single layer are fitted; the single layer is shown for
+comparison."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldBeta:
     """beta of one dent. cluster_size: particles along a cluster's side, None = no clusters; error_m: mean distance from
-    simulated to observed points at it (eq. 4.6), None where it is fitted by squares"""
+    simulated to observed points at this beta (eq. 4.6), None if it was fitted by squares"""
 
     hold: Hold
     cluster_size: int | None
@@ -95,7 +98,7 @@ class HeldBeta:
 @dataclass(frozen=True, slots=True)
 class FoamDent:
     """One touch of a foam. dent: the dent as estimated by the thesis's process; betas: betas of every hold and cluster
-    size; seen_m: (n, 3) points of the camera around it meanwhile; ball: the tip, None = not stored"""
+    size; seen_m: (n, 3) points of the camera around the touch during the press; ball: the tip, None = not stored"""
 
     hardness_n: float
     depth_m: float
@@ -147,7 +150,7 @@ def press_foam(
 class Scenario:
     """An exploration by the thesis's rules.
 
-    contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why none follows
+    contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why no touch follows
     truth: (rows, columns) labels; hardness: hardness of each label, in words
     variance: (rows, columns) variance of the field, for any beta; fields: fields of each beta model
     """
@@ -166,7 +169,8 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class BetaField:
-    """touches: beta of each; mean: (rows, columns); isopleths: (k,); labels: (rows, columns); iou: against the truth"""
+    """touches: beta of each touch; mean: (rows, columns); isopleths: (k,); labels: (rows, columns); iou: IoU with the
+    truth"""
 
     touches: tuple[float, ...]
     mean: FloatArray

@@ -1,4 +1,4 @@
-"""The figures of Thesis chapter 4: beta over hardness, dents side by side, and fields of beta with the truth."""
+"""The figures of Thesis chapter 4: beta over hardness, dents next to each other, and fields of beta with the truth."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _of(foam: FoamDent, hold: str, size: int | None) -> tuple[float, float] | No
 
 
 def draw_dents(foams: Sequence[FoamDent], path: Path) -> None:
-    """Figure 4.6: the surfaces under the same touch, as the Gaussian process has them, on one scale."""
+    """Figure 4.6: the surfaces under the same touch, from the Gaussian process, on one scale."""
     from matplotlib import colormaps
 
     deepest = 1e3 * max(float(one.dent.sunk_m.max()) for one in foams)
@@ -124,7 +124,7 @@ def draw_clouds(foam: FoamDent, path: Path) -> None:
 
 def draw_fields(scenarios: Sequence[Scenario], path: Path) -> None:
     """Figure 4.7, a row for each scenario: the truth; the field of beta by layers and by a single layer, with its
-    isopleths. The variance has the contacts, the first a circle, triangles after it."""
+    isopleths. The map of variance shows the contacts: the first as a circle, later ones as triangles."""
     drawn = canvas(16.0, 2.55 * len(scenarios), layout="constrained")
     axes = drawn.subplots(len(scenarios), 4, squeeze=False)
     for row, one in zip(axes, scenarios, strict=True):

@@ -1,8 +1,8 @@
 """Table 4.1 without finite elements, camera and arm: hundreds of explorations in minutes.
 
 A touch is the scene's stiffness (Hertz: the power 2/3 of its modulus), its mean over the contact, plus a fit's error
-and the laboratory's hidden errors (`LabErrors`: scatter, gain and arm). Above the arm's resolution it is a lower bound.
-Posterior, planner and stop rule are those of `explore`.
+and the laboratory's hidden errors (`LabErrors`: scatter, gain and arm). A stiffness above the arm's resolution is a
+lower bound. Posterior, planner and stop rule are those of `explore`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ to 4 mm outside the edge."""
 
 
 def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:
-    """(...,) of places of these moduli [N/mm]."""
+    """(...,) log stiffness of places with these moduli [N/mm]."""
     return np.asarray(LOG_N_PER_MM_60 + 2.0 / 3.0 * np.log(modulus_pa / initial_modulus_pa(60.0)))
 
 

@@ -26,7 +26,7 @@ THESIS_COUNTS = {"empty": 153, "water": 153, "yogurt": 120, "flour": 153, "rice"
 BOXES, SESSIONS = 10, 5
 """Identical boxes, each of which had every content in turn; days with their own temperature. Chosen."""
 FAST_CAMERA_HZ = 10.0
-"""Images a second where features alone are kept: the container is tracked at the events and at 5 Hz between."""
+"""Images a second if only features are stored: the container is tracked at the events and at 5 Hz between them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class SqueezeJob:
 
 
 NEW = 100
-"""Containers, sessions and seeds (a thousand times as many) of new trials begin there."""
+"""First number of containers and sessions of new trials; their seeds begin at a thousand times this."""
 
 
 def squeeze_jobs(

@@ -36,21 +36,21 @@ from deformscope.stages.msm.solver import Msm
 
 POISSON = (0.0, 0.1, 0.25, 0.4, 0.49)
 SIDES = (6, 8, 11)
-"""Particles along a side: the thesis's coarse, fine and finer."""
+"""Particles along a side: the thesis's coarse, fine and finer cubes."""
 DEPTHS_M = (0.01, 0.02, 0.03)
 SIDE_M, YOUNG_PA = 0.1, 750e3
 
 DENSE_GRID = 2001
-"""Values of theta whose lowest error no estimate may exceed."""
+"""Number of values of theta; no estimate may exceed their lowest error."""
 
 SAME_DEPTH = 1e-3
-"""Depths that differ by less than this share are one depth in the tables."""
+"""Share below which two depths count as one in the tables."""
 
 CG_STEPS = 25
 """Steps of the thesis's SOFA-CG (3.5.1.6)."""
 
 STEPS = 200
-"""Time steps that are timed together."""
+"""Number of time steps that are timed together."""
 
 HELD_SHARE = 1.0 / 3.0
 """Share of the body's mass that `equal_share` gives to the held particles: their share in a lattice of 6^3."""
@@ -58,8 +58,8 @@ HELD_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True, slots=True)
 class Cube:
-    """A body pressed as the thesis's cubes are. poisson: its Poisson's ratio; depth: largest motion of a held particle
-    [m]; name: where it came from"""
+    """A body that is pressed like the thesis's cubes. poisson: its Poisson's ratio; depth: largest motion of a held
+    particle [m]; name: where it came from"""
 
     seen: Observation
     poisson: float
@@ -79,7 +79,8 @@ class Cube:
 class ElementTime:
     """Time of the finite elements of one resolution, mean over Poisson's ratios. unknowns: unknowns of the equations
     assemble_s, solve_s: time to assemble, and to solve by a direct solver [s]; cg_s: time of `CG_STEPS` steps of
-    conjugate gradients, as in the thesis's SOFA-CG [s]; cg_left: share of the right-hand side that these leave"""
+    conjugate gradients, as in the thesis's SOFA-CG [s]; cg_left: remaining residual after these steps, as a share of
+    the right-hand side"""
 
     resolution: str
     unknowns: int
@@ -94,9 +95,9 @@ class CubeResult:
     """Result of one cube.
 
     theta: the calibration; curve: the dense grid's errors, thinned; grid_theta, grid_aee: its lowest [m]
-    one_cluster, overlapping: lowest error with beta fitted too; None where the comparison was left out
-    searches: the thesis's and ours on the same errors
-    equal_share_theta: theta of the lowest error where the held particles weigh `HELD_SHARE` of the body
+    one_cluster, overlapping: lowest error with beta fitted too; None without this comparison
+    searches: the thesis's searches and that of deformscope on the same errors
+    equal_share_theta: theta of the lowest error if the held particles have `HELD_SHARE` of the body's mass
     simulated: (K, d) positions at theta; seconds: duration of the calibration [s]
     """
 
@@ -225,7 +226,7 @@ def depths_of(cubes: Sequence[Cube]) -> list[float]:
 
 
 def examine(cube: Cube, options: CubesConfig, compare: bool) -> CubeResult:
-    """Everything that is found for one cube; `compare`: with beta fitted too."""
+    """All results of one cube; compare: fit beta too."""
     model = Model("theta", "quadratic", None)
     with threadpool_limits(1):
         began = time.perf_counter()
@@ -261,7 +262,7 @@ def _fit_both(seen: Observation, body: Msm, start: tuple[float, float], volume: 
 
 
 def dense_curve(seen: Observation, body: Msm, beta: float, count: int = DENSE_GRID) -> Curve:
-    """The error (eq. 3.18) at `count` values of theta, evenly spaced over [0, 1]; NaN where the body ran away."""
+    """The error (eq. 3.18) at `count` values of theta, evenly spaced over [0, 1]; NaN if the body diverged."""
     theta = np.linspace(0.0, 1.0, count)
     parts = []
     for some in np.array_split(theta, max(1, count * len(seen.rest) // 200_000)):
@@ -272,7 +273,7 @@ def dense_curve(seen: Observation, body: Msm, beta: float, count: int = DENSE_GR
 
 
 def equal_share(seen: Observation, beta: float) -> float:
-    """theta of the lowest error where the held particles have `HELD_SHARE` of the body's mass.
+    """theta of the lowest error if the held particles have `HELD_SHARE` of the body's mass.
 
     With equal masses the share of held particles falls when a lattice is finer (6^3: a third, 11^3: 18 %), and so does
     their effect on the cluster's fit. A smaller theta then has the same effect, and theta drifts with resolution.

@@ -1,4 +1,5 @@
-"""Figures 3.10 and 3.11 and table 3.2 of the thesis from our own cubes, and how one cluster and many compare."""
+"""Figures 3.10 and 3.11 and table 3.2 of the thesis from this reproduction's cubes, and one cluster compared with
+many."""
 
 from __future__ import annotations
 
@@ -100,7 +101,7 @@ def draw_errors(path: Path, found: Sequence[CubeResult]) -> None:
 
 
 def draw_resolution(path: Path, found: Sequence[CubeResult]) -> None:
-    """Why theta drifts with resolution: with equal masses, and where the held particles weigh the same share."""
+    """Why theta drifts with resolution: with equal masses, and with a constant share of mass of the held particles."""
     depths = depths_of([one.cube for one in found])
     deepest = [one for one in found if depth_of(one.cube, depths) == depths[-1]]
     ratios = sorted({one.cube.poisson for one in deepest})
@@ -220,7 +221,7 @@ def cube_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
 
 
 def sem_rows(found: Sequence[CubeResult]) -> list[dict[str, object]]:
-    """Mean and SEM of theta in each grouping of figure 3.10, with the thesis's own."""
+    """Mean and SEM of theta in each grouping of figure 3.10, with those of the thesis."""
     rows: list[dict[str, object]] = []
     for group, some in grouped_spreads(found).items():
         for spread in some:
@@ -262,7 +263,7 @@ def search_summary(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
 
 
 def time_rows(ours: Sequence[ModelTime], elements: Sequence[ElementTime]) -> list[dict[str, object]]:
-    """Table 3.2 [ms]: our times, and the thesis's as printed where it has that resolution."""
+    """Table 3.2 [ms]: times of this machine, and those printed in the thesis for the same resolution."""
     solved = {one.resolution: one for one in elements}
     rows: list[dict[str, object]] = []
     for one in ours:

@@ -40,11 +40,11 @@ CLUSTER_SIZES = (2, 4, 5)
 
 PX_PER_CM = 50.0
 FRAME_NS = 10 * 10**9 // 30
-"""The thesis takes every tenth image of 30 a second."""
+"""Period of the used images: the thesis uses every tenth image of 30 a second."""
 
 
 BLOCK = Block(width_m=0.25, height_m=0.07, thickness_m=0.10)
-"""Wider than the image, as in the thesis; its thickness matters to the force alone."""
+"""The block, wider than the image, as in the thesis; its thickness affects only the force."""
 
 VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 * PX_PER_CM)
 
@@ -95,9 +95,9 @@ class FoamFit:
 class FoamResult:
     """One foam pushed, seen and fitted.
 
-    depth_m, force_n: depth and force of every pose; lost: particles; error_px: (K,) distance of each from where it
-    truly is in the last image, NaN where lost; noise_px: (K,) the flow's noise, one standard deviation per coordinate
-    image: the last one; mask: (H, W) the foam in the first one
+    depth_m, force_n: depth and force of every pose; lost: particles; error_px: (K,) distance of each particle from its
+    true place in the last image, NaN if lost; noise_px: (K,) the flow's noise, standard deviation of a coordinate
+    image: the last image; mask: (H, W) the foam in the first image
     """
 
     foam: Foam
@@ -125,7 +125,7 @@ class FoamResult:
 
 @dataclass(frozen=True, slots=True)
 class FoamCase:
-    """One foam. images: folder that its images are left in, which then holds nothing of an earlier run; empty = none
+    """One foam. images: folder for its images, from which those of an earlier run are removed; empty = none
     changed: its difference from `BASE`, of a `Control`"""
 
     foam: Foam
@@ -218,7 +218,7 @@ class Trend:
     """How beta changes with hardness over the foams, for one combination.
 
     drop: beta of the softest less that of the firmest foam (Thesis: .04, .16, .21 at cluster sizes 2, 4, 5)
-    rank_correlation: rank correlation of beta with hardness (Spearman), None where all are one or there are only two
+    rank_correlation: rank correlation of beta with hardness (Spearman), None if all are equal or there are only two
     foams; common: betas in every foam's interval; None = there are none, so that beta differs between foams
     told: the trend in words (a key of the JSON)
     """
@@ -258,7 +258,7 @@ def format_order(value: FloatArray, same: float = 0.0) -> str:
 
 
 def rank_correlation(a: FloatArray, b: FloatArray) -> float | None:
-    """Spearman's [-] of values (n,) and (n,); None where either does not vary, or of fewer than three."""
+    """Spearman's [-] of values (n,) and (n,); None if either does not vary, or with fewer than three."""
     if len(a) < 3:
         return None
     ranks = [rankdata(np.round(x, 6)) for x in (a, b)]

@@ -15,7 +15,7 @@ from deformscope.reproduce.foams import HELD, PX_PER_CM, Control, FoamResult, He
 from deformscope.stages.fit.estimate import Estimate
 
 COLOURS = ("#d55e00", "#e69f00", "#009e73", "#0072b2", "#aa3377")
-"""Colours of the foams in their order; distinct to colour-blind readers too (Okabe and Ito 2008)."""
+"""Colours of the foams in their order, which colour-blind readers can distinguish (Okabe and Ito 2008)."""
 
 SIZE_COLOURS = ("#7f3b08", "#2d8fbd", "#8073ac", "#5a5a5a")
 """Colours of the cluster sizes."""

@@ -24,19 +24,20 @@ SOFT, STIFF = 20e3, (70e3, 120e3)
 HALVES = (20e3, 80e3)
 RADIUS = (0.07, 0.095)
 LEAST_SEEN = 3
-"""Fitted pokes within an inclusion, and unseen ones: untouched material cannot be predicted."""
+"""Least number of fitted pokes, and of unseen ones, within an inclusion: untouched material cannot be predicted."""
 
 BORDER = 0.02
-"""Pokes nearer to a border than this are near it: their contact covers both materials [m]."""
+"""Distance from a border within which a poke counts as near it: its contact covers both materials [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PokedSlab:
-    """A slab and where it is poked.
+    """A slab and the places of its pokes.
 
     normal, middle: (2,) normal and middle of the border of halves, or the direction of a gradual change; middle,
     radius: middle and radius of a disc
-    modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2) [m]; fitted: (24,) the others are unseen
+    modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2) [m]; fitted: (24,) whether each poke is
+    fitted; the others are unseen
     """
 
     kind: SlabKind

@@ -1,7 +1,7 @@
 """Predictions of a model fitted to a few pokes of a slab: slabs of finite elements, whose truth is known.
 
-A slab of one modulus is fitted to a single poke, halves and a disc in a softer slab to 12 of 24. The pokes that are
-then predicted have other tips, other forces and other places, near the border too.
+A slab of one modulus is fitted to a single poke, halves and a disc in a softer slab to 12 of 24. The predicted pokes
+have other tips, forces and places, some near the border.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ place."""
 
 
 def plan_of(drawn: PokedSlab, tips: Sequence[tuple[float, float]] = OTHER_TIPS) -> PokeStudyPlan:
-    """Half of the slab's pokes with one tip and one force, the others with these tips and various forces in turn."""
+    """The plan: half of the slab's pokes with one tip and one force, the others with these tips and various forces in
+    turn."""
     places = [(float(x), float(y)) for x, y in drawn.places]
     fitted = [at for at, is_fitted in zip(places, drawn.fitted, strict=True) if is_fitted]
     unseen = [at for at, is_fitted in zip(places, drawn.fitted, strict=True) if not is_fitted]
@@ -107,7 +108,8 @@ def study(plan: PokeStudyPlan, *, device: str = "cpu", progress: Progress | None
 
 
 def observe(slab: Slab, one: Press, element: float | None = None) -> Observation:
-    """Observation of the slab's surface under a poke, by finite elements of this share of the tip's half width."""
+    """Observation of the slab's surface under a poke, computed by finite elements with this share of the tip's half
+    width as size."""
     points = slab.grid(GRID)
     half = (0.5 * one.sides[0], 0.5 * one.sides[1])
     dent = press(

@@ -1,4 +1,4 @@
-"""The thesis's two searches and ours on the same data: the value of each, and its cost."""
+"""The thesis's two searches and that of deformscope on the same data: the value of each, and its cost."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ STEP = 0.01  # of Algorithm 3
 
 @dataclass(frozen=True, slots=True)
 class SearchOutcome:
-    """search: method of the search; value: found; aee_m: error there (eq. 3.18); evaluations: static states that were
-    computed; seconds; stopped: why a descent ended"""
+    """search: method of the search; value: found; aee_m: error at that value (eq. 3.18); evaluations: number of
+    computed static states; seconds: duration; stopped: why a descent ended"""
 
     search: str
     value: float
@@ -28,7 +28,7 @@ class SearchOutcome:
 
 
 def compare_searches(seen: Observation, model: Model, bounds: tuple[float, float]) -> tuple[SearchOutcome, ...]:
-    """Algorithm 3; the descent that `calibrate --method gradient` makes; Algorithm 2 as printed, from the middle of the
+    """Algorithm 3; the descent of `calibrate --method gradient`; Algorithm 2 as printed, from the middle of the
     range."""
     found = []
     steps = round((bounds[1] - bounds[0]) / STEP) + 1

@@ -36,7 +36,8 @@ class HeldLattice:
     shape: tuple[int, ...]
 
     def side(self, position: FloatArray) -> FloatArray:
-        """(..., rows, columns, 2) of positions (..., K, d): in space, the middle layer along the second axis."""
+        """Positions (..., rows, columns, 2) from (..., K, d): in space, those of the middle layer along the second
+        axis."""
         grid = position.reshape(*position.shape[:-2], *self.shape, -1)[..., [0, -1]]
         return grid if len(self.shape) == 2 else grid[..., self.shape[1] // 2, :, :]
 
@@ -72,7 +73,7 @@ def _body(name: str, shape: tuple[int, ...], model: Model, rest: FloatArray, tar
 
 
 def column(basis: Basis) -> HeldLattice:
-    """Figure 3.5: one cluster in the plane, its bottom held, its top held elsewhere."""
+    """Figure 3.5: one cluster in the plane, its bottom held, its top held at other places."""
     rest = lattice(6, 12)
     top = rest[:, 1] == rest[:, 1].max()
     angle, moved_m = ENDS[basis]

@@ -55,7 +55,7 @@ class PoseError:
 
     @property
     def off(self) -> bool:
-        """Farther than it may be."""
+        """Whether the error is larger than its tolerance."""
         return self.shift_m > SHIFT_M or self.turn_deg > TURN_DEG
 
 
@@ -82,13 +82,14 @@ class SimulatedSqueeze:
 def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
     """One squeeze of the laboratory as stored in a data set, and its errors; runs in any process.
 
-    first, steady: events less truth in sample periods of their device; the same with frames lost; held: 1 where the
-    interval holds the truth. tracked, refused, used_off: images tracked, of these refused, and not refused but off
-    shift_mm, turn_deg: largest of those not refused. depth_rms_mm, depth_mean_mm: measured change of depth less the
-    true one over the patch; noise_mm, depth_stated_mm: noise and depth stated of one pixel of the camera, simulated and
-    stated; depth_off: error of the depth of depth_known values, measured or filled in, those off by more than OFF times
-    the stated noise; wrong_..., hidden_...: tracked, refused, used_off, for a model 15 % larger than the container, and
-    for a hidden lower half
+    first, steady: times of events less the true ones, in sample periods of their device; and those with lost frames;
+    held: 1 if the interval holds the truth. tracked, refused, used_off: images tracked, refused, and not refused but
+    wrong
+    shift_mm, turn_deg: largest errors of images that were not refused. depth_rms_mm, depth_mean_mm: measured change of
+    depth less the true one over the patch; noise_mm, depth_stated_mm: noise and depth stated of one pixel of the
+    camera, simulated and stated; depth_off: number of the depth_known values, measured or filled in, with an error of
+    more than OFF times the stated noise; wrong_..., hidden_...: tracked, refused and used_off for a model 15 % larger
+    than the container, and for a hidden lower half
     """
     simulated = SimulatedSqueeze()
     trial = squeeze_trial(job, simulated.note)
@@ -134,7 +135,7 @@ def _tracked(start: str, poses: Sequence[PoseError]) -> Numbers:
 
 
 def with_losses(frames: SqueezeFrames, seed: int) -> SqueezeFrames:
-    """The same squeeze without `LOST_SHARE` of each device's items, and without a run of `LOST_RUN`."""
+    """The squeeze without `LOST_SHARE` of each device's items, and without a run of `LOST_RUN`."""
     random = np.random.default_rng([seed, 0x105])
 
     def thinned(given: Sequence[T]) -> list[T]:

@@ -1,4 +1,4 @@
-"""The laboratory as a robot without wires: the readings of a touch and a look, immediately. For studies."""
+"""The laboratory as a robot without wires, which gives the readings of a touch and a look immediately. For studies."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _slab_curve(
 
 
 def felt_log_stiffness(made: Approach, set_force_n: float) -> float:
-    """Log of force over depth [N/mm] at the set force that a touch would have measured without noise."""
+    """Log of force over depth [N/mm] at the set force, without noise."""
     loading = slice(0, int(made.true_force_n.argmax()) + 1)
     force_n, depth_m = made.true_force_n[loading], made.true_depth_m[loading]
     sunk_m = np.interp(set_force_n, force_n, depth_m) * _deeper(set_force_n, force_n, depth_m)
@@ -102,7 +102,7 @@ class LabRobot:
     scene: the true scene, without its scatter; arm: the arm as calibrated
     errors: errors of this session; truth: the scene's true values; most_force_n: the largest true contact force so far
     felt: `felt_log_stiffness` of each touch
-    sees: whether the camera looks again while the ball presses, which only beta needs
+    sees: whether the camera records during the press, which only beta needs
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class LabRobot:
         self._random = np.random.default_rng([options.seed, scene.seed])
 
     def reachable(self, grid: MapGrid) -> BoolArray:
-        """(rows, columns) mask of all cells but a margin at the border."""
+        """(rows, columns) mask of all cells except a margin at the border."""
         return off_the_border(grid, self._options.border_m)
 
     def look(self) -> SurfaceMeasurement:
@@ -195,8 +195,8 @@ class LabRobot:
 def explore_at_once(
     robot: LabRobot, stages: ExplorationStages, recorder: SessionRecorder, found: Exploration | None = None
 ) -> None:
-    """Explore with a robot that gives measurements at once. Raises ExplorationStopped. recorder: is given every stage's
-    results; found: receives the touches"""
+    """Explore with a robot that gives measurements immediately. Raises ExplorationStopped. recorder: receives every
+    stage's results; found: receives the touches"""
     found = Exploration() if found is None else found
     run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))
     if found.stop is not None:

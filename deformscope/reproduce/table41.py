@@ -1,6 +1,7 @@
-"""Thesis table 4.1, and scenes beyond it, in the laboratory: how good the map is after how many touches, over seeds.
+"""Thesis table 4.1 and other scenes in the laboratory: the quality of the map over the number of touches, for several
+seeds.
 
-Touches are pressed into finite elements and estimated as the robot's are, without wires (`explore_lab`).
+Touches are pressed into finite elements and estimated like those of a robot, without wires (`explore_lab`).
 """
 
 from __future__ import annotations

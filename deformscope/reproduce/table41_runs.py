@@ -42,9 +42,9 @@ class MapAfter:
 
     travel_m: travel of the tip over the surface, from its corner; robot_s: time of the robot for the touches
     (`touch_clock`; in closed; form: the planner's estimate); compute_s: computing time from this touch to the next
-    target; log_stiffness, log_sd, rigid: the last touch's measurement [N/mm], at `xy_m`; felt_log_stiffness: its
-    measurement without noise; touch_covered: whether its 90 % interval holds that, None where it is rigid
-    unseen: probability that inclusions of the size that is sought are there unseen, None where it was not computed
+    target; log_stiffness, log_sd, rigid: measurement of the last touch [N/mm], at `xy_m`; felt_log_stiffness: its
+    measurement without noise; touch_covered: whether its 90 % interval holds the truth, None if it is rigid
+    unseen: probability of undetected inclusions of the searched size, None if not computed
     """
 
     touches: int
@@ -64,7 +64,7 @@ class MapAfter:
 
 @dataclass(frozen=True, slots=True)
 class TableRun:
-    """Results of one exploration. region_count: the true one, 0 where there are no regions; stop_after: touches at the
+    """Results of one exploration. region_count: true number of regions, 0 without regions; stop_after: touches at the
     end of the plan, None if it did not end; max_force_n: largest true contact force; seconds: time to compute and
     simulate the run"""
 
@@ -93,7 +93,7 @@ def add_runs(journal: Journal, runs: Iterable[TableRun]) -> None:
 
 
 def read_runs(journal: Journal) -> Iterator[TableRun]:
-    """The runs in a file. Raises InputError where it holds anything else."""
+    """The runs in a file. Raises InputError if it has other content."""
     for read in journal.lines():
         try:
             after = [

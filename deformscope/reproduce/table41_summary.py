@@ -22,10 +22,10 @@ PASSED_IOU = (0.8, 0.85, 0.9)
 """Quality of a map at which planners are compared by their cost."""
 
 FOUND_IOU = 0.5
-"""A small region is found if the number of regions is right and its match overlaps it by this share."""
+"""Share of overlap with its match from which a small region counts as found, if the number of regions is right."""
 
 LOOKED_AT = (3, 4, 6, 8, 12)
-"""Touches that a table reports; the thesis touched 3 or 4 times."""
+"""Numbers of touches in a table; the thesis touched 3 or 4 times."""
 
 DRAWS = 2000
 What = Literal["touches", "travel_m", "robot_s"]
@@ -33,15 +33,17 @@ PASSED: tuple[What, ...] = ("touches", "travel_m", "robot_s")
 
 
 def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
-    """Runs of one scene with one planner, after this many touches: the robot stops at the end of its plan.
+    """Statistics of the runs of one scene with one planner, after this number of touches: the robot stops at the end of
+    its plan.
 
     Medians: iou, boundary_m, field_rms, made (touches), travel_m, robot_s. good: share with iou 0.85 or better; right:
     with the right verdict and number; found: that, and the smallest region with an IoU of 0.5; ordered, rigid_found,
-    gradual: shares. levels_covered: share of the levels in their intervals, over `levels_runs` layouts whose number is
-    right; field_covered: mean share of cells; touches_covered: share of the touches so far that are not rigid
+    gradual: shares. levels_covered: share of levels within their intervals, over `levels_runs` layouts with the right
+    number of regions; field_covered: mean share of cells; touches_covered: share of the touches so far that are not
+    rigid
     stopped: share of runs whose plan ended before the budget; wrong, wrong_claimed: mean share of the surface with a
-    wrong label, found and expected; unseen: probability that inclusions are there unseen, median, and unseen_missed,
-    over layouts whose smallest region was not found
+    wrong label, found and expected; unseen: median probability of undetected inclusions; unseen_missed: that over
+    layouts whose smallest region was not found
     unmet_m: radius of the largest disc of another material without a touch, median None if there is nothing to report
     """
     last = [run.at(touches) for run in runs]
@@ -89,7 +91,7 @@ def _unmet_m(run: TableRun, touches: int) -> float:
 
 
 def first_passage(run: TableRun, iou: float) -> tuple[dict[What, float], bool]:
-    """Cost until the map first had this quality, even if the plan had ended before; and whether it ever did.
+    """Cost until the map first had this quality, even after the end of the plan; and whether it reached it.
     was: if not, it is the cost of all touches."""
     for after in run.after:
         if after.score.iou is not None and after.score.iou >= iou:

@@ -26,7 +26,7 @@ AT_MOST_S = 60.0
 
 
 class PlannedTouches(AsMeasured):
-    """Planned touches of robots that give measurements, which are moved as those that give frames."""
+    """Planned touches of robots that give measurements; these robots move like those that give frames."""
 
     def __init__(self, setup: SetupGeometry, options: ExploreOptions, reachable: Reachable) -> None:
         super().__init__(setup.size_m, reachable)

@@ -10,7 +10,7 @@ from deformscope.results.render import to_json
 LOW, HIGH = "_low", "_high"
 """Suffixes of a quantity's name, for the ends of its interval."""
 WORDS = 200
-"""Letters of a text that a column takes."""
+"""Most letters of a text in a column."""
 
 
 def cells_of(result: Any) -> dict[str, Any]:
@@ -19,12 +19,12 @@ def cells_of(result: Any) -> dict[str, Any]:
 
 
 def cell_text(value: object) -> str:
-    """A cell as a table shows it."""
+    """The text of a cell in a table."""
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def to_cells(found: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Numbers, words and truths by the names of the JSON, with a dot before those inside others.
+    """Numbers, texts and booleans by the names of the JSON; nested names have a dot.
 
     A fitted value has the name of its `parameter`; an interval's ends are NAME_low and NAME_high; a list of results is
     its length, one of reasons their codes. Longer lists and texts are left out.

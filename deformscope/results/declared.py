@@ -1,6 +1,6 @@
 """Declares for each quantity of a result, in its dataclass, its report: name, unit, format, place in the JSON.
 
-A field has it as its metadata, a property as its decorator:
+A field has the declaration as its metadata, a property as its decorator:
 
     depth_m: float = field(metadata=reported("dent", unit="m", digits=".1f", scale=1e3, shown_unit="mm"))
 
@@ -36,17 +36,17 @@ class Quantity:
     GROUP.KEY = in an object GROUP
     unit: unit in JSON, listed among the units there; empty = its key ends with it, or it has none
     digits: format of the shown number; scale, shown_unit: it is shown as `scale` times its value, in `shown_unit`
-    interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number alone,
-    and the interval by this key; columns have it separately too
+    interval: field or property with the two ends, else the value's `interval`; interval_key: JSON has the number and,
+    under this key, the interval separately; so do columns
     words: makes a text in place of a number, from the whole result
-    json: converts the value to JSON; json_scale: JSON has the value times this
+    json: converts the value to JSON; json_scale: factor of the value in JSON
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None if the scale is unknown
     missing: text in place of None
     older_key: an older key under which JSON has it too
     optional: JSON lacks the key if the value is None; flat: JSON has the value's parts instead
-    line: its text in the line of main values, with "{}" for the value; caption: below the title of a picture
-    name: name of the field or property; place: rises in the order of declaration
+    line: its text in the line of main values, with "{}" for the value; caption: its text below the title of a picture
+    name: name of the field or property; place: number that rises in the order of declaration
     """
 
     label: str = ""
@@ -93,13 +93,13 @@ def _as_decorator(make: Callable[P, Quantity]) -> Callable[P, Callable[[Function
 
 
 reported = _as_metadata(Quantity)
-"""The metadata of a field that is reported; arguments as `Quantity` has them."""
+"""The metadata of a field that is reported; arguments as in `Quantity`."""
 derived = _as_decorator(Quantity)
 """Decorates a method or property that is reported like a field; arguments as in `Quantity`."""
 
 
 LATER: Mapping[str, object] = {"deformscope.later": True}
-"""The metadata of a field that came after recordings of its class were made: those are read with its default."""
+"""The metadata of a field that is newer than some recordings of its class, which are read with its default."""
 WORDING: Mapping[str, object] = {"deformscope.wording": True}
 """The metadata of a text that another version may word differently: a replay does not compare it."""
 FROM_ZERO: Mapping[str, object] = {"deformscope.from_zero": True}

@@ -2,10 +2,10 @@
 
 stuck: an axis of a force sensor, or texels that are pressed, give exactly the same count for longer than the rig allows
 (`stuck_after_s`), and for longer than their own noise does. Such a stretch is less likely than CHANCE, given the share
-of readings so far that were equal to the one before. Whole readings, and pictures, that stay the same are found by the
-drivers (`Health.stuck`), and passed on.
+of readings so far that were equal to the one before. Drivers find complete readings and pictures that do not change
+(`Health.stuck`), which are passed on here.
 saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of an image at its
-brightest or at black, a depth camera without any depth. The range of an arm is its supervisor's business.
+brightest or at black, a depth camera without any depth. The range of an arm is checked by its supervisor.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ WRENCH_END, TEXEL_END = 32767, 4095
 """The largest count of an axis (16 bits with sign), and of a texel (12 bits)."""
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 PICTURE_ENDS = (("its brightest", 0.5), ("black", 0.98))
-"""Share of a picture's pixels at one end of the range from which it is saturated: a dark room is not, a lens with its
-cap is."""
+"""Share of a picture's pixels at one end of the range from which it counts as saturated: not a dark room, but a lens
+with its cap on."""
 PICTURE_STEP = 8
 """Step between the checked pixels of a picture, along both sides."""
 
@@ -102,8 +102,8 @@ class _Watched:
 
 
 class SensorAlarms:
-    """`look` at all that devices give, in its order; the alarms that begin and end come back as notes. stuck_after_s:
-    times by device, as in the rig; None = its readings may stay the same for ever"""
+    """Alarms of sensors: `look` receives all items of devices in order, and returns notes on alarms that begin and end.
+    stuck_after_s: times by device, as in the rig; None = its readings may stay the same for ever"""
 
     def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:
         self._streams = {stream.device: stream for stream in streams}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from deformscope.rig.checks import check
 
 DAYS = {"arm": 365, "place": 30, "tip": 180, "camera": 90, "force": 180, "time": 365}
-"""After which each is measured again: a table is moved sooner than a stick is bent. Chosen."""
+"""Days after which each calibration is repeated: a table is moved sooner than a stick is bent. Chosen."""
 
 LATEST_S = 0.5
 """Largest offset between two clocks [s] in `calibrate time`."""
@@ -24,7 +24,7 @@ class CalibrationEntry:
     [m] and of a turn about them [deg], in the transform's target frame; half_size_m: half widths of the intervals of a
     surface's sides [m]; half_gain: half width of the interval of the force sensor's gain
     offset_s, half_s: delay of `device` relative to the force sensor `beside`, below 0 a lead
-    oldest_days: after which it is measured again, None = as is usual for its kind
+    oldest_days: age at which it is measured again, None = the usual one of its kind
     """
 
     date: datetime.date
@@ -51,7 +51,7 @@ class CalibrationEntry:
 
 @dataclass(frozen=True, slots=True)
 class CalibratedSection:
-    """Measured by; None = not by `deformscope calibrate`."""
+    """Calibrations of a rig; None = not measured by `deformscope calibrate`."""
 
     arm: CalibrationEntry | None = None
     place: CalibrationEntry | None = None
@@ -62,7 +62,7 @@ class CalibratedSection:
 
     def late_ns(self, devices: Collection[str]) -> dict[str, int]:
         """The delay of a device, by name [ns]: only the later of the two compared devices has one, so that no stamp
-        lies in the future. devices: names of all devices. Raises InputError for one that there is not."""
+        lies in the future. devices: names of all devices. Raises InputError for an unknown device."""
         if self.time is None or self.time.offset_s is None or not self.time.device:
             return {}
         one, other, offset_s = self.time.device, self.time.beside, self.time.offset_s
@@ -84,12 +84,12 @@ class CalibratedSection:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationAge:
-    """days: age in days; at_most: after which it is measured again"""
+    """days: age in days; at_most: age at which it is measured again"""
 
     days: int
     at_most: int
 
     @property
     def young(self) -> bool:
-        """Whether it may still be used."""
+        """Whether the calibration may still be used."""
         return self.days <= self.at_most

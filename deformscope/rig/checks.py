@@ -28,7 +28,7 @@ def check_transform(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
 
 
 def check_orthogonal(name: str, rows: tuple[tuple[float, ...], ...]) -> None:
-    """3x3 of axes at right angles, mirrored or not."""
+    """A 3x3 matrix of axes at right angles, mirrored or not."""
     check(len(rows) == 3 and all(len(row) == 3 for row in rows), f"{name} of 3 rows of 3 numbers", rows)
     check(all(math.isfinite(value) for row in rows for value in row), f"{name} of finite numbers", rows)
     axes = np.array(rows, np.float64)

@@ -33,7 +33,7 @@ from deformscope_drivers.transport import CAN_FRAME_BYTES
 @dataclass(frozen=True, slots=True)
 class DeviceComparison:
     """How a device's recorded frames compare with its bytes. frames: recorded; compared: how many frames were decoded
-    again; left_out: parts without a comparison, and why; difference: the first one, in words; empty = none"""
+    again; left_out: parts without a comparison, and why; difference: the first difference, in words; empty = none"""
 
     device: str
     driver: str
@@ -44,11 +44,11 @@ class DeviceComparison:
 
 
 class Redecoder(ABC):
-    """Makes frames of one device's bytes, as its driver did.
+    """Makes frames from one device's bytes, as its driver did.
 
-    left_out: parts of a frame that its bytes do not determine; compares: the fields that they determine, besides the
-    stamp
-    listening: whether new items are for the decoder; late_answers: an answer that is too late for its driver is no
+    left_out: parts of a frame that its bytes do not determine; compares: the fields that the bytes determine, besides
+    the stamp
+    listening: whether new items are for the decoder; late_answers: answers that were too late for the driver give no
     frame
     """
 
@@ -63,24 +63,24 @@ class Redecoder(ABC):
 
     @abstractmethod
     def begin(self) -> FrameDecoder[Any]:
-        """A new link, with a fresh decoder."""
+        """Begin a new link, with a new decoder."""
 
     @abstractmethod
     def measure(self, event: Any, host_ns: int) -> Any:
-        """The driver's reading in one event of the decoder, by the driver's own measurer; None where it has none."""
+        """The reading in one event of the decoder, from the driver's measurer; None without one."""
 
     def send(self, data: bytes) -> None:  # noqa: B027
-        """The host sent this."""
+        """Note bytes that the host sent."""
 
     def resume(self) -> None:  # noqa: B027
-        """The driver set the device up again on a link that lasted."""
+        """Note that the driver set up the device again on the same link."""
 
     def device(self) -> Any:  # noqa: B027
         """Interface of a device for `to_frame`."""
 
 
 class OptoforceAgain(Redecoder):
-    """A force sensor."""
+    """Decodes the bytes of a force sensor."""
 
     left_out = "`usable`, which also depends on earlier readings"
     compares: tuple[str, ...] = ("counts", "force_n", "torque_nm", "overload")
@@ -127,7 +127,7 @@ class DsaAgain(Redecoder):
 
 
 class SdhAgain(Redecoder):
-    """A hand: a reading is made of its answers about states, velocities and, last, angles."""
+    """Decodes the bytes of a hand: a reading consists of its answers with states, velocities and, last, angles."""
 
     late_answers = True
     compares = ("position_deg", "velocity_deg_s", "temperature_c", "state")

@@ -14,7 +14,7 @@ from deformscope.frames import WrenchFrame
 
 MEAN_NS = 10**9
 POINTS = 120
-"""Most points of the line: where it would have more, every second one is removed."""
+"""Most points of the line: if there are more, every second one is removed."""
 LOAD_SDS, LEAST_LOAD, FASTEST = 4.0, {"N": 0.05, "counts": 2.0}, 0.2
 """A second is loaded if its mean differs from the last unloaded one by this number of standard deviations of a reading,
 at least by this force, and by this share of it for each second between the two. It is also loaded if its readings
@@ -44,7 +44,7 @@ class TareDrift:
         self._stride, self._seconds = 1, 0
 
     def add(self, frames: Iterable[WrenchFrame]) -> None:
-        """Further readings, in order."""
+        """Add further readings, in order."""
         for frame in frames:
             known = not np.isnan(frame.force_n).any()
             load = np.asarray(frame.force_n if known else frame.counts, float).ravel()
@@ -82,7 +82,7 @@ class TareDrift:
 
     @property
     def line(self) -> tuple[float, ...]:
-        """Length of the drift at equal distances in time, from 0 at the tare to now."""
+        """Size of the drift at equally spaced times, from 0 at the tare to now."""
         return tuple(self._points)
 
     @property

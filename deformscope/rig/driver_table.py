@@ -14,8 +14,8 @@ class Driver:
     """One kind of device.
 
     package, device, config: place of its class (or of its factory) and its configuration
-    kind: kind of its frames; doubled: whether there is a simulated one
-    probed: whether it can be opened by its port or bus alone, without anything moving
+    kind: kind of its frames; doubled: whether there is a double
+    probed: whether it can be opened with only its port or bus, and without a motion
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""Values written into a rig file, whose comments and order stay.
+"""Writes values into a rig file, whose comments and order do not change.
 
 The text is changed line by line, then read again: all values that were not edited must be unchanged.
-Otherwise nothing is written, and the user has to insert the lines.
+Otherwise no file is written, and the user has to insert the lines.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def lines_of(values: Values, digits: str = DIGITS) -> str:
 
 
 def edited(text: str, values: Values) -> str:
-    """The text of a rig file with values set. Raises InputError, with the lines, where that is not to be done."""
+    """The text of a rig file with values set. Raises InputError, with the lines, if the file cannot be edited."""
     lines = text.splitlines()
     for section, keys in values.items():
         for key, value in keys.items():

@@ -37,7 +37,7 @@ FILE_BYTES = 100_000
 """Largest rig file: a larger TOML file can be made so that reading it takes minutes."""
 PLACE_CHARACTERS = 80
 DEEPEST = 16
-"""Tables and lists within one another; a rig needs half."""
+"""Largest depth of nested tables and lists; a rig needs half of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +58,8 @@ class RigDevice:
     late_ns: int = 0
 
     def make(self) -> Device[Any]:
-        """The real device, not opened. Raises InputError if its section is incomplete, as without port and bus, or
-        names a library outside of the system's folders while the rig is not trusted."""
+        """The real device, not opened. Raises InputError if its section is incomplete, for example without port and
+        bus, or names a library outside of the system's folders while the rig is not trusted."""
         config = self.config
         try:
             if getattr(config, "library", None) and not self.trusted:
@@ -75,7 +75,7 @@ class Camera:
 
     device: name of the device; focal_px: (fx, fy); center_px: (cx, cy) [px]
     distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
-    doubt_m: uncertainty of T_arm_camera at the surface: points so near the stick may be the stick, and are left out
+    doubt_m: uncertainty of T_arm_camera at the surface: points within this distance of the stick are left out
     """
 
     device: str = ""
@@ -98,13 +98,13 @@ class Tool:
     """The tip of the arm.
 
     length_m: distance from the arm's end to the tip; tip: its shape; radius_m: radius of the tip
-    T_ee_tip: 4x4, tip to the arm's end [m]; default: straight on along z by length_m
-    R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and turned about the stick; default: the same
+    T_ee_tip: 4x4, tip to the arm's end [m]; default: along z by length_m
+    R_tip_force: 3x3, forces in the sensor's axes to the tip's: signs, and a turn about the stick; default: the same
     stick_radius_m: radius of the thickest part between the arm's end and the tip, such as a force sensor: it is removed
     from the camera's image
     compliance_m_per_n: how far the tip stays behind where the arm says it is, for each newton that it presses with;
     compliance_sd: its deviation [m/N]. `deformscope calibrate arm` measures both
-    force_gain: forces as the sensor gives them over true ones; force_gain_sd: its deviation, None = not measured: that
+    force_gain: the sensor's forces over true forces; force_gain_sd: its deviation, None = not measured: that
     of the data sheet. `deformscope calibrate force --weight` measures both
     """
 
@@ -144,8 +144,8 @@ USUAL_THICKNESS_M = 0.05
 class SurfaceSection:
     """The explored surface: a sample on a table, whose corner is the origin of the surface frame.
 
-    size_m: along x and y; thickness_m: above the table, whose top is at z = 0; None = measured over the table around
-    it, or unknown if no table is visible: no modulus is then reported
+    size_m: sides along x and y; thickness_m: thickness above the table, whose top is at z = 0; None = measured relative
+    to the table around it, or unknown if no table is visible: then no modulus is reported
     T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
     scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
     hidden: seed from which the true places of these doubles are drawn, to be found by `deformscope calibrate`; None =
@@ -178,10 +178,11 @@ class Workspace:
 
     low_m, high_m: corners of a box in the arm's base frame [m]
     arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none
-    target_force_n, soft_stop_n, hard_stop_n: pressed with, backed away at, stopped at [N]
+    target_force_n, soft_stop_n, hard_stop_n: force of a touch, force at which the arm backs away, and at which it stops
+    [N]
     contact_speed_m_s: speed in contact and in the last 3 cm before it; travel_speed_m_s: elsewhere [m/s]
     force_silent_s, arm_silent_s, camera_silent_s: limits on silence that stop the arm (the camera's while it is needed;
-    None = 1.6 of its periods). Longer ones are for slower devices, or a busy machine
+    None = 1.6 of its periods). Set longer ones for slower devices, or on a busy machine
     time: 0.5 s at most, in which an arm goes up to 25 mm
     arm_frozen_s: stop if the arm receives commands and its joints have not changed at all for this time. The limit is
     longer than an arm takes to begin to move (None = 0.09, or 1.2 times arm_silent_s if that is longer)
@@ -232,8 +233,8 @@ def _check_box(low_m: Sequence[float] | None, high_m: Sequence[float] | None, ki
 
 @dataclass(frozen=True, slots=True)
 class TouchSection:
-    """How the tip touches. tangential: while it presses, "held" on the surface's normal, or "free" to follow forces
-    across it (Thesis 4.4)"""
+    """How the tip touches. tangential: during the press the tip is "held" on the surface's normal, or "free" to follow
+    forces across it (Thesis 4.4)"""
 
     tangential: Literal["held", "free"] = "held"
 
@@ -243,7 +244,8 @@ class Record:
     """How the rig is recorded.
 
     folder: where recordings go that are not named; raw: record the bytes of every wire in addition to their values
-    lossless: cameras whose colour images something is computed from (PNG, ten times the bytes of JPEG)
+    lossless: cameras whose colour images are recorded as PNG, because results are computed from them (ten times the
+    bytes of JPEG)
     """
 
     folder: str = "runs"
@@ -269,7 +271,7 @@ SECTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A rig as its file says it. name: name of the file, for titles; text: the file, for recordings; folder: folder of
+    """A rig, read from its file. name: name of the file, for titles; text: the file, for recordings; folder: folder of
     the file, to which its paths are relative"""
 
     name: str
@@ -291,7 +293,7 @@ class Rig:
 
 def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
     """Read a rig file, or the simulated rig `lab:NAME`. Raises InputError, with the error and its place. trusted:
-    vendors' libraries that it names may be loaded from anywhere"""
+    vendors' libraries that it names may be loaded from any folder"""
     text = str(where)
     if text.startswith(LAB_SCHEME):
         return parse_rig(_scenario(text.removeprefix(LAB_SCHEME)), text)
@@ -328,8 +330,8 @@ def scenario_names() -> list[str]:
 
 
 def parse_rig(text: str, where: str, *, trusted: bool = False, others: Sequence[str] = ()) -> Rig:
-    """A rig out of a file's text; where: its name, for messages; trusted: as in `load_rig`; others: devices that no
-    driver of ours gave, which it may name too"""
+    """Parse a file's text into a rig.; where: its name, for messages; trusted: as in `load_rig`; others: devices
+    without a driver of deformscope, which it may name too"""
     try:
         content = tomllib.loads(text)
     except Exception as error:  # also RecursionError, and ValueError for numbers of thousands of digits

@@ -12,7 +12,7 @@ LONGEST_M = 3.0
 
 @dataclass(frozen=True, slots=True)
 class CableSection:
-    """A cable as lines from point to point, as far around them as it may hang or sway.
+    """A cable: lines from point to point, with the distance around them within which it may hang or sway.
 
     points_m: points in the frame of the arm's end, or with `joints` in the frames of the links behind these joints,
     counted from 1 (0 = the arm's base, -1 = its end); radius_m: its radius
@@ -37,12 +37,12 @@ class ShapeSection:
     removal: "mesh": points within margin_m of any mesh of a URDF; "hull": of the convex hull of one of its links
     (Thesis 4.4); "capsules": within 4.5 cm of the lines between joints. Default: "mesh" with a urdf or a gripper, which
     are this file's own and show the robot's true shape, else "capsules"
-    urdf: URDF of the arm, with all that is mounted on it and has its joints' angles; gripper: gripper of the tool at
-    its end, if the arm's urdf has none; paths relative to the rig file
+    urdf: URDF of the arm, including everything mounted on it that moves with its joints; gripper: URDF of the gripper
+    at its end, if the arm's URDF does not have it; paths relative to the rig file
     T_ee_gripper: 4x4, the gripper's root to the arm's end [m]; closed: joints whose angle is not reported, such as
     those of fingers: position as a share of the way from the lower limit to the upper one
     margin_m: margin of meshes and hulls, in addition to [camera] doubt_m
-    cables: cables of any removal
+    cables: cables, for any kind of removal
     """
 
     removal: Literal["capsules", "hull", "mesh"] | None = None

@@ -26,7 +26,7 @@ HEALTH_PERIOD_S = 1.0
 @dataclass(frozen=True, slots=True)
 class RigMember:
     """A device to be opened. device: the device, not yet opened; simulated: a double replaces it; late_ns: calibrated
-    delay, subtracted from its stamps"""
+    delay that is subtracted from its stamps"""
 
     name: str
     driver: Driver
@@ -52,10 +52,10 @@ class RigSource:
 
     Every item of a device between opening and closing is given or counted as dropped by its queue.
     raw: give also the bytes of every wire; clock: clock of the devices' stamps
-    wait_until: lets time pass until a moment of that clock [ns]; None = the host's
+    wait_until: waits until a time of that clock [ns]; None = of the host's clock
     opener: opens the devices; None = they open in parallel, each with a thread (a laboratory does not)
-    latest_ns: correction of the stamps of the device with the largest delay; start_ns: start of the session, this long
-    before them; open: no frame is older
+    latest_ns: correction of the stamps of the device with the largest delay; start_ns: start of the session, earlier by that; open: no
+    frame is older
     """
 
     def __init__(
@@ -133,12 +133,12 @@ class RigSource:
 
     @property
     def failures(self) -> dict[str, str]:
-        """Devices that ended for good, and why."""
+        """Devices that ended finally, with the reasons."""
         return {opened.member.name: opened.failure for opened in self._opened if opened.failure}
 
     def take(self, wait_s: float) -> list[Item]:
-        """Wait, then all items since the last call, in order of time. Sometimes they include everyone's health, and
-        notes of readings that are stuck or saturated, which their health then reports as well."""
+        """Wait, then return all items since the last call, in order of time. From time to time they include the health
+        of all devices, and notes on stuck or saturated readings, which the health reports as well."""
         if wait_s > 0.0 and self._wait_until is not None:
             self._wait_until(self._clock() + round(wait_s * 1e9))
         elif wait_s > 0.0:

@@ -1,4 +1,4 @@
-"""The sections of a rig file that say how a container is squeezed: the hand, the container, the squeeze."""
+"""The sections of a rig file for squeezes: the hand, the container, the squeeze."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class HandSection:
 
     T_camera_hand: 4x4, hand to depth camera [m], for a fixed hand; or T_arm_hand: 4x4, hand to the end of the arm that
     carries it (with `[camera] T_arm_camera`). The hand's frame is that of `deformscope_drivers.sdh`
-    fingers: the two that squeeze; tactile_end: which 36 cells of the fingertip arrays are the feature: the first ones
-    that the controller sends (the thesis), or the last
-    tactile: name of the tactile device, where the rig has several
+    fingers: the two fingers that squeeze; tactile_end: which 36 cells of the fingertip arrays are the feature: the
+    first ones that the controller sends (the thesis), or the last
+    tactile: name of the tactile device, if the rig has several
     """
 
     T_camera_hand: Rows | None = None

@@ -12,7 +12,7 @@ SYSTEM_FOLDERS = tuple(
     map(Path, ("/lib", "/lib32", "/lib64", "/usr/lib", "/usr/lib32", "/usr/lib64", "/usr/local/lib", "/opt"))
 )
 ADMINISTRATOR = 0
-"""User and group id."""
+"""User and group id of the administrator."""
 TRY = (
     "install it there, or use --trust-rig, which loads the library that the rig file names and runs it with your rights"
 )
@@ -21,7 +21,7 @@ TRY = (
 def system_library(path: Path) -> Path:
     """The path of a library without links.
 
-    Raises InputError unless that is in one of the system's folders, and only the administrator could have put it there.
+    Raises InputError unless it is in one of the system's folders that only the administrator can change.
     """
     try:
         real = path.resolve()

@@ -8,7 +8,7 @@ from deformscope.robot.supervisor import Fault
 from deformscope.robot.touch import TouchEnding
 
 SETTLE_S = 0.1
-"""After a halt, until the force that stays is read."""
+"""Time after a halt until the remaining force is read."""
 
 _SENSOR = "the force sensor's cable and supply: deformscope doctor RIG reads it"
 _ARM = "the arm's cable, supply and joystick's red light; move it away by the joystick"
@@ -69,7 +69,7 @@ OF_HAND: dict[Fault | TouchEnding, str] = {
     ),
     Fault.ARM_BOX: f"{_STANDS}: elbow, wrist or hand leave the box of arm_low_m and arm_high_m",
 }
-"""The same where the arm carries a hand, as far as it is another."""
+"""Advice that differs if the arm carries a hand."""
 
 
 PRESSES_N = 0.6

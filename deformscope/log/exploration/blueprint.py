@@ -52,9 +52,10 @@ def exploration_blueprint(
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
-    size_m: size of the surface along x and y; truth: whether it is known: else the surface's height replaces it
-    inclusions: whether they are sought: they replace beta
-    tabs: most views behind others, for a page, which has panels at both sides and may have to draw without a GPU
+    size_m: size of the surface along x and y; truth: whether the truth is known: otherwise the surface's height is
+    shown instead
+    inclusions: whether inclusions are sought: they replace beta
+    tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: the quantity that
     distinguishes regions; full: show also results between frames and estimates, as tabs
     """

@@ -19,13 +19,14 @@ MOST_DRAWN_OUT, SHARE = 8.0, 0.5
 HALF_M, CELL_M = 0.05, 0.0035
 """Half the side of the view, and of cells whose mean height represents their observed points."""
 NEIGHBOURS = 1.3
-"""Lines are drawn to particles up to this multiple of the usual distance."""
+"""Multiple of the usual distance up to which lines connect particles."""
 STEPS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
 FRAME: Rgb = (150, 155, 165)
 
 
 def log_dent(now: ResultBatch, touch: TouchEstimate) -> None:
-    """Around the contact; half the width is 1, heights drawn out. The values themselves are in the result."""
+    """Log the dent around the contact; half the width is 1, and heights are magnified. The measured values are in the
+    result."""
     observed, simulated = (_near(one - touch.xyz_m) for one in (touch.observed_m, touch.simulated_m))
     if len(observed):
         observed = reduce_to_grid(observed, CELL_M)[0]

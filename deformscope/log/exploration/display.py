@@ -48,7 +48,7 @@ PHASES: dict[str, Rgb] = {
 
 
 def log_nothing_known(now: ResultBatch) -> None:
-    """Words where there will be pictures."""
+    """Log texts in place of pictures that do not exist yet."""
     for path, words in {**dict.fromkeys([*MAPS, FORCE, SECTION], "no touch yet"), GAIN: "no plan yet"}.items():
         now.show_png(path, pictures.text_png, words)
 

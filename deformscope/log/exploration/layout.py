@@ -25,7 +25,7 @@ class ExplorationLayout(RecordingLayout):
     """size_m: size of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to
     the arm's base frame [m], None = the same
 
-    truth: whether it is known; inclusions: whether they are sought; mapped: as in `MapEstimate`
+    truth: whether the truth is known; inclusions: whether inclusions are sought; mapped: as in `MapEstimate`
     full: show also results between frames and estimates; T_surface_camera: (4, 4), None = not known
     """
 
@@ -69,5 +69,5 @@ class ExplorationLayout(RecordingLayout):
         return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed, full=self.full)
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
-        """Device items from the plan of a touch on belong to that touch."""
+        """Device items after the plan of a touch belong to that touch."""
         return touch + any(isinstance(one, PlannedTouch) and one.target_m is not None for one in results)

@@ -65,7 +65,7 @@ def log_frames(
 
 
 def log_no_touch(now: ResultBatch) -> None:
-    """Placeholder of a view of the surface under a touch, before any."""
+    """Log a placeholder in the view of the surface under a touch, before any touch."""
     now.show(f"{FRAMES}/{TOUCH}", rr.Transform3D(parent_frame="surface", child_frame=TOUCH))
     now.show_png(ERROR, pictures.text_png, "no touch yet")
 

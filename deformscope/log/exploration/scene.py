@@ -1,4 +1,4 @@
-"""The surface in space, in its own frame, and the arm over it.
+"""The surface in space, in its frame, and the arm over it.
 
 The surface frame is the root of all frames, `tf#/`. Entities need no transform of their own, and the scene's one
 transform places an arm's base in it.
@@ -48,7 +48,7 @@ def log_base(rec: Sink, stream: Stream, base_from_surface: FloatArray) -> None:
 
 
 def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) -> None:
-    """The points that the camera saw, the brighter the lower, and the surface of the Gaussian process. colored: colour
+    """Log the points that the camera saw, lower ones brighter, and the surface of the Gaussian process. colored: colour
     it by its height, as long as there is no map"""
     points = surface.points_m
     low, high = (np.quantile(points[:, 2], (0.01, 0.99))) if len(points) else (0.0, 1.0)
@@ -68,7 +68,7 @@ def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) ->
 
 
 def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
-    """The surface in the colours of the map of stiffness, or of loss; its shape stays as it was seen."""
+    """Log the surface in the colours of the map of stiffness, or of loss; its observed shape is unchanged."""
     if maps.loss is not None:
         share = maps.loss.ravel() / loss_range(maps.loss)
         now.show(f"{SCENE}/surface", rr.Mesh3D.from_fields(vertex_colors=_colors(LOSS, share)))
@@ -88,7 +88,7 @@ def log_contact(now: ResultBatch, touch: TouchEstimate) -> None:
 
 
 def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
-    """A red line where the next touch goes; none where none follows."""
+    """Log a red line at the place of the next touch; no line if none follows."""
     if plan.target_m is None:
         now.show(f"{SCENE}/target", rr.LineStrips3D([]))
         now.show(f"{SCENE}/target/name", rr.Points3D([]))
@@ -100,7 +100,8 @@ def log_target(now: ResultBatch, plan: PlannedTouch) -> None:
 
 
 def log_forecast(now: ResultBatch, forecast: TouchForecast | None) -> None:
-    """The requested touch: its path down, an arrow as long as its force, the forecast; None = none."""
+    """Log the requested touch: its path down, an arrow with the length of its force, and the forecast; None = no
+    request."""
     if forecast is None:
         now.show(f"{ASKED}/way", rr.LineStrips3D([]))
         now.show(f"{ASKED}/normal", rr.Arrows3D(vectors=[]))

@@ -89,7 +89,7 @@ def log_items(
     streams: Sequence[Stream],
     lossless: Collection[str] = (),
 ) -> None:
-    """Log a batch of items to one stream; `prepare_items` says the rest."""
+    """Log a batch of items to one stream; arguments as in `prepare_items`."""
     prepare_items(items, start_ns, streams, lossless).send(rec)
 
 
@@ -103,7 +103,8 @@ def prepare_items(
     *,
     changes_only: bool = False,
 ) -> Batch:
-    """Make a batch of items ready, in any order, for one stream or several: the cost is by device, little by item.
+    """Prepare a batch of items, in any order, for one stream or several. The cost is for each device; a single item
+    costs little.
 
     start_ns: host time at which `session` is 0 [ns]; lossless: devices whose 8 bit colour images are stored as PNG
     rather than JPEG, because something is computed from them (about 9 ms for 640 x 480 instead of 1 ms, and ten times
@@ -146,7 +147,7 @@ def prepare_input(given: InputFile, frame: int, session_ns: int) -> Batch:
 
 
 def warm_up() -> None:
-    """Have rerun and the encoders start up, before any device is opened, which costs up to half a second."""
+    """Start rerun and the encoders before any device is opened, which takes up to half a second."""
     stamp, nothing = Stamp(0), np.zeros(3)
     small: list[Item] = [
         WrenchFrame(stamp, 0, np.zeros(3, np.int64), nothing[None]),

@@ -1,4 +1,4 @@
-"""Two recordings in the same plots, each in its colour, on a timeline that is zero at the first contact of each.
+"""Two recordings in the same plots, each in one colour, on a timeline that is zero at the first contact of each.
 
 aligned/QUANTITY/a|b/DEVICE    a series of the first, of the second recording
 """
@@ -37,7 +37,7 @@ class AlignedSeries:
 
 
 def aligned_rrd(series: Sequence[AlignedSeries], names: tuple[str, str]) -> bytes:
-    """A recording of rerun's, with its views. names: names of the two recordings"""
+    """Both recordings as rerun data, with their views. names: names of the two recordings"""
     rec = rr.RecordingStream("deformscope-aligned", send_properties=False)
     encoded = rr.binary_stream(rec)
     quantities = list(dict.fromkeys(one.quantity for one in series))

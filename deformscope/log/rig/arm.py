@@ -1,4 +1,4 @@
-"""An arm's shape, moving as its joints do."""
+"""An arm's shape, which moves with its joints."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ SOLID = {
     "Cylinders3D:radii": rr.Cylinders3D.from_fields(fill_mode=rr.components.FillMode.Solid),
     "Ellipsoids3D:half_sizes": rr.Ellipsoids3D.from_fields(fill_mode=rr.components.FillMode.Solid),
 }
-"""Simple shapes of a URDF, known by a component of theirs: rerun would draw them as wires."""
+"""Components that identify simple shapes of a URDF: rerun would draw these as wires."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """An arm's description as a viewer shows it.
+    """An arm's description for a viewer.
 
     joints: joints that the arm's own angles turn, in order; fingers: (joint, angle open, angle closed) [rad]
     base: the frame of its first link; reach_m: the length of all its links together

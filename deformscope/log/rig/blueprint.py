@@ -1,4 +1,4 @@
-"""The view of a rig: pictures above, plots and the devices' health below, for existing devices alone."""
+"""The view of a rig: pictures above, plots and the devices' health below, only for existing devices."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ high may have no label at its axis but 0: the viewer labels powers of ten alone,
 
 
 def rig_blueprint(streams: Sequence[Stream], *, health: bool = True) -> rrb.Blueprint:
-    """The views of these devices; of doubles they say SIMULATED. health: False if a page shows it outside the viewer"""
+    """The views of these devices; those of doubles are marked SIMULATED. health: False if a page shows it outside the
+    viewer"""
     return blueprint_of(rig_views(streams, with_health=health))
 
 

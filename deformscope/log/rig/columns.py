@@ -49,7 +49,7 @@ class Place:
         return np.maximum(np.searchsorted(self.pictures_ns, session_ns, side="right") - 1, 0)
 
     def moved(self, times: Sequence[rr.TimeColumn]) -> list[rr.TimeColumn]:
-        """The times of a recording of devices alone, as an exploration's."""
+        """The times of a recording of devices, converted to those of an exploration."""
         by_name = {time.timeline_name(): time.as_arrow_array() for time in times}
         session_ns = by_name["session"].cast(pa.int64()).to_numpy()
         own = [rr.TimeColumn("index", sequence=by_name["frame"].to_numpy())] if "frame" in by_name else []
@@ -62,15 +62,15 @@ class Place:
 
 
 class Batch:
-    """Calls to rerun that are made ready once, images encoded, and sent to any number of streams. place: place of an
-    exploration: where rows are on its timelines"""
+    """Calls to rerun that are prepared once, with encoded images, and sent to any number of streams. place: in an
+    exploration, place of the rows on its timelines"""
 
     def __init__(self, place: Place | None = None) -> None:
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []
         self.place = place
 
     def send_columns(self, path: str, times: Sequence[rr.TimeColumn], columns: Columns) -> None:
-        """Keep columns until `send`, as `rr.RecordingStream.send_columns` takes them."""
+        """Store columns until `send`; arguments as in `rr.RecordingStream.send_columns`."""
         ready = list(columns)
         when = list(times) if self.place is None else self.place.moved(times)
         self.parts.append((path, Chunk.from_columns(path, when, ready)))
@@ -89,7 +89,7 @@ class Batch:
         self.send_columns(path, times, columns)
 
     def log(self, path: str, entity: rr.AsComponents, *, static: bool) -> None:
-        """Keep an entity until `send`, as `rr.RecordingStream.log` takes it."""
+        """Store an entity until `send`; arguments as in `rr.RecordingStream.log`."""
         self.parts.append((path, lambda rec: rec.log(path, entity, static=static)))
 
     def send(self, rec: rr.RecordingStream, visible: Callable[[str], bool] | None = None) -> None:
@@ -104,7 +104,7 @@ class Batch:
 
 
 Sink = rr.RecordingStream | Batch
-"""Destination of a twin."""
+"""Destination of logged data."""
 
 
 def is_news(shown: Shown | None, device: str, what: object, now_ns: int) -> bool:
@@ -128,7 +128,7 @@ def moments(host_ns: Sequence[int] | IntArray, start_ns: int) -> list[rr.TimeCol
 
 
 def frame_times(frames: Sequence[Frame], start_ns: int) -> list[rr.TimeColumn]:
-    """Times of frames: the moment, and the place in the device's stream."""
+    """Times of frames: the session time, and the place in the device's stream."""
     indices = np.array([frame.index for frame in frames], np.int64)
     return [*moments([frame.stamp.host_ns for frame in frames], start_ns), rr.TimeColumn("frame", sequence=indices)]
 
@@ -165,5 +165,5 @@ def states(colors: Mapping[Any, Rgb]) -> rr.StateConfiguration:
 
 
 def log_series(rec: Sink, path: str, names: Sequence[str], colors: Sequence[tuple[int, ...]]) -> None:
-    """Names and colours of the series at a path, which hold throughout."""
+    """Log names and colours of the series at a path, which are constant."""
     rec.log(path, rr.SeriesLines(names=list(names), colors=list(colors), widths=[1.5] * len(names)), static=True)

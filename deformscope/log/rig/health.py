@@ -52,7 +52,7 @@ def log_health(
     streams: Sequence[Stream],
     shown: Shown | None = None,
 ) -> None:
-    """shown: the states that a viewer has already: a device's counters are sent with a change of its state alone"""
+    """shown: the states that a viewer has already: a device's counters are sent only when its state changes"""
     known = {stream.device: stream for stream in streams}
     looks: dict[str, list[tuple[int, Health]]] = {}
     for report in reports:

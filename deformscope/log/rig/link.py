@@ -1,4 +1,4 @@
-"""A device's wire: its bytes, and the times of its connection; and people's remarks meanwhile."""
+"""A device's wire: its bytes and the times of its connection; and remarks of people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numeric measurements: every field of a frame, series to plot, and those in a view."""
+"""Numeric measurements: every field of a frame, the plotted series, and those in a view."""
 
 from __future__ import annotations
 
@@ -69,6 +69,6 @@ def plotted(stream: Stream) -> list[tuple[str, str]]:
 
 
 def visible_in(streams: Sequence[Stream]) -> Callable[[str], bool]:
-    """Whether an entity is in a view that a rig or an exploration opens with: pictures, plots, states."""
+    """Whether an entity is in an initial view of a rig or an exploration: pictures, plots, states."""
     single = {path for stream in streams for path, _ in plotted(stream)} | {"exploration/phase", "squeeze/phase"}
     return lambda path: path in single or path.split("/")[0] in ("color", "depth", "display", "health")

@@ -1,4 +1,4 @@
-"""Pressures on a hand's pads, as one picture of the hand: fingers side by side, distal above proximal."""
+"""Pressures on a hand's pads, as one picture of the hand: fingers next to each other, distal above proximal pads."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Hand:
 
     @classmethod
     def of(cls, pads: Sequence[Pad]) -> Hand:
-        """Fingers from left to right, the part farthest from the palm on top."""
+        """The picture of a hand: fingers from left to right, with the part farthest from the palm on top."""
         fingers: dict[int, list[int]] = {}
         for place in sorted(range(len(pads)), key=lambda place: (pads[place].finger, -pads[place].part)):
             fingers.setdefault(pads[place].finger, []).append(place)
@@ -93,7 +93,7 @@ class Hand:
         return [(pad.rows, pad.columns) for pad in self.pads]
 
     def places(self) -> IntArray:
-        """(texels,) where each texel lies in the flattened picture, in the device's order."""
+        """(texels,) place of each texel in the flattened picture, in the device's order."""
         parts = [
             ((top + np.arange(pad.rows))[:, None] * self.columns + left + np.arange(pad.columns)).ravel()
             for pad, (top, left) in zip(self.pads, self.corners, strict=True)

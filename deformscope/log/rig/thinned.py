@@ -1,4 +1,4 @@
-"""Visible part of a rig's items: few enough for a page that a slow machine draws.
+"""The visible part of a rig's items, small enough for a page on a slow machine.
 
 A recording keeps every item; a live viewer receives these.
 """

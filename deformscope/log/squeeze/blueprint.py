@@ -22,7 +22,7 @@ from deformscope_drivers.sdh.kinematics import AXIS_NAMES, FINGERS
 WINDOW_S = 6.0
 """How far back the plots show: a squeeze from the air on."""
 CLOSING = [axis in (FINGERS[0].proximal_axis, FINGERS[2].proximal_axis) for axis in range(len(AXIS_NAMES))]
-"""Whether an axis closes."""
+"""Which axes close."""
 
 
 def squeeze_blueprint(

@@ -61,13 +61,13 @@ def log_squeeze_stop(now: ResultBatch, stop: SqueezeStop) -> None:
 
 
 def log_nothing_known(now: ResultBatch) -> None:
-    """Words where there will be numbers."""
+    """Log texts in place of numbers that do not exist yet."""
     now.show_text(MEASURED, "*Numbers follow once the fingers are at rest.*")
     now.show_text(NAMED, "*Classified from the first contact on.*")
 
 
 def log_measured(now: ResultBatch, results: Sequence[object]) -> None:
-    """Events and features as a table; they come together."""
+    """Log events and features as a table; they are known at the same time."""
     rows: list[tuple[str, str]] = []
     for one in results:
         if isinstance(one, SqueezeEvents):
@@ -105,7 +105,7 @@ def _physical(of: dict[str, float]) -> list[tuple[str, str]]:
 
 
 def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
-    """A line for each content during the squeeze; the posterior of all features together is text alone."""
+    """Log a line for each content during the squeeze; the final posterior of all features is only text."""
     if posterior.index >= 0:
         tints = tints_of(len(posterior.labels))
         now.log_static(CONTENT, rr.SeriesLines(names=list(posterior.labels), colors=tints, widths=[2.0] * len(tints)))
@@ -118,7 +118,7 @@ def log_content(now: ResultBatch, posterior: ContentPosterior) -> None:
 
 
 def log_container_change(now: ResultBatch, change: ContainerChange) -> None:
-    """During the squeeze; a refused image is reported as text and leaves the last picture."""
+    """Log the change of depth during the squeeze; a refused image is reported as text, and the last picture stays."""
     _show(now, change.change_m, change.width_m, change.missing, change.reason)
 
 
@@ -134,7 +134,8 @@ def _show(now: ResultBatch, change_m: FloatArray | None, width_m: float, missing
 
 
 def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
-    """Green at rest, which stays; red as all that is simulated while it is squeezed; darker where the track is bad."""
+    """Log the container: green at rest, which stays; red during the squeeze, like everything simulated; darker if the
+    track is bad."""
     before = not tracked.since_s >= 0.0
     color = BAD if not tracked.good else REST if before else SIMULATED
     when = "before contact" if before else f"{tracked.since_s:.1f} s after contact"

@@ -17,7 +17,7 @@ from deformscope.stages.squeeze.trial import FingertipPressure
 
 FORCE = "display/squeeze/force"
 AXIS_MM = 16.0
-"""Length of the principal axis of pressures that lie on a line; round ones have none."""
+"""Length of the principal axis of pressures on a line; for a round distribution it is 0."""
 
 
 @dataclass(frozen=True, slots=True)

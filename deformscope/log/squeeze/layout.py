@@ -53,7 +53,7 @@ class SqueezeLayout(RecordingLayout):
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
     ) -> Batch:
-        """Results as a batch at time `session_ns` alone; there is no frame or touch."""
+        """Results as a batch at time `session_ns`, without a frame or touch."""
         from deformscope.log.squeeze.results import prepare_squeeze_results
 
         return prepare_squeeze_results(results, session_ns, self._fingertips())

@@ -18,7 +18,7 @@ from deformscope.stages.squeeze.placement import ContainerFit, ContainerSighting
 
 PLACE, IMAGE, WORDS = "display/place/scene", "display/place/image", "display/place/words"
 LOOKS: dict[str, Rgb] = {"before": REST, "asked": REST, "placed": HELD, "after": OBSERVED}
-"""Colours of the container as it was found."""
+"""Colours of the found container."""
 HAND_M, BAR_M, LINE_M = 0.14, 0.06, 0.0015
 """A grasp is drawn from the palm to between the pads, and across, as the fingers close [m]."""
 FLOOR: Rgb = (52, 56, 64)
@@ -32,7 +32,7 @@ def log_place_start(rec: Sink, streams: Sequence[Stream], base_from_table: Float
 
 
 def log_sighting(now: ResultBatch, seen: ContainerSighting) -> None:
-    """The container at its measured place, in space and over the image; its change as text."""
+    """Log the container at its measured place, in space and over the image; its change as text."""
     changed = seen.change is not None and seen.change.changed
     color = BAD if changed else LOOKS[seen.when]
     level = "WARN" if changed or seen.fit is None else "INFO"

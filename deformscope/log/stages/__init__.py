@@ -1,6 +1,6 @@
 """The recording and views of stages that run with the devices, and their frames.
 
-A result is at the time, and at the place on `frame`, of the newest frame that it was computed from.
+A result has the time, and the place on `frame`, of the newest frame from which it was computed.
 
     stage/NAME/DEVICE            one row a result: every field of it, the frames it used, how many were passed over
     display/stage/NAME/... views: marks over the image, pictures, the verdict as text

@@ -16,9 +16,9 @@ from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.see.arrows import FlowArrows
 
 STILL_PX = 0.25
-"""Below this an arrow would show the flow's noise."""
+"""Length below which an arrow would show the flow's noise."""
 LONGEST_STEPS = 2.0
-"""The longest arrow, in distances between arrows."""
+"""Length of the longest arrow, in distances between arrows."""
 STRETCHES = (1.0, 2.0, 5.0, 10.0, 20.0)
 
 

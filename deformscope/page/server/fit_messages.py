@@ -21,7 +21,7 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     roi, contact: x, y, width, height [px]; grid: rows, columns of particles; spacing_px: distance between particles,
     instead of their number; outline: corners of a polygon around the thing [px]; held: parts whose motion is prescribed
-    cluster_size: particles a side, None = one cluster; beta, theta: shares
+    cluster_size: particles along a side, None = one cluster; beta, theta: shares
     """
 
     roi: Box | None = None
@@ -37,7 +37,7 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class FitResult(msgspec.Struct, frozen=True):
     """A whole fit. command: the command line of the result; value, low, high: value, lower end and upper end of the
-    parameter, at this level; aee_free: average error of the free particles there; verdict: verdict in words"""
+    parameter, at this level; aee_free: average error of the free particles at the result; verdict: verdict in words"""
 
     command: str
     value: float
@@ -51,18 +51,18 @@ class FitResult(msgspec.Struct, frozen=True):
 class FitState(msgspec.Struct, frozen=True):
     """A fit that is set on the page.
 
-    kind: kind of its subject; parameter: the fitted one; size_px: size of the picture [px]; pictures: file names, rest
-    and deformed; settings: the shown ones; number: number of the `SetFit` that brought them, 0 = none yet; command:
-    gives the same numbers
-    problem: why they cannot be simulated, as text; the other fields are then of the earlier ones
+    kind: kind of its subject; parameter: name of the fitted parameter; size_px: size of the picture [px]; pictures:
+    file names, rest and deformed; settings: the shown settings; number: number of the `SetFit` that brought them, 0 =
+    none yet; command: gives the same numbers
+    problem: why the settings cannot be simulated, as text; the other fields then belong to the earlier settings
     grid: rows, columns; spacing_px: distance between neighbours [px]
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
     held: which particles are held; aee_free: average error of the free particles [unit]; the average of all that were
-    seen is `aee`; values, errors: values and errors of the parameter, and the average error of all seen there [unit],
-    as far as they were simulated
-    busy: the present computation, as text; found: the last whole fit; picture: the file that shows it, empty = none
-    camera: the followed one, empty = none; following: the camera's newest picture is shown, which has no command line
-    yet; cameras: possible ones, besides the running fit
+    seen is `aee`; values, errors: simulated values of the parameter, and the average error of all seen particles at
+    each [unit]
+    busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none
+    camera: the followed camera, empty = none; following: the camera's newest picture is shown, which has no command
+    line yet; cameras: other cameras that can be followed
     """
 
     kind: Literal["images", "pair"]

@@ -51,7 +51,7 @@ class Guard:
         self._strangers: dict[tuple[str, int] | None, asyncio.Transport] = {}
 
     def add_stranger(self, client: tuple[str, int] | None, transport: asyncio.Transport) -> None:
-        """A new connection. client: its other end"""
+        """Note a new connection. client: its other end"""
         self._strangers[client] = transport
         asyncio.get_running_loop().call_later(REQUEST_S, self._end, client, transport)
         self._end_oldest(READ_ROUNDS)
@@ -115,7 +115,7 @@ def _from_the_page(headers: Headers, *, websocket: bool) -> bool:
 
 
 class GuardedProtocol(H11Protocol):
-    """HTTP whose connections are known to a guard from their beginning."""
+    """HTTP connections that a guard tracks from their beginning."""
 
     def __init__(self, guard: Guard, **options: Any) -> None:
         super().__init__(**options)

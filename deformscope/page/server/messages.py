@@ -15,7 +15,7 @@ from deformscope.page.server.fit_messages import FitSettings, FitState
 VERSION = 1
 """Version of these messages. A page of another version is refused, and has to be loaded again."""
 LONGEST_MESSAGE = 16 << 10
-"""Bytes of a message from a page."""
+"""Most bytes of a message from a page."""
 
 Phase = Literal["idle", "live", "recording", "exploring", "squeezing", "paused", "adjusting", "stopped"]
 Outcome = Literal["done", "begun", "refused"]
@@ -39,7 +39,7 @@ class Hello(FromPage, frozen=True, tag="hello"):
 
 
 class Beat(FromPage, frozen=True, tag="beat"):
-    """The page is there, ten times a second. visible: whether the page is visible"""
+    """Sign that the page is present, ten times a second. visible: whether the page is visible"""
 
     visible: bool
 
@@ -49,11 +49,11 @@ class TakeControls(FromPage, frozen=True, tag="take-controls"):
 
 
 class StartRecording(FromPage, frozen=True, tag="start-recording"):
-    """Into a new file."""
+    """Record into a new file."""
 
 
 class StopRecording(FromPage, frozen=True, tag="stop-recording"):
-    """The file gets its name; the devices stay open."""
+    """End the recording: its file gets its name; the devices stay open."""
 
 
 class KeepRecent(FromPage, frozen=True, tag="keep-recent"):
@@ -61,7 +61,7 @@ class KeepRecent(FromPage, frozen=True, tag="keep-recent"):
 
 
 class WriteNote(FromPage, frozen=True, tag="write-note"):
-    """Into the recording, at the time it came."""
+    """Write a note into the recording, at the time of its arrival."""
 
     text: Words
 
@@ -81,7 +81,7 @@ class DiscardPart(FromPage, frozen=True, tag="discard"):
 
 
 class TareDevice(FromPage, frozen=True, tag="tare"):
-    """Take the present load for zero."""
+    """Use the device's present load as its zero."""
 
     device: Name
 
@@ -126,7 +126,7 @@ class VetoTouch(FromPage, frozen=True, tag="veto"):
 
 
 class TouchNext(FromPage, frozen=True, tag="touch-next"):
-    """Touch where the plan says, and pause again. Waits for a confirm."""
+    """Touch the planned place, and pause again. Waits for a confirm."""
 
 
 class TouchAt(FromPage, frozen=True, tag="touch-at"):
@@ -137,7 +137,7 @@ class TouchAt(FromPage, frozen=True, tag="touch-at"):
 
 
 class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
-    """The same for a selection in the viewer: an entity, and the place on it [m, the view's frame]."""
+    """Touch a place selected in the viewer: an entity, and the place on it [m, the view's frame]."""
 
     entity: Words
     position_m: tuple[Length, Length, Length]
@@ -156,7 +156,8 @@ class CloseFit(FromPage, frozen=True, tag="close-fit"):
 
 
 class SetFit(FromPage, frozen=True, tag="set-fit"):
-    """Show the model with these settings. number: counts them; earlier settings that are not shown yet never are"""
+    """Show the model with these settings. number: counts the settings; earlier ones that are not shown yet are
+    skipped"""
 
     number: Number
     settings: FitSettings
@@ -172,7 +173,7 @@ class TakeRest(FromPage, frozen=True, tag="take-rest"):
 
 
 class HoldPicture(FromPage, frozen=True, tag="hold-picture"):
-    """Follow a camera no further: the shown picture stays, and becomes files."""
+    """Stop following a camera: the shown picture stays, and is written to files."""
 
 
 class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
@@ -237,7 +238,8 @@ class DriftState(msgspec.Struct, frozen=True):
     counts
 
     now: present drift of each axis; line: its length at equal distances in time, from the tare to now; empty before it
-    is known; loaded: the force changes faster than any drift, so something touches it; `now` and `line` are of before
+    is known; loaded: the force changes faster than any drift, so that something touches the sensor; `now` and `line`
+    are older
     """
 
     lasted_s: float
@@ -271,7 +273,7 @@ class DeviceState(msgspec.Struct, frozen=True):
 
 
 class Remark(msgspec.Struct, frozen=True):
-    """Something that happened. number: from 1; at_s: time since the page's server began [s]"""
+    """A remark on an event. number: from 1; at_s: time since the page's server began [s]"""
 
     number: int
     at_s: float
@@ -281,7 +283,7 @@ class Remark(msgspec.Struct, frozen=True):
 
 class PendingMove(msgspec.Struct, frozen=True):
     """Something that moves when it is confirmed. number: number that a confirmation repeats; what: the motion; until_s:
-    when it expires, on the clock of `PageState.now_s`; seen: the page that steers has drawn it"""
+    when it expires, on the clock of `PageState.now_s`; seen: the page that steers has drawn the request"""
 
     number: int
     what: str
@@ -301,7 +303,8 @@ class ForceCurve(msgspec.Struct, frozen=True):
     """The forecast of a touch's force curve, and the measured one.
 
     x_m, y_m: where; known: source of the forecast, as text; force_n: forces; depth_mm, depth_low_mm,
-    depth_high_mm: the dent at each, and its interval of 90 %; felt_mm, felt_n: measured curve, empty before the touch;
+    depth_high_mm: the dent at each force, and its 90 % interval; felt_mm, felt_n: measured curve, empty before the
+    touch;
     words: how the two compare
     """
 
@@ -318,7 +321,7 @@ class ForceCurve(msgspec.Struct, frozen=True):
 
 
 class Chapter(msgspec.Struct, frozen=True):
-    """A part of a recording, of the time since its start [ns]."""
+    """A part of a recording, by the time since its start [ns]."""
 
     name: str
     from_ns: int
@@ -327,7 +330,7 @@ class Chapter(msgspec.Struct, frozen=True):
 
 class Playback(msgspec.Struct, frozen=True):
     """A recording that a page plays. timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step
-    time of a single step; layer: a file of the page that is to be shown over it, empty = none"""
+    time of a single step; layer: a file of the page that is shown over the recording, empty = none"""
 
     timeline: str
     until_ns: int
@@ -345,9 +348,9 @@ class PageState(ToPage, frozen=True, tag="state"):
     present rate; episode: label of the present one; held_s: number of last seconds that can still be recorded
     commands: requests that are possible at present, by kind; tares: devices that can be tared
     controls: the page that steers; pages: how many there are
-    pending: waits for a confirm; next_place, curve: next place and curve of an exploration; beat_s: time without a
-    `Beat` after which motions stop that a page confirmed [s]; playback: playback of a page that shows a recording; fit:
-    the fit that is set on the page
+    pending: motion that waits for a confirmation; next_place, curve: next place and curve of an exploration; beat_s:
+    time without a `Beat` after which motions stop that a page confirmed [s]; playback: playback of a page that shows a
+    recording; fit: the fit that is set on the page
     """
 
     version: int = VERSION
@@ -383,8 +386,7 @@ class Drawn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class PieceBatch(msgspec.Struct, frozen=True):
     """To the page, after the pieces of a batch. behind_s: age of the newest drawn piece when this batch was sent;
-    skipped: pieces so far that were too old to be sent; until_ns: session time of the newest in it [ns], 0 = not
-    known"""
+    skipped: pieces so far that were too old to be sent; until_ns: session time of its newest data [ns], 0 = unknown"""
 
     batch: int
     last: int

@@ -60,7 +60,7 @@ class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
     session: the state that pages show, and the commands they give; pieces: data for the viewer in the pages
-    recording: a file that they play instead; adjusting: the pages show a fit that is set on them
+    recording: a file that the pages play instead; adjusting: the pages show a fit that is set on them
     """
 
     def __init__(self, title: str = "", recording: Path | None = None, *, adjusting: bool = False) -> None:
@@ -123,7 +123,7 @@ class PageServer:
         _pages.append(self)
 
     def close(self) -> None:
-        """Serve no longer."""
+        """Stop serving."""
         if self._server is not None and self._thread is not None:
             if self._sessions:
                 time.sleep(2 * STATE_EVERY_S)  # they get the last state: why it stopped
@@ -151,7 +151,7 @@ class PageServer:
     # Files -----------------------------------------------------------------------------------------------------------
 
     def offer(self, name: str, content: bytes, media_type: str) -> None:
-        """A file of the page's own name that it may ask for from now on, in place of one that was offered under it."""
+        """Offer a file that the page may request from now on, in place of one that was offered under this name."""
         self._offered[name] = content, media_type
 
     async def _file(self, request: Request) -> Response:
@@ -255,7 +255,7 @@ def running_pages() -> list[PageServer]:
 
 @atexit.register
 def end_pages() -> None:
-    """Serve no page any longer."""
+    """Stop serving all pages."""
     for page in running_pages():
         page.close()
 

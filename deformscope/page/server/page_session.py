@@ -34,13 +34,13 @@ NEXT: dict[Phase, frozenset[Phase]] = {
     "adjusting": frozenset({"stopped"}),
     "stopped": frozenset(),
 }
-"""The possible next phases of each."""
+"""The possible next phases of each phase."""
 REMARKS = 50
 """Number of newest remarks that are stored."""
 CONFIRM_S = 10.0
-"""Earlier requests for a confirmation end once the page has drawn this one."""
+"""Time limit of a confirmation, from the time when the page has drawn the request."""
 UNSEEN_S = 30.0
-"""A page that is busy draws it that late at most."""
+"""Longest delay until a busy page draws a request."""
 BEAT_S = 0.3
 """Default time after a page's last heartbeat at which motions stop that it confirmed."""
 
@@ -56,7 +56,8 @@ class PageRun(Protocol):
 
 
 class PageSession:
-    """May be used from any thread. Whoever `watch`es is called after every change."""
+    """The session of a page, which may be used from any thread. Functions given to `watch` are called after every
+    change."""
 
     def __init__(self, title: str = "", clock: Callable[[], float] = time.monotonic, beat_s: float = BEAT_S) -> None:
         self._clock = clock
@@ -103,7 +104,7 @@ class PageSession:
                 self.show(commands=self._commands, **changes)
 
     def enter(self, phase: Phase, reason: str = "", **changes: Any) -> None:
-        """Go on to another phase, or stay in this one; changes: fields of the state. Raises ValueError where the phase
+        """Change to another phase, or stay in this one; changes: fields of the state. Raises ValueError if the phase
         may not follow."""
         with self._lock:
             if phase != self._state.phase and phase not in NEXT[self._state.phase]:
@@ -133,7 +134,7 @@ class PageSession:
             call()
 
     def remark(self, words: str, *, bad: bool = False) -> None:
-        """Something that pages are to say."""
+        """Add a remark for the pages."""
         with self._lock:
             before = self._state.remarks
             number = before[-1].number + 1 if before else 1
@@ -141,13 +142,14 @@ class PageSession:
             self.show(remarks=(*before, one)[-REMARKS:])
 
     def recording_began(self, file: str, **changes: Any) -> None:
-        """A file is being written."""
+        """Note that a file is being written."""
         self.enter("recording", recording=file, recorded_since_s=self._now_s(), recorded_bytes=0, **changes)
 
     def ask(self, what: str, confirmed: Callable[[], None], let_be: Callable[[str], None]) -> None:
-        """Have the page that steers confirm that this moves. One of the two functions is called, from any thread. It is
-        `let_be`, with the reason, if the motion is cancelled, or not confirmed within CONFIRM_S after the page has
-        drawn it. If the page does not report that, the time counts from now. An earlier request is cancelled."""
+        """Request a confirmation of a motion from the page that steers. One of the two functions is called, from any
+        thread. It is `let_be`, with the reason, if the motion is cancelled, or not confirmed within CONFIRM_S after the
+        page has drawn it. If the page does not report that, the time counts from now. An earlier request is
+        cancelled."""
         self._drop("another move was requested")
         with self._lock:
             self._moves += 1
@@ -194,13 +196,13 @@ class PageSession:
     # For pages -------------------------------------------------------------------------------------------------------
 
     def come(self, page: str) -> None:
-        """A page is there; it steers where no other does."""
+        """Note a new page; it steers if no other page does."""
         with self._lock:
             self._pages.append(page)
             self.show(pages=len(self._pages), controls=self._state.controls or page)
 
     def leave(self, page: str) -> None:
-        """A page is gone."""
+        """Note that a page is gone."""
         with self._lock:
             self._pages.remove(page)
             if page not in self._pages:
@@ -209,7 +211,7 @@ class PageSession:
             self.show(pages=len(self._pages), controls="" if gone else self._state.controls)
 
     def beat(self, page: str, *, visible: bool) -> None:
-        """A page is there, and whether it can be seen."""
+        """Note that a page is present, and whether it is visible."""
         self._beats[page] = (self._clock(), visible)
 
     def command(self, page: str, command: PageCommand) -> CommandReply:

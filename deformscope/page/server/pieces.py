@@ -1,6 +1,6 @@
 """The recording's data on its way to pages: pieces of encoded rerun data, stored for a while, dropped when too old.
 
-Whoever makes pieces never waits. A page is sent new data when it has drawn the earlier ones, and these are made
+The maker of pieces never waits. A page is sent new data when it has drawn the earlier ones, and these are made
 then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen delays nothing, and no
 memory grows: data that it did not take in time are skipped and counted.
 """
@@ -45,10 +45,10 @@ class ViewerPiece:
 class PageReader:
     """Progress of a page.
 
-    last: the newest piece it was sent; skipped: pieces that were too old for it; sent_s, newest_s: when its last batch
-    was sent, and when the newest piece in it was made; drawing: the last batch is not drawn yet
+    last: the newest piece that was sent; skipped: pieces that were too old for it; sent_s, newest_s: when its last
+    batch was sent, and when the newest piece in it was made; drawing: the last batch is not drawn yet
     shown_s: when the newest piece of the previous batch was made, which the page shows until then
-    needs_s: how long the page took to draw the last batch; behind_s: age of its view until then
+    needs_s: how long the page took to draw the last batch; behind_s: age of its view
     wants_s: when it gets the next batch, so that it has time for other work than drawing
     """
 
@@ -64,7 +64,7 @@ class PageReader:
 
 
 class Pieces:
-    """Used from any thread."""
+    """Stored pieces, which any thread may use."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -78,7 +78,7 @@ class Pieces:
         self._lock = threading.Lock()
 
     def add(self, data: bytes, *, lasting: bool, until_ns: int = 0) -> None:
-        """Returns at once."""
+        """Add a piece; returns immediately."""
         with self._lock:
             self._count += 1
             piece = ViewerPiece(self._count, data, lasting, self._clock(), until_ns)
@@ -108,14 +108,14 @@ class Pieces:
     # Of one page -----------------------------------------------------------------------------------------------------
 
     def join(self, after: int) -> PageReader:
-        """A page that has all up to this piece, 0 = nothing."""
+        """Add a page that has all pieces up to this one, 0 = none."""
         with self._lock:
             reader = PageReader(last=min(after, self._count))
             self._readers.append(reader)
             return reader
 
     def part(self, reader: PageReader) -> None:
-        """The page is gone."""
+        """Note that a page is gone."""
         with self._lock:
             self._readers.remove(reader)
 
@@ -139,7 +139,7 @@ class Pieces:
             return shown
 
     def drawn(self, reader: PageReader) -> float:
-        """The page has drawn its last piece; how long to wait for a newer piece [s]."""
+        """Note that the page has drawn its last piece; returns how long to wait for a newer one [s]."""
         with self._lock:
             now_s = self._clock()
             reader.needs_s, reader.drawing = now_s - reader.sent_s, False

@@ -48,7 +48,8 @@ def viewer_environment() -> dict[str, str]:
 
 
 class ViewerFiles:
-    """Both files of the web viewer: 43 MB, which are not held in memory. Found at the first request.
+    """Both files of the web viewer: 43 MB, which are not held in memory. The viewer's files, found at the first
+    request.
 
     They are read from the executable itself. rerun would also serve them, but another user of this machine may take
     that port first and serve other files.
@@ -78,7 +79,7 @@ class ViewerFiles:
             at, left = at + len(part), left - len(part)
 
     def close(self) -> None:
-        """Forget them, until the next request."""
+        """Close the files until the next request."""
         with self._lock:
             if self._file is not None:
                 self._file.close()

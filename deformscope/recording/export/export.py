@@ -44,7 +44,7 @@ class ExportedFile:
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What was written. images: number of images by kind, in an export of images"""
+    """The result of an export. images: number of images by kind, in an export of images"""
 
     folder: Path
     files: list[ExportedFile]
@@ -53,8 +53,8 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class Credits:
-    """What goes along into every format. license: licence of the data, as an SPDX identifier; citation: how it is
-    cited"""
+    """Information that is written into every format. license: licence of the data, as an SPDX identifier; citation: how
+    it is cited"""
 
     license: str = ""
     authors: tuple[str, ...] = ()
@@ -63,7 +63,7 @@ class Credits:
 
 @dataclass(frozen=True, slots=True)
 class ExportRequest:
-    """What of a recording goes where.
+    """The request of an export: content, format and place.
 
     only: entities, with those below them, or devices; () = all; camera: images of this device alone
     anonymous: leave out whatever may name a person, a machine or a path; overwrite: replace an earlier export
@@ -163,7 +163,7 @@ def _write_tables(
 
 
 def file_name(entity: str, used: Collection[str] = ()) -> str:
-    """The path of an entity's file below folders: devices may have any name. used: paths that others have"""
+    """The path of an entity's file below folders: devices may have any name. used: paths that are already used"""
     first, _, rest = entity.partition("/")
     parts = [first, *([rest] if first in OF_DEVICES.values() else rest.split("/") if rest else ())]
     return _unused(parts, used)

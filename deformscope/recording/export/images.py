@@ -49,8 +49,8 @@ def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tupl
 
 
 def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Path], note: Note) -> None:
-    """Write them as `INDEX.jpg` and `INDEX.png`. folders: folders by device and kind; note: called with what is done,
-    and of how much."""
+    """Write the images as `INDEX.jpg` and `INDEX.png`. folders: folders by device and kind; note: called with what is
+    done, and of how much."""
     for path in folders.values():
         path.mkdir(parents=True, exist_ok=True)
     devices = {device for device, _ in folders}
@@ -68,8 +68,8 @@ def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Pat
 
 
 class Videos:
-    """A video of each kind of images at their mean rate. Distances are colours from 0, violet, to the largest of the
-    first image; the recorded times of the images are in the table of the same name."""
+    """A video of each kind of images at their mean rate. Distances are shown as colours from 0 (violet) to the largest
+    of the first image. The images' recorded times are in the table of the same name."""
 
     def __init__(self, folder: Path, rates_hz: dict[str, float], names: ImageNames) -> None:
         self._folder, self._rates_hz, self._names = folder, rates_hz, names
@@ -97,7 +97,7 @@ class Videos:
         self.counts[path] += 1
 
     def close(self) -> None:
-        """Raises InputError where a video is not whole: OpenCV does not say when a disk is full."""
+        """Raises InputError if a video is incomplete: OpenCV does not report a full disk."""
         for path, (writer, _, _) in self._open.items():
             writer.release()
             if cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) < self.counts[path] - 1:

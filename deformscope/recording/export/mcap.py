@@ -1,7 +1,7 @@
-"""A recording as MCAP with ROS 2 messages; nothing of ROS needs to be there.
+"""A recording as MCAP with ROS 2 messages; ROS need not be installed.
 
-Each stream is a topic with its entity's name, whose message has every column. Further topics have ROS's own types:
-wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions. ROS messages are in
+Each stream is a topic with its entity's name, whose message has every column. Further topics have standard types of
+ROS: wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions. ROS messages are in
 metres, radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_frame`: z forward, x right, y
 down).
 """
@@ -57,9 +57,10 @@ def ros_names(names: Iterable[str]) -> dict[str, str]:
 def write_mcap(
     tables: RecordingTables, chosen: Mapping[str, RecordedStream], path: Path, about: Mapping[str, Any], note: Note
 ) -> list[tuple[str, str, int]]:
-    """Write it; (topic, file, messages) of each topic. about: has `topics` of entities, `device_topics` of devices.
+    """Write the file; returns (topic, file, messages) of each topic. about: has `topics` of entities, `device_topics`
+    of devices.
 
-    Raises InputError where the package is not installed.
+    Raises InputError if the package is not installed.
     """
     try:
         from mcap.writer import CompressionType, Writer

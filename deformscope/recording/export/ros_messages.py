@@ -1,4 +1,4 @@
-"""ROS 2 message definitions that an MCAP brings along: the standard ones it uses, and one for each kind of stream."""
+"""ROS 2 message definitions inside an MCAP: the standard ones that it uses, and one for each kind of stream."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _TYPES = {pa.float64(): "float64", pa.float32(): "float32", pa.string(): "string
 
 
 def definition(name: str) -> str:
-    """A standard message with all that it is made of, as in an MCAP's schema."""
+    """A standard message with all its parts, as in an MCAP's schema."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(name.replace("/", "/msg/"), ros_version=2)[0]
 
 
 def stream_definition(stream: RecordedStream) -> tuple[str, dict[str, tuple[str, bool]]]:
-    """The message of a stream, documented by its kind's description and by units; and of each column its field and
-    whether that is a list of at most one: a number that may be missing. A real number that is missing is NaN."""
+    """The message of a stream, documented with its kind's description and units; and for each column its field, and
+    whether that is a list of at most one number, which may be missing. A real number that is missing is NaN."""
     known = [line for kind in stream.kinds for line in (inspect.getdoc(kind) or "").splitlines()]
     about = [f"# {line}".rstrip() for line in (f"deformscope export, schema version {SCHEMA_VERSION}", *known)]
     fields = {}
@@ -43,7 +43,7 @@ def stream_definition(stream: RecordedStream) -> tuple[str, dict[str, tuple[str,
 
 
 def is_optional(stream: RecordedStream, column: pa.Field) -> bool:
-    """Whether a message needs to say that the number of a column is missing."""
+    """Whether the number of a column may be missing."""
     if not (pa.types.is_integer(column.type) or pa.types.is_boolean(column.type)) or column.name in _PLACES:
         return False
     kind: Any = stream.kinds[-1] if stream.kinds else None
