@@ -81,8 +81,8 @@ From `deformscope COMMAND --help`. Every command that computes takes `--json FIL
 `--viewer auto|native|page|none` and `--overwrite`; those that draw random numbers take `--seed N`.
 
 A SOURCE is a video, a folder of frames (natural order, 8 or 16 bit), images in order, a recording (`.rrd`), pair files
-(`.npz`), or a sample: `sample:tension`, `sample:video` (images), `sample:pair`, `sample:poke` (pair files),
-`sample:squeezes` (for `classify`). Exit codes: [Troubleshooting](../troubleshooting.md).
+(`.npz`), or a sample: `sample:tension`, `sample:video` (images), `sample:pair`, `sample:cube`, `sample:poke` (pair
+files), `sample:squeezes` (for `classify`). Exit codes: [Troubleshooting](../troubleshooting.md).
 """
 
 

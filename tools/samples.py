@@ -1,5 +1,5 @@
-"""Makes the samples of the laboratory that ship (`sample:pair`, `sample:poke`, `sample:press`, `sample:video`,
-`sample:squeezes`, `sample:table`) anew.
+"""Makes the samples of the laboratory that ship (`sample:pair`, `sample:cube`, `sample:poke`, `sample:press`,
+`sample:video`, `sample:squeezes`, `sample:table`) anew.
 
 python tools/samples.py [NAME...]
 """
@@ -15,12 +15,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.file_io import replacing
 from deformscope.lab.finite_strain import Block, PressedBlock, press
 from deformscope.lab.foam import FOAMS
 from deformscope.lab.slab import RigidTip, Slab
 from deformscope.lab.slab import press as press_slab
 from deformscope.lab.speckle import View, film
+from deformscope.reproduce.cubes import SIDE_M, thesis_cubes
 from deformscope.stages.msm.clusters import lattice as lattice_clusters
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
@@ -31,6 +33,7 @@ FOAM = FOAMS[2]
 BLOCK = Block(width_m=0.25, height_m=0.07, thickness_m=0.10)
 CLAMP_M, DEEPEST_M, POSES = 0.03, 0.02, 5
 NOISE_M = 1e-4
+POISSON, CUBE_SIDE, CUBE_DEPTH_M, CUBE_NOISE_M = 0.25, 6, 0.01, 5e-4
 SPACING_M = 0.02
 SQUEEZES = 100
 SMALL = ("tactile", "vision_small", "physical")
@@ -50,12 +53,20 @@ def pair() -> bytes:
     rest = np.stack(np.meshgrid(rows, columns, indexing="ij")[::-1], axis=-1).reshape(-1, 2)
     contact = np.flatnonzero((rest[:, 1] == BLOCK.height_m) & (np.abs(rest[:, 0]) <= 0.5 * CLAMP_M))
     held = np.union1d(np.flatnonzero(rest[:, 1] == 0.0), contact)
-    noise = np.random.default_rng(0).normal(0.0, NOISE_M, rest.shape)
-    noise[held] = 0.0
-    deformed = rest + last.at(rest) + noise
+    deformed = seen(rest + last.at(rest), held, NOISE_M)
     return arrays(
         rest=rest, deformed=deformed, held=held, contact=contact, force_n=last.force_n, noise_m=NOISE_M, shape=(8, 15)
     )
+
+
+def cube() -> bytes:
+    """A cube between plates before and after a push: its outer surface, seen with noise, and its Poisson's ratio."""
+    (made,), _ = thesis_cubes((POISSON,), (CUBE_SIDE,), (CUBE_DEPTH_M,))
+    rest, held = made.seen.rest, made.seen.held
+    outside = ((rest == 0.0) | (rest == SIDE_M)).any(axis=1)
+    deformed = np.where(outside[:, None], seen(made.seen.deformed, held, CUBE_NOISE_M), np.nan)
+    named = {"rest": rest, "deformed": deformed, "observed": outside, "held": held, "held_noise_m": 0.0}
+    return arrays(**named, noise_m=CUBE_NOISE_M, nu=POISSON, shape=made.seen.shape)
 
 
 def poke() -> bytes:
@@ -65,11 +76,10 @@ def poke() -> bytes:
     rest = slab.grid(SPACING_M)
     dent = press_slab(slab, at, RigidTip((0.5 * side, 0.5 * side)), rest, force=force_n)
     contact = np.flatnonzero(dent.touched)
-    noise = np.random.default_rng(0).normal(0.0, NOISE_M, rest.shape)
-    noise[contact] = 0.0
+    deformed = seen(rest + dent.displaced, contact, NOISE_M)
     pressed = {"held": contact, "contact": contact, "force_n": force_n, "noise_m": NOISE_M}
     tip = {"tip": "flat", "tip_size_m": (side, side), "tip_at_m": (*at, slab.size[2])}
-    return arrays(rest=rest, deformed=rest + dent.displaced + noise, **pressed, **tip)
+    return arrays(rest=rest, deformed=deformed, **pressed, **tip)
 
 
 def press_and_release() -> bytes:
@@ -140,6 +150,13 @@ def table() -> bytes:
     return "\n".join([",".join(["label", "group", "trial", *head]), *lines, ""]).encode()
 
 
+def seen(position: FloatArray, held: IntArray, noise_m: float) -> FloatArray:
+    """Positions (K, d) [m] as seen with noise; those of held particles (n,) are exact."""
+    noise = np.random.default_rng(0).normal(0.0, noise_m, position.shape)
+    noise[held] = 0.0
+    return position + noise
+
+
 def arrays(**named: object) -> bytes:
     file = io.BytesIO()
     np.savez_compressed(file, allow_pickle=False, **{name: np.asarray(one) for name, one in named.items()})
@@ -148,6 +165,7 @@ def arrays(**named: object) -> bytes:
 
 MAKE: dict[str, tuple[str, Callable[[], bytes]]] = {
     "pair": (".npz", pair),
+    "cube": (".npz", cube),
     "poke": (".npz", poke),
     "press": (".npz", press_and_release),
     "video": (".mp4", video),

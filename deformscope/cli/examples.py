@@ -14,8 +14,7 @@ EXAMPLES: dict[str, str] = {
     "demo": "deformscope demo --images",
     "explore": "deformscope explore lab:two-60-150 --seed 3 --touches 3 --picture map.png",
     "calibrate beta": "deformscope calibrate beta sample:pair --picture beta.png",
-    "calibrate theta": "deformscope calibrate theta sample:pair "
-    "--volume project --cluster-size 3 --mode linear --beta 0.7",
+    "calibrate theta": "deformscope calibrate theta sample:cube --picture theta.png",
     "calibrate both": "deformscope calibrate both sample:pair --picture both.png",
     "calibrate axes": "deformscope calibrate axes sample:pair --picture axes.png",
     "calibrate field": "deformscope calibrate field sample:pair --picture field.png",

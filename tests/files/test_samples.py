@@ -16,8 +16,13 @@ import deformscope as ds
 from deformscope.cli import main
 from deformscope.file_io import ending_of, resolve, sample_names, sample_path
 from deformscope.files.table_file import read_table
+from deformscope.reproduce.cubes import thesis_cubes
 from deformscope.rig.rig_file import load_rig
+<<<<<<< HEAD
 from tests.cases import slow
+=======
+from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
+>>>>>>> theta
 
 ROOT = Path(__file__).resolve().parents[2]
 PAIR = ["calibrate", "beta", "sample:pair", "--candidates", "5", "--json", "-"]
@@ -34,17 +39,21 @@ def test_a_sample_is_small_and_says_what_it_is(name: str) -> None:
 
 
 def test_a_sample_is_its_file_or_the_folder_of_its_images() -> None:
-    assert sample_names() == ["pair", "poke", "press", "rig", "squeezes", "table", "tension", "video"]
+    assert sample_names() == ["cube", "pair", "poke", "press", "rig", "squeezes", "table", "tension", "video"]
     assert (ending_of("sample:table"), ending_of("sample:rig")) == (".csv", ".toml")
     assert ending_of("sample:pair") == ending_of("sample:poke") == ending_of("sample:squeezes") == ".npz"
     assert ending_of("sample:video") == ".mp4"
     assert resolve("sample:tension").is_dir()
     assert resolve("sample:tension/frame_152.png") == sample_path("tension") / "frame_152.png"
-    with pytest.raises(ds.InputError, match="pair, poke"):
+    with pytest.raises(ds.InputError, match="cube, pair, poke"):
         resolve("sample:nothing")
 
 
+<<<<<<< HEAD
 @pytest.mark.parametrize("name", ["pair", slow("poke"), "press"])
+=======
+@pytest.mark.parametrize("name", ["pair", "cube", "poke", "press"])
+>>>>>>> theta
 def test_a_sample_is_what_its_tool_makes(name: str) -> None:
     tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
     with np.load(io.BytesIO(tool["MAKE"][name][1]())) as made, np.load(resolve(f"sample:{name}")) as ships:
@@ -91,6 +100,17 @@ def test_a_pair_by_its_name_is_a_pair(capsys: pytest.CaptureFixture[str]) -> Non
     assert "no flags about images with pair files" in capsys.readouterr().err
     assert main(["calibrate", "beta", "sample:pair", "sample:tension"]) == 2
     assert "either pair files or images" in capsys.readouterr().err
+
+
+def test_the_cube_identifies_theta() -> None:
+    """The outside, seen with noise, has the theta of every particle of the same finite elements without noise."""
+    (exact,), _ = thesis_cubes((0.25,), (6,), (0.01,))
+    theta = calibrate([exact.seen], FitOptions(Model("theta", cluster_size=None, basis="quadratic", beta=0.99)))
+
+    found = ds.calibrate_theta("sample:cube")
+
+    assert found.verdict == "identified"
+    assert found.interval[0] < theta.estimate.value < found.interval[1]
 
 
 def test_the_video_has_particles_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
