@@ -18,11 +18,8 @@ from deformscope.file_io import ending_of, resolve, sample_names, sample_path
 from deformscope.files.table_file import read_table
 from deformscope.reproduce.cubes import thesis_cubes
 from deformscope.rig.rig_file import load_rig
-<<<<<<< HEAD
-from tests.cases import slow
-=======
 from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
->>>>>>> theta
+from tests.cases import slow
 
 ROOT = Path(__file__).resolve().parents[2]
 PAIR = ["calibrate", "beta", "sample:pair", "--candidates", "5", "--json", "-"]
@@ -49,11 +46,7 @@ def test_a_sample_is_its_file_or_the_folder_of_its_images() -> None:
         resolve("sample:nothing")
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize("name", ["pair", slow("poke"), "press"])
-=======
-@pytest.mark.parametrize("name", ["pair", "cube", "poke", "press"])
->>>>>>> theta
+@pytest.mark.parametrize("name", ["pair", "cube", slow("poke"), "press"])
 def test_a_sample_is_what_its_tool_makes(name: str) -> None:
     tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
     with np.load(io.BytesIO(tool["MAKE"][name][1]())) as made, np.load(resolve(f"sample:{name}")) as ships:
