@@ -54,8 +54,8 @@ class RigSource:
     raw: give also the bytes of every wire; clock: clock of the devices' stamps
     wait_until: waits until a time of that clock [ns]; None = of the host's clock
     opener: opens the devices; None = they open in parallel, each with a thread (a laboratory does not)
-    latest_ns: correction of the stamps of the device with the largest delay; start_ns: start of the session, earlier by that; open: no
-    frame is older
+    latest_ns: correction of the stamps of the device with the largest delay; start_ns: start of the session, earlier by
+    that; open: no frame is older
     """
 
     def __init__(
