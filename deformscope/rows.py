@@ -2,10 +2,10 @@
 written.
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
-`CLASS:FIELD.INNER`. Numbers, words and tuples of them are lists of values, enums their names, bytes and arrays flat. An
-array's shape is `FIELD_shape` unless it is (n,). None is not written; a dataclass that may be None has at least one
-value. Anything else, as a mapping, is JSON. An image is encoded by its twin in `deformscope.log`; `IMAGES` has its
-place.
+`CLASS:FIELD.INNER`. Numbers, texts and tuples of these are lists of values, enums are their names, bytes and arrays are
+flat. An array's shape is `FIELD_shape` unless it is (n,). None is not written; a dataclass that may be None has at
+least one value. Other values, such as mappings, are JSON. An image is encoded by its twin in `deformscope.log`;
+`IMAGES` has its place.
 """
 
 from __future__ import annotations
@@ -156,9 +156,9 @@ class CodecField:
     kind: Any
     optional: bool
     later: bool = False
-    """Recordings of before the field was there lack it: see `LATER`."""
+    """Whether older recordings lack the field: see `LATER`."""
     first: int = 0
-    """Added to the component, see `declared.FROM_ZERO`."""
+    """Number that is added to the component, see `declared.FROM_ZERO`."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -233,7 +233,7 @@ def field_of(kind: type, component: str) -> CodecField | None:
 
 
 def to_json(value: object) -> str:
-    """Dataclasses, mappings and the like as JSON."""
+    """Dataclasses, mappings and similar values as JSON."""
     return json.dumps(msgspec.to_builtins(value, enc_hook=_plain), sort_keys=True)
 
 

@@ -1,9 +1,9 @@
-"""The loop: frames and answers in, results and commands out, all of it recorded.
+"""The loop: an experiment receives frames and answers, and gives results and commands; everything is recorded.
 
 An experiment is a generator. It receives a source's items (a frame of a video, or all items of a rig's devices since
 the last time), None once a source has ended, and an `Answer` to each of its commands. It yields a `Step`: results, and
-a command where it acts. Neither a robot's motion nor a computation blocks: frames are recorded and sent in, until the
-answer is there.
+a command where it acts. Neither a robot's motion nor a computation blocks the loop: frames are recorded and sent to the
+experiment until the answer is ready.
 """
 
 from __future__ import annotations
@@ -43,10 +43,8 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Compute:
-    """A command: call a function outside the loop (for devices on their own clock); its value is the answer.
-
-    stage: name under which its cost is recorded
-    """
+    """A command: call a function outside the loop (for devices on their own clock); its value is the answer. stage:
+    name under which its cost is recorded"""
 
     call: Callable[..., object]
     arguments: tuple[object, ...] = ()
@@ -55,7 +53,7 @@ class Compute:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The result of the last command. value: what was computed, or what the robot gave"""
+    """The result of the last command. value: computed value, or result of the robot"""
 
     value: Any
 
@@ -65,13 +63,13 @@ class Step:
     """Output of an experiment.
 
     results: stage results, each of a type with a view in `deformscope.log`
-    frame: the index of the frame that the results belong to; None = the frame just sent
+    frame: index of the results' frame; None = the frame that was just sent
     moment: their time instead, in a session with a robot
     command: a `Compute`, a future that another party will fill, such as a person's answer, or a command that the robot
     carries out; an experiment gives one at a time
     batch_s: time over which device items are then gathered, without a robot
     costs: costs of the computations behind the results; the loop adds them
-    notes: what was noticed
+    notes: remarks for the recording
     """
 
     results: tuple[object, ...] = ()
@@ -84,12 +82,12 @@ class Step:
 
 
 Experiment = Generator[Step, ColorFrame | None, SummaryT]
-"""Frames are sent in, steps come out. `None` means the stream has ended: the experiment may then yield further
-steps (each naming its frame) and returns its summary."""
+"""A generator that receives frames and yields steps. `None` means the stream has ended: the experiment may then yield
+further steps (each naming its frame) and returns its summary."""
 
 RigExperiment = Generator[Step, Sequence[Item] | Answer | None, SummaryT]
-"""The same with batches of a rig's items, and with answers to its commands; an error of a command is raised in it where
-it waits for the answer."""
+"""An experiment that receives batches of a rig's items, and answers to its commands; an error of a command is raised in
+it where it waits for the answer."""
 
 
 class SessionRecorder(Protocol):
@@ -111,10 +109,8 @@ class SessionRig(Protocol):
 
 
 class SessionRobot(Protocol):
-    """The object that carries commands out (`deformscope.experiments.touching_robot`).
-
-    stopped: fails once it must stop, also without a command
-    """
+    """An object that carries out commands (`deformscope.experiments.touching_robot`). stopped: future that fails when
+    the robot must stop, also without a command"""
 
     stopped: Future[None]
 
@@ -159,7 +155,7 @@ def measuring(stage: str) -> Iterator[None]:
 
 
 def with_costs(stage: str, call: Callable[..., ValueT], *arguments: object) -> tuple[ValueT, list[StageCost]]:
-    """A value, and its cost by stage, in any process or thread."""
+    """Compute a value, and its cost by stage, in any process or thread."""
     costs = list[StageCost]()
     kept = _measured.set(costs)
     try:
@@ -179,7 +175,7 @@ def run(
 ) -> SummaryT:
     """Drive one experiment over one source to its end and return its summary. executor: computes; None = `Inline`
 
-    The time of `Compute`, and over frames of a file that of the experiment itself, is recorded with the next results.
+    The time of a `Compute` is recorded with the next results; with frames of a file, so is that of the experiment.
     """
     executor = executor or Inline()
     frames = iter(source) if isinstance(source, Iterable) else None
@@ -268,7 +264,8 @@ def _raise(error: Exception) -> None:
 def ask(
     command: object, results: tuple[object, ...] = (), moment: Moment | None = None
 ) -> Generator[Step, Sequence[Item] | Answer | None, Any]:
-    """Within an experiment: give a command, let frames pass, and return its answer's value; raises what went wrong."""
+    """Called in an experiment: give a command, let frames pass, and return its answer's value; raises the command's
+    error."""
     given = yield Step(results, moment=moment, command=command)
     while not isinstance(given, Answer):
         given = yield Step(moment=moment)

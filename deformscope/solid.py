@@ -16,10 +16,8 @@ from deformscope.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A surface of triangles; it must be closed to determine which points are inside.
-
-    vertices_m: (n, 3) [m], rounded to float32, as they are recorded; triangles: (m, 3) uint32
-    """
+    """A surface of triangles; it must be closed to determine which points are inside. vertices_m: (n, 3) [m], rounded
+    to float32, as they are recorded; triangles: (m, 3) uint32"""
 
     vertices_m: FloatArray
     triangles: npt.NDArray[np.uint32]
@@ -32,7 +30,7 @@ class Solid:
         return Solid, (self.vertices_m, self.triangles)
 
     def moved(self, T: FloatArray) -> Solid:
-        """The same in another frame, T (4, 4)."""
+        """The solid in another frame, T (4, 4)."""
         return Solid(self.vertices_m @ T[:3, :3].T + T[:3, 3], self.triangles)
 
     @cached_property
@@ -51,7 +49,7 @@ class Solid:
         return rays
 
     def closest(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) the nearest point of its surface to each point (n, 3) [m], and (n, 3) the normal there."""
+        """The nearest points (n, 3) of its surface to points (n, 3) [m], and the normals (n, 3) there."""
         import open3d as o3d
 
         queries = o3d.core.Tensor.from_numpy(np.ascontiguousarray(points_m, np.float32))
@@ -69,7 +67,7 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedSolid:
-    """A solid and where it is: T_world_solid (4, 4)."""
+    """A solid and its pose: T_world_solid (4, 4)."""
 
     T_world_solid: FloatArray
     solid: Solid
@@ -82,7 +80,7 @@ class PosedSolid:
 
     @property
     def vertices_m(self) -> FloatArray:
-        """(n, 3) in the world [m]."""
+        """Vertices (n, 3) in the world [m]."""
         return np.asarray(self.solid.vertices_m @ self.T_world_solid[:3, :3].T + self.T_world_solid[:3, 3])
 
 

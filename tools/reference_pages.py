@@ -174,6 +174,28 @@ def quantities_page() -> str:
         "# Quantities of results",
         "Each quantity is declared once, in the class of its result; the terminal's table, the JSON, exports and pages"
         " come from that declaration. A key `GROUP.KEY` is in an object of the JSON.",
+        "## `null` and bounds",
+        "JSON has no NaN and no infinity: both are `null`. As one end of an interval, `null` means open: the data set"
+        " no limit there. Elsewhere it means unknown: a value, a number in a list, an interval or both its ends.",
+        "These fields mark a value that is only a bound:",
+        _table(
+            ("field", "means"),
+            [
+                (
+                    "`verdict`, `beta_verdict`: `at-bound`",
+                    "the value is at the end of its range; its interval begins or ends there",
+                ),
+                (
+                    "`verdict`: `unidentified`",
+                    "of a yield strain, whose interval is then open above: the value is a lower bound",
+                ),
+                (
+                    "`rigid` of a touch or region, `level_rigid` of a recorded map",
+                    "stiffness is a lower bound, and its interval is open above",
+                ),
+                ("`region_count_at_least`, `at_least` of a recorded map", "there may be more regions than the number"),
+            ],
+        ),
     ]
     for kind in sorted(_reporting_classes(), key=lambda one: one.__name__):
         meanings = _meanings(kind)

@@ -102,7 +102,7 @@ class SurfaceSearch(ABC):
 
 @dataclass(frozen=True, eq=False)
 class RegionSearch(SurfaceSearch):
-    """Search for regions of one stiffness each. seed: seed of planners that draw"""
+    """Search for regions of one stiffness each. seed: seed of planners with random choices"""
 
     posterior: RegionPosterior
     seed: int

@@ -29,9 +29,8 @@ class Squeezed:
     """The outcome so far, valid however the squeeze ends.
 
     features: features and events, None if there are none; posterior: a model's classification of its content
-    stop, stop_ns: why and when it ended early; untracked: why tracking of the container ended, or empty
-    placement, sightings: placement and sightings of an arm that placed the hand; withdrawal: why the arm stopped on its
-    way back
+    stop, stop_ns: why and when it ended early; untracked: why tracking of the container ended, or empty; placement,
+    sightings: placement and sightings of an arm that placed the hand; withdrawal: why the arm stopped on its way back
     """
 
     features: TrialFeatures | None = None

@@ -33,8 +33,7 @@ class LabErrors:
     """Differences between sessions.
 
     arm: deviation of the arm's compliance as a share of its calibrated value; gain: deviation of the force sensor's
-    gain;
-    drift: deviation of the gain's change in TOUCHES_S
+    gain; drift: deviation of the gain's change in TOUCHES_S
     scatter: range of the deviation of log stiffness within one material, drawn evenly in logarithms;
     scatter_length_m: length over which it changes
     thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the

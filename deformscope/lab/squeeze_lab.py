@@ -79,7 +79,7 @@ class ContainerTruth:
     `STILL_DEG_S` until they were opened again, or until now; None without such a time
     T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force of finger 0 and finger 2, and the largest
     inward displacement of the wall below each
-    inward_m: (nodes along s, along z) depth of the wall within the undeformed container; a content bulges it also
+    inward_m: (nodes along s, along z) depth of the wall within the undeformed container; its content bulges it even
     before contact
     """
 

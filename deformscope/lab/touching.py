@@ -26,9 +26,8 @@ class Sensing:
     """Errors of arm and force sensor.
 
     rate_hz: samples a second; speed_m_s: speed of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
-    arm_n_per_m: stiffness of the arm, whose joint angles do not show its bending; infinite by default
-    gain: ratio of measured to true force; the measured one determines where the arm stops; overshoot_m: overshoot after
-    the stop
+    arm_n_per_m: stiffness of the arm, whose joint angles do not show its bending; infinite by default; gain: ratio of
+    measured to true force; the measured one determines where the arm stops; overshoot_m: overshoot after the stop
     friction: lateral over normal force, in the direction `friction_rad` from the x axis
     """
 
@@ -48,9 +47,8 @@ class Approach:
     """A touch as recorded, and its truth.
 
     time_s: (n,) time from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
-    force_n: (n, 3) measured force on the tip; all in the surface frame
-    true_depth_m: (n,) how far the tip had sunk along the normal, negative above; true_force_n: (n,) true force along
-    the normal
+    force_n: (n, 3) measured force on the tip; all in the surface frame; true_depth_m: (n,) how far the tip had sunk
+    along the normal, negative above; true_force_n: (n,) true force along the normal
     level_n: the last set force; reached: the set force was reached, not only the largest depth
     """
 

@@ -42,7 +42,7 @@ class RecordingLayout(ABC):
     ) -> Batch:
         """Prepare results of one time: items of a robot that touches, unless a layout accepts others.
 
-        session_ns: when, since the recording's start [ns]; place: place on the timelines of an exploration
+        session_ns: time since the recording's start [ns]; place: place on the timelines of an exploration
         cell_m: cell size of maps that do not say it themselves [m]; failed: receives errors of views
         """
         from deformscope.log.exploration.results import prepare_results

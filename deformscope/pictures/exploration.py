@@ -434,7 +434,7 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
 
 
 def loss_range(loss: FloatArray) -> float:
-    """The end of a scale from 0 that holds these shares (...,) of lost energy [-]; at most 1."""
+    """The end of a scale from 0 that includes these shares (...,) of lost energy [-]; at most 1."""
     return min(_round_up(100.0 * loss) / 100.0, 1.0)
 
 

@@ -35,9 +35,8 @@ class PokedSlab:
     """A slab and the places of its pokes.
 
     normal, middle: (2,) normal and middle of the border of halves, or the direction of a gradual change; middle,
-    radius: middle and radius of a disc
-    modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2) [m]; fitted: (24,) whether each poke is
-    fitted; the others are unseen
+    radius: middle and radius of a disc; modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2)
+    [m]; fitted: (24,) whether each poke is fitted; the others are unseen
     """
 
     kind: SlabKind

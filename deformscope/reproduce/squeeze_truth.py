@@ -84,12 +84,11 @@ def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
 
     first, steady: times of events less the true ones, in sample periods of their device; and those with lost frames;
     held: 1 if the interval holds the truth. tracked, refused, used_off: images tracked, refused, and not refused but
-    wrong
-    shift_mm, turn_deg: largest errors of images that were not refused. depth_rms_mm, depth_mean_mm: measured change of
-    depth less the true one over the patch; noise_mm, depth_stated_mm: noise and depth stated of one pixel of the
-    camera, simulated and stated; depth_off: number of the depth_known values, measured or filled in, with an error of
-    more than OFF times the stated noise; wrong_..., hidden_...: tracked, refused and used_off for a model 15 % larger
-    than the container, and for a hidden lower half
+    wrong; shift_mm, turn_deg: largest errors of images that were not refused. depth_rms_mm, depth_mean_mm: measured
+    change of depth less the true one over the patch; noise_mm, depth_stated_mm: noise of one pixel of the camera,
+    simulated and stated; depth_off: number of the depth_known values, measured or filled in, with an error of more than
+    OFF times the stated noise; wrong_..., hidden_...: tracked, refused and used_off for a model 15 % larger than the
+    container, and for a hidden lower half
     """
     simulated = SimulatedSqueeze()
     trial = squeeze_trial(job, simulated.note)

@@ -40,10 +40,9 @@ def summarise(runs: Sequence[TableRun], touches: int) -> dict[str, Any]:
     with the right verdict and number; found: that, and the smallest region with an IoU of 0.5; ordered, rigid_found,
     gradual: shares. levels_covered: share of levels within their intervals, over `levels_runs` layouts with the right
     number of regions; field_covered: mean share of cells; touches_covered: share of the touches so far that are not
-    rigid
-    stopped: share of runs whose plan ended before the budget; wrong, wrong_claimed: mean share of the surface with a
-    wrong label, found and expected; unseen: median probability of undetected inclusions; unseen_missed: that over
-    layouts whose smallest region was not found
+    rigid; stopped: share of runs whose plan ended before the budget; wrong, wrong_claimed: mean share of the surface
+    with a wrong label, found and expected; unseen: median probability of undetected inclusions; unseen_missed: that
+    over layouts whose smallest region was not found
     unmet_m: radius of the largest disc of another material without a touch, median None if there is nothing to report
     """
     last = [run.at(touches) for run in runs]

@@ -179,8 +179,7 @@ class Workspace:
     low_m, high_m: corners of a box in the arm's base frame [m]
     arm_low_m, arm_high_m: corners of another box, for elbow, wrist and stick as well as the tip [m]; None = none
     target_force_n, soft_stop_n, hard_stop_n: force of a touch, force at which the arm backs away, and at which it stops
-    [N]
-    contact_speed_m_s: speed in contact and in the last 3 cm before it; travel_speed_m_s: elsewhere [m/s]
+    [N]; contact_speed_m_s: speed in contact and in the last 3 cm before it; travel_speed_m_s: elsewhere [m/s]
     force_silent_s, arm_silent_s, camera_silent_s: limits on silence that stop the arm (the camera's while it is needed;
     None = 1.6 of its periods). Set longer ones for slower devices, or on a busy machine
     time: 0.5 s at most, in which an arm goes up to 25 mm

@@ -36,7 +36,7 @@ mm; 1 mm on a rigid surface gives 5 N on a tip of 0.2 mm/N, below the soft stop.
 smaller ones ask a person more often."""
 STEPS = 7
 """Number of steps from contact to the set force: the fitted law has three unknowns, and four more points show its
-noise. More ask a person for more places."""
+noise. With more, a person has to place the stick more often."""
 SETTLE_PERIODS, HOLD_PERIODS = 20, 30
 """Control periods after a person reports that the stick is placed, before and during the measurement: 0.2 s for its
 release, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
@@ -49,8 +49,8 @@ AGAIN = "a height in mm on the scale, or nothing for the requested height: "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceRequest:
-    """A request to a person to place the stick. words: text for the person; T_base_ee: (4, 4) pose of the arm's end in
-    the base frame once it is placed [m]"""
+    """A request to a person to place the stick. words: text for the person; T_base_ee: (4, 4) requested pose of the
+    arm's end in the base frame [m]"""
 
     words: str
     T_base_ee: FloatArray
@@ -60,7 +60,7 @@ class Person(Protocol):
     """The person who places the stick, at a terminal, on the page or simulated."""
 
     def ask(self, request: PlaceRequest) -> None:
-        """Show a request, and return at once."""
+        """Show a request, and return immediately."""
 
     def answered(self) -> str | None:
         """The answer to the last request: empty = placed as requested, a text = the height that was read; None = no
@@ -97,7 +97,7 @@ class _Steps:
 
 
 class PlacedRun(TouchRun):
-    """A touch in steps that a person places one after the other."""
+    """A touch in steps, for each of which a person places the stick."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None], person: Person) -> None:
         super().__init__(robot, plan, on_phase)

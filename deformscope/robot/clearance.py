@@ -15,11 +15,11 @@ from deformscope.robot.shape import LINK_RADIUS_M
 from deformscope_drivers.arm.kinematics import FloatArray
 
 ArmBox = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Low and high corner [m]."""
+"""A box by its low and high corner [m]."""
 APART_M = 0.15
-"""Parts of an arm that are joined by a shorter piece of it than this cannot collide: their joint is between them.
-Longer than a wrist's links, shorter than a forearm. With a smaller value, neighbours would always count as touching;
-with a larger one, a wrist folded onto its forearm would be missed."""
+"""Length between two parts of an arm below which they cannot collide, as only their joint is between them.
+It is longer than a wrist's links, and shorter than a forearm. With a smaller value, neighbours would always count as
+touching; with a larger one, a wrist folded onto its forearm would be missed."""
 FROM_ELBOW = 2
 """Links from the base that may be near the table: pedestal and shoulder are mounted on it."""
 

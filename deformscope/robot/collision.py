@@ -20,15 +20,15 @@ the speed of travel."""
 PRESSED_N = 0.5
 """A larger force on the tip freezes the mean, because the tip explains the difference, not drift."""
 IN_A_ROW = 2
-"""Readings that differ, all beyond the limit, are a collision: one alone may be an outlier."""
+"""Number of different readings beyond the limit that mean a collision: a single one may be an outlier."""
 
 LEARNS_S, LOOKS_S = 0.8, 0.1
 """Window of currents that predicts the following ones. A longer fit leaves the arm unwatched for longer after a change
 of motion (0.9 s in all); a shorter one makes the line, and so the limit, less certain. A longer detection window finds
 a collision later, a shorter one uses fewer readings."""
 LEAST_READINGS = 20
-"""Fewer readings of that time are not enough: 20 readings give the noise's standard deviation within 16 %, one over the
-root of twice their number."""
+"""Least number of readings in that time: 20 readings give the noise's standard deviation within 16 %, one over the root
+of twice their number."""
 STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
 """Joints have the same motion within this speed, and this share of a second's travel: else friction and inertia change
 too."""
@@ -48,7 +48,7 @@ class CollisionWatch:
         self.start()
 
     def start(self) -> None:
-        """Forget the mean torques: the next reading begins a new one."""
+        """Forget the mean torques: the next reading starts a new mean."""
         self._mean_nm: FloatArray | None = None
         self._mean_ns = self._beyond = 0
         self._before: tuple[float, ...] = ()
@@ -59,7 +59,7 @@ class CollisionWatch:
         """Why this is a collision, with which joint; empty where it is none.
 
         torques_nm: (n,) numbers, without gravity's, repeated until the next reading; joints_deg: (n,); now_ns: when
-        tip_n: greatest magnitude lately of the force on the tip [N]; limit_nm: limit of noise and the model's error
+        tip_n: greatest recent magnitude of the force on the tip [N]; limit_nm: limit of noise and the model's error
         [Nm]
         """
         if torques_nm == self._before:
@@ -93,8 +93,8 @@ class CollisionWatch:
 class CurrentWatch:
     """Detects an obstacle that the force sensor does not measure, from the motors' currents, in any unit.
 
-    Currents have gravity, friction and gear ripple, which continue as long as the joints move. Therefore each joint's
-    current is compared with the line through its last second without contact.
+    Currents contain gravity, friction and gear ripple, which continue as long as the joints move. Therefore each
+    joint's current is compared with the line through its last second without contact.
     """
 
     def __init__(self) -> None:

@@ -40,7 +40,7 @@ more than the one before, so that exchanged or reversed joints displace some lin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedPart:
-    """A rigid part of the robot. frame: frame of the arm, that it moves with (0 its base, i the link behind joint i, -1
+    """A rigid part of the robot. frame: frame of the arm with which it moves (0 its base, i the link behind joint i, -1
     its end); solid: its triangles in that frame [m]"""
 
     frame: int
@@ -49,7 +49,7 @@ class DescribedPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DescribedCable:
-    """A cable. frames: frames of the arm, that each of its points moves with; points_m: (n, 3) points, each in its
+    """A cable. frames: frame of the arm with which each of its points moves; points_m: (n, 3) points, each in its
     frame; radius_m: radius of the capsules from one point to the next"""
 
     frames: tuple[int, ...]
@@ -62,8 +62,8 @@ class RobotDescription:
     """Parts of the robot that are removed from the depth image, and the method.
 
     removal: how links are described: as capsules around the lines between joints, as convex hulls, or as all their
-    triangles; parts: solids; whole: the parts include the arm's own links; margin_m: removed around them, in addition
-    to the uncertainty of the camera's pose
+    triangles; parts: solids; whole: the parts include the arm's own links; margin_m: margin around them, in addition to
+    the uncertainty of the camera's pose
     """
 
     removal: Removal = "capsules"
@@ -81,7 +81,8 @@ class RobotDescription:
     def cable_capsules(
         self, placement: Placement, T_base_links: FloatArray, margin_m: float = 0.0
     ) -> tuple[Capsule, ...]:
-        """The cables in the surface frame [m]. T_base_links: (n + 1, 4, 4); margin_m: added to their radii"""
+        """The cables in the surface frame [m]. T_base_links: (n + 1, 4, 4); margin_m: margin that is added to their
+        radii"""
         frames = _surface_frames(placement, T_base_links)
         found: list[Capsule] = []
         for cable in self.cables:

@@ -21,10 +21,10 @@ ASTRAY_DEG = 30.0
 person presses exactly upright. A larger limit detects such axes less reliably, a smaller one refuses correct
 presses."""
 BEGUN_N = 0.3
-"""Above this [N] a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
+"""Force [N] from which a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
 HELD_PERIODS = 40
 """Control periods for which a push is held, 0.4 s: the median of the second half counts, once the finger has come to
-its force. A knock would satisfy a shorter one; people release before a longer one ends."""
+its force. A knock would satisfy a shorter time; people release before the end of a longer one."""
 PATIENCE_S, PUSHES = 60.0, 3
 """Time for a person's press [s], and number of evaluated pushes, before the check fails and the arm does not move. More
 only wait for longer."""

@@ -17,7 +17,7 @@ from deformscope_drivers.sdh.kinematics import FINGERS
 from deformscope_drivers.subscription import Subscription
 
 TEXEL_M2 = (TEXEL_PITCH_MM * 1e-3) ** 2
-"""Area of one texel, by the pitch that is assumed. With a larger area, forces are overestimated, and the arm stops
+"""Area of one texel, from its assumed pitch. With a larger area, forces are overestimated, and the arm stops
 earlier."""
 PADS_HZ = 11.0
 """Frames a second of all arrays at worst, on the controller's serial line; in the air, where they compress, 30."""
@@ -42,8 +42,9 @@ class PadRate:
 
 
 class FingertipForce:
-    """pads: the arrays, open, two a finger in the controller's order; squeezing: the squeeze supervisor judges the
-    fingers' forces, which are no push on the arm: they read 0, while silence and equal frames are still reported"""
+    """pads: the opened arrays, two for each finger in the controller's order; squeezing: the squeeze supervisor judges
+    the fingers' forces, which are no push on the arm. They then read 0, while silence and equal frames are still
+    reported"""
 
     def __init__(self, pads: Dsa, *, squeezing: bool = False) -> None:
         self._pads, self._squeezing = pads, squeezing

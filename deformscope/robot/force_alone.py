@@ -1,8 +1,9 @@
-"""An arm whose only guard is the force at its tip: its speed before contact, and how far it may miss the surface.
+"""An arm that is guarded only by the force at its tip: its speed before contact, and how far it may go below the
+surface.
 
-An arm with joint torques notices a contact that its force sensor does not show; this one presses on. The approach is
-slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness times speed
-times that time.
+An arm with joint torques detects a contact that its force sensor does not show; this one continues to press. The
+approach is slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness
+times speed times that time.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from deformscope.robot.readings import PERIOD_NS
 from deformscope.robot.robot import Robot
 
 STIFFEST_N_M = 1e5
-"""Taken where the compliance is not known, or smaller [N/m]: an industrial arm with a short stick. A stiffer one makes
-every touch slower; a softer one lets the force of a stiffer arm exceed the limit of its speed."""
+"""Stiffness that is assumed if the compliance is unknown or smaller [N/m]: that of an industrial arm with a short
+stick. A stiffer one makes every touch slower; a softer one lets the force of a stiffer arm exceed the limit of its
+speed."""
 ARM_CYCLES = 3.0
-"""Cycles of the arm from a command to its rest: one until it is taken, two to follow. A double whose axes lag by
+"""Cycles of the arm from a command to rest: one until the arm receives it, two to follow. A double whose axes lag by
 another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
 every touch slower."""
 SLOWEST_M_S = 1e-3
@@ -69,7 +71,7 @@ class ForceAlone:
 
     @property
     def unfelt_n(self) -> float:
-        """The greatest force [N] where the sensor fails on the way down, and no motor current shows the contact."""
+        """The greatest force [N] if the sensor fails on the way down, and no motor current shows the contact."""
         return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
 
     @property

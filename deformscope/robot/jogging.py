@@ -14,8 +14,8 @@ import numpy as np
 from deformscope.robot.robot import TipVelocity
 
 SPEED_M_S = 0.02
-"""Speed of the tip's centre: the limit near contact, because by keys the tip may touch something anywhere. Faster, it
-goes further after the last key (GRACE_S); slower, a step of 10 mm takes more than half a second."""
+"""Speed of the tip's centre: the limit near contact, because by keys the tip may touch something anywhere. At a higher
+speed it moves further after the last key (GRACE_S); at a lower one, a step of 10 mm takes more than half a second."""
 STEPS_M = {"1": 0.001, "2": 0.005, "3": 0.01}
 """Motion of a press, by the key that chooses it."""
 TURN_PER_M = 6.0
@@ -50,7 +50,7 @@ HELP = (
 
 @dataclass(slots=True)
 class Jog:
-    """The motion that the keys ask for. step_m: way of the tip's centre for one press [m]"""
+    """The motion that the keys request. step_m: way of the tip's centre for one press [m]"""
 
     step_m: float = STEPS_M["2"]
     _key: str = ""

@@ -63,7 +63,7 @@ class LatchingSupervisor(Generic[FaultT]):
         self._judged_ns, self._excused = now_ns, False
 
     def acknowledge(self, now_ns: int) -> None:
-        """A person has removed the reason: judge again from now on."""
+        """Judge again from now on, after a person has removed the reason."""
         self._verdict = self._go_on
         self.start(now_ns)
 

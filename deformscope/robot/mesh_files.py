@@ -27,8 +27,8 @@ MESH_BYTES = 50_000_000
 """Largest mesh file: a million triangles of a binary STL (50 bytes each). Larger files are refused before they are
 read, which bounds the time and memory that a file from anywhere takes."""
 TRIANGLES = 2000
-"""Most triangles of one mesh: finer ones are made coarser, as they are recorded with every session. An arm's link is
-then off by less than 1 mm; fewer are further off, more make every recording larger."""
+"""Most triangles of one mesh: finer ones are made coarser, as they are recorded with every session. An arm's link then
+has an error below 1 mm; fewer triangles have a larger one, more make every recording larger."""
 MESH_ENDINGS = (".stl", ".obj", ".ply", ".off", ".glb")
 FARTHEST = 1e6
 """Largest distance of a vertex from the origin along an axis, in the file's unit: a kilometre in millimetres. Largest
@@ -39,7 +39,8 @@ there, and not the machine's memory or a person's patience."""
 
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
-    """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. Raises InputError, which names it.
+    """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. Raises InputError, which names the
+    wrong file.
     coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file"""
     for path in paths:
         _check(path)

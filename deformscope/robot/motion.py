@@ -31,7 +31,7 @@ SLOW_DEG = 10.0
 """Distance before its margin at which a joint begins to slow down, linearly to zero at the margin: a velocity damper
 (Faverjon and Tournassoud 1987)."""
 LEAST_SHARE = 0.05
-"""A joint's margin that leaves less of a velocity than this is in its way."""
+"""Least share of a velocity: if a joint's margin leaves less, the joint blocks the motion."""
 SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
 """If the fastest joint would reach a singularity within this angle, as the smallest singular value falls, all joints
 slow down in proportion, to this share at least. So a path through it continues, and ends in time (`travel.SLACK`)."""
@@ -46,7 +46,7 @@ AWAY_DEG, AWAY_DEG_S = 40.0, 15.0
 """The null space of a seventh joint turns joints away from limits that are nearer than this, the faster the nearer. It
 does not turn towards the middle of the ranges, where a stretched elbow and wrist are singular."""
 HOLD_PER_S = 2.0
-"""An orientation that is to be held is brought back at this share of its error in a second."""
+"""Share of an orientation's error that is corrected in a second while the orientation is held."""
 FOLLOW_PER_S = 1.0
 """If a controller turns the arm by measured orientation, the commanded rotation follows the measured one at this share
 of the difference per second. Therefore errors of points that the arm skipped do not add up."""
@@ -57,7 +57,7 @@ class JointMotion:
     """Joint rates for a velocity, and whether they may be sent.
 
     rates_deg_s: (n,) [deg/s]; share: share of the velocity that is left where a joint would be too fast or is near its
-    limit; fault, reason: why they must not be sent; NONE where they may
+    limit; fault, reason: why they must not be sent; NONE if they may
     """
 
     rates_deg_s: FloatArray
@@ -141,7 +141,8 @@ class CommandedRotation:
     def advance(self, angular_rad_s: FloatArray, seconds: float, measured: FloatArray | None, *, follows: bool) -> None:
         """Turn the commanded rotation by the angular velocity (3,) that was sent [rad/s, base frame], over `seconds`.
 
-        measured: (3, 3) newest of the arm's end, None = nothing new; without a commanded rotation yet it becomes that
+        measured: (3, 3) newest rotation of the arm's end, None = no new one; it becomes the commanded rotation if there
+        is none yet
         follows: the caller steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)
         """
         if self.rotation is None:

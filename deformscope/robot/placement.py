@@ -182,8 +182,8 @@ def lead(
 ) -> tuple[npt.NDArray[np.bool_], FloatArray]:
     """Whether each of k ways can be followed (k,), and the joint angles (k, m) [deg] at their ends.
 
-    ways: ways of poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) joint angles at their
-    beginning; steered: (k,) the arm reaches each place from the one before
+    ways: k ways, each poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) joint angles at
+    their beginning; steered: (k,) the arm reaches each place from the one before
     """
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):

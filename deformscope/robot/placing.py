@@ -41,7 +41,7 @@ FREE_M = 0.03
 OVER_M = 0.15
 """If the direct way is not free, one is sought over a place this far above the beginning of the approach [m]."""
 TRIES = 40
-"""Grasps that are drawn at most: with one of ten within reach a drawing fails once in 70 times."""
+"""Most grasps that are drawn: if one of ten is within reach, a drawing fails once in 70 times."""
 STAYED_M, STAYED_RAD, STAYED_DEG = 0.005, 0.035, 0.5
 """Largest distance of the hand from its placement, largest turn (half a centimetre at the fingertips), and largest
 distance of each joint from the start of a planned path. A larger one permits other paths than the checked ones; with a
@@ -81,7 +81,7 @@ class PlacingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacle:
-    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: doubt of its place; round: a
+    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: uncertainty of its place; round: a
     cylinder"""
 
     T_table_container: FloatArray
@@ -100,11 +100,11 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspPlan:
-    """A grasp that is reached. before_m, there_m: (4, 4) poses and there of the tip where the approach begins and ends,
+    """A grasp that is reached. before_m, there_m: (4, 4) poses of the tip at the beginning and end of the approach,
     table's frame
 
-    start_deg: (n,) joint angles from which it was planned; joints_deg: (k, n) turned to one after the other, the last
-    where the approach begins; tried: all grasps that were drawn; refused: for each, why it is refused, empty = this
+    start_deg: (n,) joint angles from which it was planned; joints_deg: (k, n) successive joint angles, the last at the
+    beginning of the approach; tried: all grasps that were drawn; refused: for each, why it is refused, empty = this
     one; path_m: (m, 3) path of the tip, table's frame
     """
 
@@ -142,7 +142,7 @@ def choose_grasp(
     obstacle: Obstacle,
     drawn: Sequence[RandomGrasp],
 ) -> GraspPlan:
-    """The first of some grasps that the arm reaches, its way free of container, table and the arm itself. Raises
+    """The first of some grasps that the arm reaches on a path free of container, table and the arm itself. Raises
     NoGrasp."""
     ways = _Ways(setup, limits, grip, np.asarray(start_deg, dtype=float), obstacle)
     if ways.apart_m(setup.chain.forward(ways.start_deg)) < AROUND_M + obstacle.doubt_m:
@@ -157,7 +157,7 @@ def choose_grasp(
 
 
 def carry(robot: Robot, plan: GraspPlan, phase: Callable[[str], None]) -> None:
-    """Turn the joints to where the approach begins, and approach slowly. Raises as `travel.move_tip` does."""
+    """Turn the joints to the beginning of the approach, and approach slowly. Raises as `travel.move_tip` does."""
     workspace_m_s = robot.supervisor.limits.speed_m_s / 2.0
     phase("travel")
     for joints_deg in plan.joints_deg:
@@ -168,7 +168,7 @@ def carry(robot: Robot, plan: GraspPlan, phase: Callable[[str], None]) -> None:
 
 
 def withdraw(robot: Robot, plan: GraspPlan, phase: Callable[[str], None]) -> None:
-    """Slowly back to where the approach began. Raises as `carry` does."""
+    """Move slowly back to the beginning of the approach. Raises the errors of `carry`."""
     phase("retreat")
     move_to(robot, plan.before_m, min(APPROACH_M_S, robot.supervisor.limits.speed_m_s / 2.0))
 

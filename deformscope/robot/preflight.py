@@ -53,7 +53,7 @@ not level, and a description with errors of millimetres. A larger one refuses sh
 or cable touch the surface around the dent."""
 FREE_M = 0.01
 """Least height of the tip over the surface at the start [m]: several times the uncertainty of camera and arm, so that
-the force there is that of free air. Larger only has the arm lifted further."""
+the force there is that of free air. A larger one only requires that the arm is lifted further."""
 WAY_STEPS = 60
 """Number of poses checked on the first path: one every 3 deg of half a turn, 3 cm of a tip half a metre away. Fewer may
 miss where it sinks; more take longer."""
@@ -63,7 +63,7 @@ readings. An axis that repeated for longer in the checks [s] is exempt: its nois
 noise of 1 to 5 counts no repetition is that long, except at 100 Hz; a smaller share stops good sensors, a larger one
 detects a stuck axis later."""
 FORCE_TURNED = "[tool] R_tip_force"
-"""Calibrations that an arm needs whose only guard is its force sensor."""
+"""Calibrations that an arm needs if only its force sensor guards it."""
 COLLISION_NOISE = 6.0
 """A collision's limit is at least this number of standard deviations of the torques' noise."""
 FRESH_S = {"arm": 0.05, "force sensor": 0.02, "camera": 0.1}
@@ -84,10 +84,10 @@ def check(
 ) -> Preflight:
     """Check a robot at rest for half a second, and its planned motion.
 
-    plans: the touches, or those at the corners of where it may touch; calibrated: the required calibrations, by name,
-    and whether they are done; ages: ages of the calibrations, by name; rates_hz: rates of "arm", "force sensor",
-    "camera" (default: as their configurations say); lift_m: height of the plans above the surface; described: shapes
-    of hand and cables Raises RobotStopped when the supervisor stops meanwhile; nothing moves.
+    plans: the touches, or those at the corners of the area of possible touches; calibrated: the required calibrations,
+    by name, and whether they are done; ages: ages of the calibrations, by name; rates_hz: rates of "arm", "force
+    sensor", "camera" (default: those in their configurations); lift_m: height of the plans above the surface;
+    described: shapes of hand and cables. Raises RobotStopped if the supervisor stops meanwhile; nothing moves.
     """
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]

@@ -1,4 +1,4 @@
-"""Readings of the robot in one control period: of its devices since the last one."""
+"""Readings of the robot's devices in one control period."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deformscope_drivers.optoforce.measurement import ForceMeasurement
 
 PERIOD_NS = 10_000_000
-"""A control period: the arm takes one velocity in each."""
+"""A control period: the arm receives one velocity in each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +23,7 @@ class ForceSample:
     """A reading of the force sensor.
 
     time_ns: arrival; force_n: (3,) force of the tip on the world in the tip's frame, positive z = compression, tare
-    taken off [N]; sensor_n: (3,) before that
+    taken off [N]; sensor_n: (3,) force as the sensor reports it
     pattern: the bits as sent, which a frozen sensor repeats; usable: sensor and wire report no error; ticks: the
     sensor's own count, -1 = none
     """
@@ -37,7 +37,7 @@ class ForceSample:
 
     @classmethod
     def of(cls, reading: ForceMeasurement, tare_n: FloatArray) -> ForceSample:
-        """Sample of the first channel of a driver's reading. tare_n: (3,) taken off [N]"""
+        """Sample of the first channel of a driver's reading. tare_n: (3,) force in free air, which is subtracted [N]"""
         sensor_n, stamp = reading.force_n[0], reading.stamp
         ticks = -1 if stamp.device_ticks is None else stamp.device_ticks
         return cls(stamp.host_ns, sensor_n - tare_n, reading.counts, reading.usable, ticks, sensor_n)

@@ -65,15 +65,15 @@ class RobotStopped(Exception):
 
 
 class MotionHeld(Exception):
-    """The robot had a motion command and is at rest, without a fault: it accepts commands at any time."""
+    """The robot did not execute a motion command and is at rest, without a fault: it accepts further commands."""
 
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
-    """A velocity of the tip, surface frame. linear_m_s: (3,) velocity of its centre; angular_rad_s: (3,) about its
-    centre
+    """A velocity of the tip, surface frame. linear_m_s: (3,) velocity of its centre; angular_rad_s: (3,) angular
+    velocity about its centre
 
-    angular_rad_s None = the robot holds the orientation as it was commanded last. If given, it is sent unchanged: the
+    angular_rad_s None = the robot holds the orientation that was commanded last. If given, it is sent unchanged: the
     caller then closes the loop over the measured orientation.
     """
 
@@ -105,7 +105,7 @@ def sleep_until(until_ns: int) -> None:
 class Robot:
     """Opened devices, their relative poses, and a supervisor; `cycle` is one control period.
 
-    The arm is sent joint rates alone (`motion`), in each period for where its joints are then.
+    The arm is sent only joint rates (`motion`), computed in each period for its present joint angles.
 
     commanded: speed of the tip's centre [m/s] of every period
     reason_to_stand: called in each period with motion: a reason against it, empty = none
@@ -167,13 +167,13 @@ class Robot:
 
     @property
     def chain(self) -> Chain | None:
-        """The arm's joints; None where a person places it."""
+        """The arm's joints; None if a person places it."""
         return None if self.arm.by_hand else self.arm.chain
 
     @property
     def force_alone(self) -> bool:
-        """Whether only the force at the tip shows a contact: the arm has reported no joint torques that a collision is
-        seen by."""
+        """Whether only the force at the tip shows a contact: the arm has reported no joint torques, which would show a
+        collision."""
         return not (self.arm.by_hand or self.supervisor.sees_torques)
 
     @property
@@ -190,12 +190,12 @@ class Robot:
 
     @property
     def center_m(self) -> FloatArray:
-        """(3,) where the tip's centre is in the surface frame [m]."""
+        """(3,) present place of the tip's centre in the surface frame [m]."""
         return self.placement.T_surface_center(self.pose.T_base_ee)[:3, 3]
 
     @property
     def pressed_n(self) -> float | None:
-        """Magnitude of the newest force on the tip [N]; None where the sensor is silent, frozen or not usable."""
+        """Magnitude of the newest force on the tip [N]; None if the sensor is silent, frozen or not usable."""
         sample = self._force
         age_ns = np.inf if sample is None else self._clock() - sample.time_ns
         silent = self.supervisor.verdict.fault in FORCE_FAULTS or age_ns > 1e9 * self.supervisor.limits.force_silent_s
@@ -209,11 +209,11 @@ class Robot:
     # The control period ----------------------------------------------------------------------------------------------
 
     def cycle(self, command: Command = None) -> RobotObservation:
-        """Send a velocity (None = rest), let a control period pass, read the devices, and have them judged.
+        """Send a velocity (None = rest), let a control period pass, read the devices, and ask the supervisor.
 
-        Raises MotionHeld where `reason_to_stand` gave one: it was sent nothing, and stood for the period. Raises
-        RobotStopped, now and after every later call until the supervisor's `acknowledge`, when the robot must stop. The
-        arm is then halted and its waiting points are erased. The caller carries out a back-off.
+        Raises MotionHeld if `reason_to_stand` gave a reason: no command was sent, and the arm rested for the period.
+        Raises RobotStopped, now and after every later call until the supervisor's `acknowledge`, when the robot must
+        stop. The arm is then halted and its waiting points are erased. The caller carries out a back-off.
         """
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
@@ -264,12 +264,12 @@ class Robot:
             self.cycle()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person requests a stop: within this control period, or in the next one."""
+        """Stop on a person's request, within this control period or the next one."""
         self.supervisor.stop(Fault.ASKED, reason, self._clock())
 
     def stand_by(self, duration_s: float) -> None:
-        """Rest and let time pass, stopped or not: for a recording that shows the time after. The verdict is
-        unchanged."""
+        """Rest and let time pass, whether or not the robot was stopped, so that a recording shows the time after. The
+        verdict is unchanged."""
         end_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < end_ns:
             self._wait_until(min(now_ns + PERIOD_NS, end_ns))
@@ -306,8 +306,8 @@ class Robot:
         return np.diff(1e-9 * np.array(self._judged_ns, dtype=np.float64))
 
     def resume(self) -> None:
-        """After a person has removed the reason of a stop: judge again, and let the arm take commands again, once
-        another preflight has passed."""
+        """Resume after a person has removed the reason of a stop: judge again, and let the arm accept commands after
+        another preflight."""
         self._may_move = False
         self.arm.acknowledge_stop()
         self._listen()
@@ -315,7 +315,7 @@ class Robot:
         self.supervisor.acknowledge(self._clock())
 
     def start(self) -> None:
-        """After a pause without control periods: drop waiting items of the queues; ages count from now on."""
+        """Start after a pause without control periods: drop waiting items of the queues; ages count from now on."""
         self._listen()
         self._begin_anew()
         self.supervisor.start(self._clock())

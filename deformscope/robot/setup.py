@@ -256,8 +256,8 @@ def rig_setup(
 
     double: makes a device of the rig that nothing is simulated around, or its double
     table: table of a `[surface] scene`, over which arm, force sensor and camera are doubles
-    person: places a real arm without motors
-    give: compliance of a simulated arm and its deviation [m/N], where the rig file has none
+    person: the person who places a real arm without motors
+    give: compliance of a simulated arm and its deviation [m/N], used if the rig file has none
     """
     rig, simulated = parts.rig, table is not None
     tool, camera = rig.tool, rig.camera

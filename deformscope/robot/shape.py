@@ -13,14 +13,14 @@ from deformscope.robot.placement import Placement
 from deformscope_drivers.arm.kinematics import FloatArray
 
 LINK_RADIUS_M = 0.045
-"""Radius of the capsules that stand for the arm's links [m], that of the arm in the simulated laboratory. With a larger
+"""Radius of the capsules that represent the arm's links [m]: that of the arm in the simulated laboratory. With a larger
 radius, more of the surface around the arm is removed from the image, and the arm stays farther from the table and
 itself. With a smaller one, parts of a thicker arm count as surface and may collide."""
 
 
 def link_capsules(T_base_links: FloatArray, T: FloatArray) -> list[Capsule]:
-    """The links alone, from the arm's foot on, in another frame. T_base_links: (k, 4, 4) poses of the arm's joints and,
-    last, of its end; T: (4, 4) base to that frame [m]"""
+    """Capsules of the links only, from the arm's foot, in another frame. T_base_links: (k, 4, 4) poses of the arm's
+    joints and, last, of its end; T: (4, 4) base to that frame [m]"""
     joints_m = [T[:3, 3], *(T @ T_base_links)[:, :3, 3]]
     return [Capsule(a, b, LINK_RADIUS_M) for a, b in pairwise(joints_m)]
 
@@ -36,10 +36,10 @@ def arm_shape(
 ) -> tuple[Capsule, ...]:
     """The links, the stick, the ball at its tip and the cables, in the surface frame [m].
 
-    T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end (`Chain.forward`); of the end alone where a
+    T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end (`Chain.forward`); of the end only if a
     person holds it; center_m: (3,) measured centre of its tip, which a push moves away from that of the chain
     description: description of the robot; links that are solids in it are left out
-    link_margin_m, stick_margin_m: added around the links; around stick, ball and cables
+    link_margin_m, stick_margin_m: margins around the links, and around stick, ball and cables
     """
     frames = T_base_links if len(T_base_links) == 1 else (np.eye(4), *T_base_links)
     joints_m = [(placement.T_surface_base @ frame)[:3, 3] for frame in frames]

@@ -24,7 +24,7 @@ from deformscope_drivers.sdh.kinematics import (
 )
 
 BASE_DEG = 90.0
-"""The two fingers on the common base face each other there: `deformscope_drivers.sdh.kinematics`."""
+"""Angle of the base axis at which its two fingers face each other: `deformscope_drivers.sdh.kinematics`."""
 PAD_M = 0.011
 """Distance from the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not
 measured."""
@@ -40,8 +40,8 @@ PAD_ALONG_M = 0.6 * DISTAL_LINK_M
 
 @dataclass(frozen=True, slots=True)
 class GripShape:
-    """Angles of the axes, (7,) each [deg]. open_deg: before and after; contact_deg: where both fingertips touch a
-    container of the width given; reach_m: height of the middle of the pads above the palm's origin there [m]"""
+    """Angles of the axes, (7,) each [deg]. open_deg: angles before and after; contact_deg: where both fingertips touch
+    a container of the width given; reach_m: height of the middle of the pads above the palm's origin there [m]"""
 
     open_deg: tuple[float, ...]
     contact_deg: tuple[float, ...]
@@ -54,7 +54,8 @@ class GripShape:
 
     @classmethod
     def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
-        """The pre-shape for a container of this width. Raises InputError for one that the fingers cannot close on."""
+        """The pre-shape for a container of this width. Raises InputError for a container on which the fingers cannot
+        close."""
         half_m = container.size_m[0] / 2 + PAD_M
         lean = (BASE_SIDE_M / 2 - half_m) / PROXIMAL_LINK_M
         if not abs(lean) < 0.95:
@@ -77,9 +78,9 @@ class GripShape:
 class RandomGrasp:
     """The hand's place on the container.
 
-    along_m: distance along the longest edge of the middle of the pads from the container's middle, along its longest
-    edge; tilt_deg: tilt of the hand about the axis of closing; T_hand_container: (4, 4) container to hand [m];
-    turn_deg: about the container's own z axis
+    along_m: distance of the middle of the pads from the container's middle, along its longest edge; tilt_deg: tilt of
+    the hand about the axis of closing; T_hand_container: (4, 4) container to hand [m];
+    turn_deg: turn about the container's z axis
     """
 
     along_m: float
@@ -89,7 +90,7 @@ class RandomGrasp:
 
 
 def draw_grasps(container: ContainerSection, squeeze: SqueezeSection, seed: int, count: int) -> list[RandomGrasp]:
-    """Grasps one after another, the same for the same seed: each as `draw_grasp`, from either side of a box, from any
+    """Successive grasps, the same for the same seed: each as in `draw_grasp`, from both sides of a box, or from any
     side of a cylinder."""
     random = np.random.default_rng([seed, 0x97])
     found = []
@@ -112,7 +113,7 @@ def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) 
 def grasp_at(
     container: ContainerSection, squeeze: SqueezeSection, along_m: float, tilt_deg: float, turn_deg: float = 0.0
 ) -> RandomGrasp:
-    """The grasp of these numbers, as `RandomGrasp` has them."""
+    """The grasp with these numbers, as in `RandomGrasp`."""
     size = container.size_m
     edge = 1 if size[1] > size[2] else 2
     middle = grasp_middle(container, squeeze)

@@ -35,22 +35,22 @@ from deformscope_drivers.sdh.device import CurrentMode
 from deformscope_drivers.sdh.results import HandReading
 
 SQUEEZE_PERIOD_NS = 20_000_000
-"""A control period: as often as the hand's angles can be read and its velocity set on RS-232, with room to spare."""
+"""A control period: on RS-232 it leaves enough time to read the hand's angles and set its velocity."""
 KEEP_S = 0.1
-"""The hand's driver sets a velocity back to 0 unless it is set again within this: five control periods."""
+"""Time within which a velocity must be set again, else the hand's driver sets it to 0: five control periods."""
 RAMP_DEG_S2 = 400.0
-"""Acceleration of the closing axes: the most that Schunk's library takes. With it, axes at 6 deg/s rest within 15 ms of
-a stop; with the hand's default of 100 deg/s2 within 60 ms."""
+"""Acceleration of the closing axes: the largest that Schunk's library accepts. With it, axes at 6 deg/s rest within 15
+ms of a stop; with the hand's default of 100 deg/s2 within 60 ms."""
 PRESHAPE_DEG_S = 40.0
-"""Speed of the fastest axis; nothing is between the fingers. Schunk's library moves so by default."""
+"""Speed of the fastest axis; nothing is between the fingers. It is the default of Schunk's library."""
 MISSED_DEG = 2.0
 """An axis that ends this far from its pre-shape has hit something: four times the precision of its angles."""
 SETTLE_READINGS = 13
 """A hand may report the states from before a command for half a second (IPA): 13 readings at 25 Hz."""
 PRESHAPE_MARGIN_S = 4.0
-"""Beyond the hand's own plan, or 15 s where old firmware does not report it."""
+"""Time in addition to the hand's planned duration, or to 15 s if old firmware does not report one."""
 OLD_FIRMWARE_S = 15.0
-"""The whole range of an axis at 12 deg/s."""
+"""Duration of a move with old firmware: the whole range of an axis at 12 deg/s."""
 STOP_TRIES, STOP_EVERY_S = 15, 0.1
 """Attempts to stop the hand or to restore its limits, and the pause between them while its link is down: the driver
 looks for a lost one after 0.05 s, then less often."""
@@ -58,8 +58,8 @@ looks for a lost one after 0.05 s, then less often."""
 
 @dataclass(frozen=True, slots=True)
 class FingertipFrame:
-    """One tactile frame of the two squeezing fingertips. time_ns: arrival; sums: (2,) sums of each one's texels; peak:
-    the highest texel of both [counts]"""
+    """One tactile frame of the two squeezing fingertips. time_ns: arrival; sums: (2,) sums of each fingertip's texels;
+    peak: the highest texel of both [counts]"""
 
     time_ns: int
     sums: FloatArray
@@ -116,7 +116,7 @@ class SqueezeRobot:
     def cycle(self, closing_deg_s: float | None = None) -> None:
         """Close at a speed (None = unchanged), let a control period pass, read the devices, and have them judged.
 
-        Raises SqueezeStopped when the hand must stop: it was stopped then.
+        Raises SqueezeStopped, after the hand was stopped, if it must stop.
         """
         if closing_deg_s is not None:
             velocity = [0.0] * AXIS_COUNT
@@ -136,7 +136,7 @@ class SqueezeRobot:
             raise SqueezeStopped(verdict)
 
     def stand_by(self, duration_s: float) -> None:
-        """Let time pass, stopped or not: for a recording that shows the time after."""
+        """Let time pass, whether or not the hand was stopped, so that a recording shows the time after."""
         until_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < until_ns:
             self._wait_until(min(now_ns + SQUEEZE_PERIOD_NS, until_ns))
@@ -144,7 +144,7 @@ class SqueezeRobot:
             self._on_cycle()
 
     def ask_to_stop(self, reason: str) -> None:
-        """A person requests a stop: within this control period, or in the next one."""
+        """Stop on a person's request, within this control period or the next one."""
         self.supervisor.stop(SqueezeFault.ASKED, reason, self._clock())
 
     def fail(self, fault: SqueezeFault, reason: str) -> None:
@@ -154,7 +154,7 @@ class SqueezeRobot:
         raise SqueezeStopped(self.supervisor.verdict)
 
     def halt(self) -> bool:
-        """Stop the hand; whether it confirmed that, or was never commanded."""
+        """Stop the hand; returns whether it confirmed that, or was never commanded."""
         return not self._commanded or self._insist(self.hand.stop)
 
     # Commands --------------------------------------------------------------------------------------------------------
@@ -164,15 +164,15 @@ class SqueezeRobot:
         self.command(lambda: self._move(self.shape.open_deg))
 
     def release(self) -> None:
-        """Open the fingers after a stop: they must not press their content any longer. Raises SqueezeStopped where the
-        hand does not."""
+        """Open the fingers after a stop, so that they do not press for longer. Raises SqueezeStopped if the hand does
+        not open."""
         self.supervisor = SqueezeSupervisor(self.squeeze, self._fingers, self._clock(), closing=False)
         self.preshape()
 
     @contextlib.contextmanager
     def low_current(self) -> Iterator[None]:
         """Limit the current of the closing axes while the block runs; the earlier limits are restored after it, in any
-        case. Whether that worked, `restore` says."""
+        case. `restore` reports whether that worked."""
 
         def limit() -> None:
             self._limits_a = self.hand.current_limits_a(CurrentMode.MOVE)
@@ -189,7 +189,7 @@ class SqueezeRobot:
             self.restore()
 
     def restore(self) -> bool:
-        """Set the current limits back to those before `low_current`; whether they are."""
+        """Restore the current limits from before `low_current`; returns whether that worked."""
         limits_a = self._limits_a
         if limits_a is None or not self._insist(lambda: self.hand.set_current_limits(limits_a, CurrentMode.MOVE)):
             return limits_a is None
@@ -197,7 +197,7 @@ class SqueezeRobot:
         return True
 
     def command(self, send: Callable[[], None]) -> None:
-        """Send a command to the hand. Raises SqueezeStopped where the hand refuses it, or its link is down."""
+        """Send a command to the hand. Raises SqueezeStopped if the hand refuses it, or its link is down."""
         self._commanded = True
         try:
             send()

@@ -1,5 +1,5 @@
 """Devices for a squeeze, not yet opened: a hand, its tactile arrays, a depth camera and perhaps the arm that carries
-the hand; real ones or doubles. A laboratory hands its own in."""
+the hand; real ones or doubles. A laboratory passes its setup."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class SqueezeNames:
 
 
 class TrueMoments(Protocol):
-    """True moments of a squeeze in a laboratory, on its clock: the first contact, and the rest of the fingers; None =
-    not yet."""
+    """True moments of a squeeze in a laboratory, on its clock: the first contact, and when the fingers came to rest;
+    None = not yet."""
 
     @property
     def contact_ns(self) -> int | None: ...
@@ -67,7 +67,7 @@ class SimulatedContainer(SimulatedDevices, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeParts:
-    """Devices of a rig file by their parts; camera, arm: None without one. grasp: drawn from the seed"""
+    """Devices of a rig file by their parts; camera, arm: None without one. grasp: grasp that was drawn from the seed"""
 
     rig: Rig
     hand: RigDevice
@@ -78,8 +78,8 @@ class SqueezeParts:
 
     @classmethod
     def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
-        """place: who places the hand: the driver of an arm, or `person`. Raises InputError, which names
-        missing keys, or contradictions."""
+        """place: who places the hand: the driver of an arm, or `person`. Raises InputError, which names missing or
+        contradictory keys."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
         parts = cls(
@@ -117,7 +117,7 @@ class SqueezeParts:
 
     @property
     def around(self) -> list[RigDevice]:
-        """The hand, its arrays and the camera, which the container is simulated between."""
+        """The hand, its arrays and the camera, around which the container is simulated."""
         return [entry for entry in (self.hand, self.tactile, self.camera) if entry is not None]
 
 
@@ -127,12 +127,12 @@ class SqueezeSetup:
 
     open_source: opens all devices
     camera: how the depth camera projects; T_camera_hand: (4, 4) hand to camera [m], None = unknown, so that images give
-    no features; T_arm_hand: (4, 4) hand to the end of the arm that carries it, None = none carries it
+    no features; T_arm_hand: (4, 4) hand to the end of the arm that carries it, None = no arm
     T_arm_camera: (4, 4) camera to the arm's base
-    grasp: the hand's place on the container; placed: the hand is there already
+    grasp: the hand's place on the container; placed: the hand is already at the container
     simulated: all devices are simulated; runs_itself: the devices have separate threads and the host's clock
     truth: true values of a simulated squeeze, None with real devices
-    placing: the arm that places the hand; None = a person does, or the hand is there already
+    placing: the arm that places the hand; None = a person does, or the hand is already there
     """
 
     names: SqueezeNames
@@ -162,7 +162,7 @@ def squeeze_setup(
 ) -> SqueezeSetup:
     """All devices of a rig file.
 
-    double: makes a device of the rig that no container is simulated around, or its double; container: simulated
+    double: makes a device of the rig, or its double, without a simulated container; container: simulated
     container between the doubles, with the hand at it; it gives the pose and projection of its camera
     place: as in `SqueezeParts.of`
     """
@@ -220,7 +220,7 @@ def lacks_to_place(rig: Rig) -> list[str]:
 
 
 def placing_of(parts: SqueezeParts) -> PlacingSetup:
-    """The arm of a rig that places its hand. Raises InputError for an arm whose joints are not known."""
+    """The arm of a rig that places its hand. Raises InputError for an arm with unknown joints."""
     rig, arm = parts.rig, parts.arm
     chain = None if arm is None else chain_of(arm.config.model or "")
     T_arm_hand, T_base_table = _transform(rig.hand.T_arm_hand), _transform(rig.surface.T_arm_surface)

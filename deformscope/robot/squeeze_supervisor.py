@@ -1,6 +1,6 @@
 """Whether the hand may continue the squeeze: limits of its angles and pads, and the age of its devices' reports.
 
-The first fault holds (`latch`).
+The first fault is latched (`latch`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LATE_NS = 100_000_000
 
 
 class SqueezeFault(StrEnum):
-    """Why it must stop."""
+    """Why the hand must stop."""
 
     NONE = "none"
     SATURATED = "tactile array saturated"
@@ -88,8 +88,8 @@ SqueezeDecision = Decision[SqueezeFault]
 
 
 class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
-    """The rules of a hand with tactile arrays; `judge` once in each control period. closing: False where the hand only
-    opens: it then needs no tactile arrays, and may come from the end of its range"""
+    """The rules of a hand with tactile arrays; `judge` once in each control period. closing: False if the hand only
+    opens: it then needs no tactile arrays, and may start at the end of its range"""
 
     def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
         super().__init__(SqueezeFault.NONE, LATE_NS)
@@ -104,7 +104,7 @@ class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
         self._hand_ns = self._tactile_ns = now_ns
 
     def in_contact(self) -> None:
-        """The fingertips are in contact: how much closer they come from here on is limited (`over_squeeze_m`)."""
+        """Note that the fingertips are in contact: from now on their further closing is limited (`over_squeeze_m`)."""
         self._contact_gap_m = self._gap_m
 
     def judge(self, seen: SqueezeObservation) -> SqueezeDecision:

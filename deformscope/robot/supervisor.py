@@ -1,6 +1,6 @@
 """Whether the arm may continue: limits of forces, speeds, joints and space, and the age of its devices' reports.
 
-`BACK_OFF` and `STOP` hold until `acknowledge`, and the worse of the two wins (`latch`).
+`BACK_OFF` and `STOP` last until `acknowledge`, and `STOP` replaces `BACK_OFF` (`latch`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from deformscope_drivers.arm.kinematics import Chain, FloatArray, rotation_vecto
 
 
 class Fault(StrEnum):
-    """Why it must stop."""
+    """Why the arm must stop."""
 
     NONE = "none"
     FORCE_SOFT = "force above the soft stop"
@@ -57,7 +57,7 @@ class Fault(StrEnum):
 FORCE_FAULTS = frozenset(
     {Fault.FORCE_SILENT, Fault.FORCE_FROZEN, Fault.FORCE_INVALID, Fault.FORCE_UNUSABLE, Fault.CHECKSUMS}
 )
-"""After these the force on the tip is not known."""
+"""Faults after which the force on the tip is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,19 +65,19 @@ class Limits:
     """Limits of the robot. The times are set so that a fault is detected within 50 ms (force), 100 ms (arm) and two
     frame periods (camera), a control period of 10 ms included.
 
-    soft_force_n, hard_force_n: magnitude backed away at, stopped at
+    soft_force_n, hard_force_n: magnitude at which the arm backs off, and at which it stops
     speed_m_s, turn_deg_s: measured speed of the tip's centre, and rate at which the arm's end turns, both from poses
     tilt_deg: angle between the measured and the commanded rotation of the arm's end: 5 deg move the tip of a stick of
-    10 cm by 9 mm; joint_margin_deg: no joint comes nearer to the end of its range
-    table_m, itself_m: least distance of elbow and wrist from the table's top, and between parts of the arm that may
-    collide (`clearance.ArmClearance`)
-    arm_box: low and high corner (3,) in the base frame that elbow, wrist, stick and tip stay in, None = none [m]
+    10 cm by 9 mm; joint_margin_deg: no joint comes nearer to the end of its range; table_m, itself_m: least distance of
+    elbow and wrist from the table's top, and between parts of the arm that may collide (`clearance.ArmClearance`)
+    arm_box: low and high corner (3,) in the base frame of a box for elbow, wrist, stick and tip, None = none [m]
     collision_nm: largest difference of a joint's torque from its mean of the last seconds, besides the effect of the
     force on the tip; more is a collision (`collision.CollisionWatch`), 0 = torques are ignored
-    low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: the box holds for where
-    the tip will be by then
+    low_m, high_m: (3,) box of the tip's centre in the base frame, None = none; look_ahead_s: time ahead at which the
+    tip's expected place must be in the box
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
-    axes_rest: the force sensor's axes are a hand's fingers, which say 0 while nothing touches them: that is not frozen
+    axes_rest: the force sensor's axes are a hand's fingers, which read 0 without contact and then do not count as
+    frozen
     arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
     excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: number of damaged frames, or of unusable readings, within window_s
@@ -144,8 +144,8 @@ class Limits:
 SafetyDecision = Decision[Fault]
 
 SPEED_OVER_NS = 40_000_000
-"""Poses this far apart give the speed: four control periods. Speed is measured over this time: over less, the
-resolution of the reported joints looks like speed; over more, a fast arm is noticed later."""
+"""Time between two poses from which speed is computed: four control periods. Speed is measured over this time: over
+less, the resolution of the reported joints looks like speed; over more, a fast arm is noticed later."""
 APPROACH_DEG_S = 0.5
 """A joint that moves slower than this towards its limit is at rest."""
 LATE_NS = 20_000_000
@@ -189,7 +189,7 @@ class Supervisor(LatchingSupervisor[Fault]):
 
     @property
     def sees_torques(self) -> bool:
-        """Whether the arm has reported joint torques that a collision is seen by."""
+        """Whether the arm has reported joint torques, which show a collision."""
         return self._torques
 
     @property

@@ -1,7 +1,8 @@
 """One touch: down along the normal, press to a set force, dwell until still, and back.
 
-A state machine that is stepped once in a control period: forces and the tip's place go in, a velocity comes out.
-Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force across it.
+A state machine that is stepped once in a control period: its input are forces and the tip's place, its output is a
+velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force across
+it.
 """
 
 from __future__ import annotations
@@ -66,17 +67,17 @@ class TouchPlan:
     """Where and how to touch; lengths [m], forces [N], speeds [m/s], in the surface frame.
 
     point_m: (3,) estimated place of the surface; normal: (3,) normal of the surface there, outwards
-    set_force_n: pressed with; more_force_n: force if the dent stays below small_dent_m, None = never
-    max_depth_m: never deeper below the first contact; standoff_m: height of the tip above the point before and after;
-    travel_height_m: z of the tip's centre when it crosses; slow_within_m: nearer to the point than this, the approach
-    is slow; miss_m: how far below the point contact is sought
+    set_force_n: force of the touch; more_force_n: force if the dent stays below small_dent_m, None = never
+    max_depth_m: greatest depth below the first contact; standoff_m: height of the tip above the point before and after;
+    travel_height_m: z of the tip's centre when it crosses; slow_within_m: distance from the point within which the
+    approach is slow; miss_m: how far below the point contact is sought
     far_speed_m_s, contact_speed_m_s, travel_speed_m_s: speeds far, near and in contact, and between touches
-    contact_force_n: along the normal means contact; dwell_s: duration at rest; dwell_at_most_s: dwell no longer
-    tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
+    contact_force_n: force along the normal that means contact; dwell_s: duration at rest; dwell_at_most_s: longest
+    dwell; tangential: "held" = the tip stays on the normal's line, "free" = it follows forces across
     passing_m: distance above the point at which the tip continues, without coming to rest there
     slow_back: until contact is lost the tip goes back as slowly as it came, to measure the energy that the foam returns
-    braking_per_s: share of the way left that it goes a second where it slows down in free air; None = slowly
-    rigid_n_m: stiffness that a contact is taken to have before it is known
+    braking_per_s: share of the remaining way that the tip travels in a second while it slows down in free air; None =
+    slowly; rigid_n_m: assumed stiffness of a contact before it is known
     """
 
     point_m: FloatArray
@@ -120,7 +121,7 @@ class TouchPlan:
             raise InputError("0 < slow_within_m <= standoff_m", f"{self.slow_within_m}, {self.standoff_m}")
 
     def no_faster(self, contact_speed_m_s: float, travel_speed_m_s: float) -> TouchPlan:
-        """The same touch at most at these speeds [m/s]: near the surface and in contact, and elsewhere."""
+        """The touch with speed limits [m/s]: near the surface and in contact, and elsewhere."""
         return dataclasses.replace(
             self,
             contact_speed_m_s=min(self.contact_speed_m_s, contact_speed_m_s),
@@ -166,9 +167,8 @@ class TouchRecord:
     center_m, final_force_n: (3,) mean over the last of the dwell; None where there was none
     peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
     phases: state of the touch at each time; ending, reason: why it ended; settled: dent and force were still
-    arms, forces: the states and readings that all of it is computed from, each reading with the time of the arm's
-    newest state then [ns]; poses: all states of the arm, including those before the approach; back: states on the way
-    back
+    arms, forces: the states and readings from which the record is computed, each reading with the time of the arm's
+    newest state [ns]; poses: all states of the arm, including those before the approach; back: states on the way back
     """
 
     plan: TouchPlan
@@ -199,7 +199,7 @@ HELD_GAIN_PER_S = 3.0
 one overshoots where an arm follows late (share times delay must stay far below 1, and is 0.03 for a control period). A
 smaller one leaves the tip beyond the normal's line for longer."""
 FREE_M_S_N = 0.004
-"""Speed of yielding to a tangential force [m/s/N], where the plan has it free: 2.5 N give ACROSS_M_S. Larger swings
+"""Speed of yielding to a tangential force [m/s/N], if the plan has "free": 2.5 N give ACROSS_M_S. Larger swings
 where an arm follows late; smaller leaves the force across for longer."""
 ACROSS_M_S = 0.01
 """Greatest tangential speed in contact [m/s]: half of the 20 mm/s allowed near contact. With 10 mm/s along the normal
@@ -256,7 +256,7 @@ class TouchStateMachine:
         return 0.0 if self.contact_m is None else float((self.contact_m - center_m) @ self.plan.normal)
 
     def back_off(self, time_s: float) -> None:
-        """The force is too high: stand for PAUSE_PERIODS, then retreat. time_s: now"""
+        """Handle a force that is too high: rest for PAUSE_PERIODS, then retreat. time_s: now"""
         if self.phase not in (Phase.BACK_OFF, Phase.DONE):
             self.ending = TouchEnding.SOFT_STOP
             self._pause = PAUSE_PERIODS
@@ -412,7 +412,8 @@ def run_touch(
     still_seen: whether the observer of the dent (a camera) sees no change; called during the dwell, when the camera
     must be alive too. on_phase: called with each phase when it begins, and the time [ns on the robot's clock]. Never
     raises for faults of the robot: `ending`, `fault` and `reason` report them, and the supervisor's verdict holds until
-    a person acknowledges it. Raises RobotStopped where it holds already, and InputError where no preflight has passed.
+    a person acknowledges it. Raises RobotStopped if the robot is stopped already, and InputError if no preflight has
+    passed.
     """
     return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
 
@@ -451,7 +452,7 @@ class TouchProgress(Protocol):
 
 
 class TouchRun:
-    """A touch that is being carried out, with the states and readings that its record is made of."""
+    """A touch in progress, with the states and readings of its record."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
         plan = plan.slowed_for(ForceAlone.of(robot)) if robot.force_alone else plan
@@ -595,7 +596,7 @@ class TouchRun:
 
 
 def centers_of(arms: Sequence[ArmSample], placement: Placement) -> tuple[FloatArray, FloatArray]:
-    """(n,) times [s] of an arm's states, and (n, 3) where the tip's centre was as the joints say [m, surface frame]."""
+    """Times (n,) [s] of an arm's states, and the tip's centre (n, 3) from the joints [m, surface frame]."""
     poses = np.array([sample.T_base_ee for sample in arms]).reshape(-1, 4, 4)
     return np.array([sample.time_ns for sample in arms], dtype=float) / 1e9, placement.T_surface_center(poses)[:, :3, 3]
 
@@ -617,20 +618,22 @@ def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLik
 
 
 TARE_PERIODS = 30
-"""Control periods that a tare takes: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at best.
-The tare is part of every touch (0.35 s of 13.4 s, `docs/results/maps.md`); a shorter one would be noisier."""
+"""Duration of a tare in control periods: 0.3 s, 300 readings at 1 kHz, whose mean has 1/17 of a reading's noise at
+best. The tare is part of every touch (0.35 s of 13.4 s, `docs/results/maps.md`); a shorter one would be noisier."""
 TARE_STILL_N = 0.05
 """Variation in free air above which there is no tare [N], as `preflight.NOISE_N`. A larger one would zero a changing
 load, a smaller one refuses a sensor that has passed the preflight."""
 TARE_DRIFT_N = 0.6
-"""Change since the last tare that passes for drift [N], as `preflight.ZERO_N`: larger would zero a tip that touches,
-smaller stops where a sensor warms up."""
+"""Change since the last tare that counts as drift [N], as `preflight.ZERO_N`: a larger one would zero a tip in contact,
+a smaller one stops while a sensor warms up."""
 
 
 def take_tare(robot: Robot) -> FloatArray:
-    """Take the load in free air for zero, from 0.3 s of readings at rest; (3,) deviation of a reading [N].
+    """Set the zero to the load in free air, from 0.3 s of readings at rest; returns the deviation (3,) of a reading
+    [N].
 
-    Raises NotThere where the readings vary, or are further from the last tare than a sensor drifts: the tip touches.
+    Raises NotThere if the readings vary, or differ from the last tare by more than a sensor's drift, as when the tip
+    touches.
     """
     taken: list[ForceSample] = []
     for period in range(TARE_PERIODS + 5):

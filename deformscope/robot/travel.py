@@ -1,4 +1,4 @@
-"""Ways through free air, one velocity after the other, each control period supervised."""
+"""Paths through free air, as a sequence of velocities; the supervisor checks every control period."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ JOINT_DEG_S = 15.0
 """Greatest rate of travel joint by joint: below the driver's standard limit of 20 deg/s, so that no joint is slowed and
 all arrive together. Slower, the first way takes longer: half a turn takes 12 s."""
 PATIENCE = 200
-"""Control periods without coming nearer, after which joints count as not coming where they are sent."""
+"""Number of control periods without progress, after which joints count as unable to reach their target."""
 GAIN_PER_S = 4.0
 """Share of the remaining distance that is commanded a second: the last of a way takes some 1/4 s for each factor e.
 A larger one overshoots where an arm follows late (share times delay must stay far below 1, and is 0.04 for a control
@@ -46,7 +46,7 @@ SLACK = 3.0
 
 
 class NotThere(InputError):
-    """The arm cannot come, or did not come, to where it was sent."""
+    """The arm cannot reach, or did not reach, its target."""
 
 
 def move_tip(
@@ -59,7 +59,8 @@ def move_tip(
     near_m: float = REACHED_M,
     braking_per_s: float | None = None,
 ) -> None:
-    """Straight to where the tip's centre (3,) [m] is here and the stick along -normal, both in the surface frame.
+    """Move straight to the pose with the tip's centre (3,) [m] here and the stick along -normal, both in the surface
+    frame.
 
     passing: the tip continues from there, so that it need not arrive exactly; near_m: otherwise it arrives within this
     distance; braking_per_s: as in `TouchPlan` Raises NotThere when it takes too long, RobotStopped, InputError when the
@@ -98,7 +99,7 @@ def move_to(
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
     """Move to joint angles (n,), all arriving together. Start and path are not checked: use it only in free air.
 
-    Raises as `move_tip` does.
+    Raises the errors of `move_tip`.
     """
     endless = ~np.isfinite(robot.arm.chain.upper_deg)
     turn = towards(robot.pose.joints_deg, joints_deg, endless)
@@ -129,11 +130,11 @@ def to_above(
 ) -> None:
     """Move to a place above the surface: up to height_m, across at this height or above, and down.
 
-    Straight where the arm can follow. The first time, and where a straight path leads near a joint's limit or a
-    singularity, joint by joint: other joint angles for the same pose are then sought.
+    The path is straight if the arm can follow it. The first time, and where a straight path leads near a joint's limit
+    or a singularity, joint by joint: other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) end of a following straight path [m, surface
-    frame]; passing_m: distance from the place that is near enough; braking_per_s: as in `TouchPlan`. Raises NotThere
-    where neither is possible: before it moves, or high above where it was.
+    frame]; passing_m: distance from the place that is near enough; braking_per_s: as in `TouchPlan`. Raises NotThere if
+    neither is possible: before it moves, or high above its start.
     """
     way = find_way(
         robot.arm.chain,
@@ -160,8 +161,9 @@ def to_above(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TravelWay:
-    """Path of `to_above`. up_m: (3,) above where it was, None = it does not go up first; over_m: (3,) above the place
-    [m, surface frame]; joints_deg: (n,) turned to joint by joint from there, None = straight across"""
+    """Path of `to_above`. up_m: (3,) place above its start, None = it does not go up first; over_m: (3,) place above
+    the target [m, surface frame]; joints_deg: (n,) angles to which the joints turn from there, None = straight
+    across"""
 
     up_m: FloatArray | None
     over_m: FloatArray

@@ -1,6 +1,6 @@
-"""The shapes of a URDF's links, and where its links are for given joint angles.
+"""The shapes of a URDF's links, and the links' poses for given joint angles.
 
-A URDF is an untrusted file: it is read without entities, and its meshes from below its own package alone.
+A URDF is an untrusted file: it is read without entities, and its meshes only from folders below its package.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class UrdfShapes:
         return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
 
     def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
-        """(4, 4) of each link in the root's frame. values: values of joints by name [rad or m], 0 where there is
+        """Pose (4, 4) of each link in the root's frame. values: values of joints by name [rad or m], 0 where there is
         none"""
         found: dict[str, FloatArray] = {self.root: np.eye(4)}
         for joint in self.joints:

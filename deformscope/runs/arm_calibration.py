@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 def opening_of(config: ArmConfig) -> Opening:
-    """The devices, not opened, and how they touch. Raises InputError as `setup_of` does."""
+    """The devices, not opened, and the options of their touches. Raises the errors of `setup_of`."""
     options = ExploreOptions(budget=config.touches, beta_model="none", seed=config.output.seed)
     return setup_of(config.rig, options, config.set_force, trusted=config.trust_rig)
 

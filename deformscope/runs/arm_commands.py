@@ -48,8 +48,8 @@ Rows of arm, force sensor and this computer remain."""
 @dataclass(frozen=True, slots=True, eq=False)
 class WhereArm:
     """joints_deg: (n,); to_limits_deg: (n,) distance of each joint from the nearer end of its range, inf = no end;
-    homed; T_base_ee: (4, 4) the arm's end; tip_base_m, tip_surface_m: (3,) the tip's lowest point [m], None where the
-    rig file has no place yet"""
+    homed; T_base_ee: (4, 4) pose of the arm's end; tip_base_m, tip_surface_m: (3,) the tip's lowest point [m], None if
+    the rig file does not have the tip or the surface yet"""
 
     joints_deg: FloatArray
     to_limits_deg: FloatArray
@@ -80,7 +80,7 @@ def where(config: WhereConfig) -> WhereArm:
 
 
 def home(config: HomeConfig) -> None:
-    """Send the arm home; the end of the command stops it. Raises InputError for an arm that has no home."""
+    """Send the arm home; the end of the command stops it. Raises InputError for an arm without a home pose."""
     with until_interrupted() as asked, _arm_of(config.rig, trusted=config.trust_rig) as (arm, _):
         if not arm.goes_home:
             raise InputError("an arm with a home pose of its own", arm.name, "bring it there by hand")
@@ -123,7 +123,8 @@ def go(
     height_m: float,
     recording: AbstractContextManager[Recorder],
 ) -> FloatArray:
-    """Bring the tip over a place (x, y) [m], so high [m]; (3,) where its centre then is, surface frame [m]."""
+    """Bring the tip over a place (x, y) [m] at a height [m]; returns the final place (3,) of its centre, surface frame
+    [m]."""
 
     def work(robot: Robot, setup: Setup) -> None:
         xy_m = np.array(above) if above is not None else 0.5 * np.array(setup.size_m)
@@ -137,8 +138,8 @@ def go(
 
 
 def jog(config: MovingOptions, recording: AbstractContextManager[Recorder], keys: Keys | None = None) -> FloatArray:
-    """Move the tip by keys until the person leaves; (3,) the final place of its centre, surface frame [m]. keys:
-    default: the terminal's keys"""
+    """Move the tip by keys until the person leaves; returns the final place (3,) of its centre, surface frame [m].
+    keys: default: the terminal's keys"""
 
     def work(robot: Robot, setup: Setup) -> None:
         say(HELP)

@@ -1,4 +1,4 @@
-"""Beta or theta of images and of pairs of shapes: the same for files, recordings, samples and arrays."""
+"""Beta or theta from images or pairs of shapes, in files, recordings, samples or arrays."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class CalibrationResult(SourceResult):
 
     estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
     pokes: pokes of a surface, where layers below it were fitted
-    pair: the observation and the model's settings that `model` is made of, where it was one pair
+    pair: the observation and the model's settings, from which `model` is made, if there was one pair
     """
 
     estimate: Estimate
@@ -100,7 +100,7 @@ class CalibrationResult(SourceResult):
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Within which the parameter lies, at the estimate's level."""
+        """The parameter's interval, at the estimate's level."""
         return self.estimate.interval
 
     @property
@@ -118,7 +118,7 @@ class CalibrationResult(SourceResult):
         return f"<{self.estimate.parameter} {self.value:.4g}, {low:.4g} to {high:.4g}: {self.verdict}>"
 
     def model(self) -> FittedModel:
-        """A model that `deformscope.predict` can poke. Raises InputError where the source has no scale in metres."""
+        """A model that `deformscope.predict` can poke. Raises InputError if the source has no scale in metres."""
         if self.pokes is not None:
             return self.pokes.model
         if self.pair is None:
@@ -131,11 +131,11 @@ class CalibrationResult(SourceResult):
         return from_pair(seen, law, stiffness, error_m, {"deformscope": __version__, "sources": [self.name]})
 
     def save(self, path: Path | str) -> None:
-        """Write `model()` as a file (.npz) that `deformscope predict` takes."""
+        """Write `model()` as a file (.npz) for `deformscope predict`."""
         save_model(self.model(), Path(path))
 
     def picture(self) -> bytes:
-        """Particles, where the model is wrong, error curve and posterior, as PNG."""
+        """Particles, the model's error over the body, error curve and posterior, as PNG."""
         return results_png([self.shown])
 
     def as_json(self) -> Json:
@@ -331,7 +331,7 @@ def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] 
 def images_recorder(
     source: Source, mask: ImageArray | None, settings: Mapping[str, object], output: OutputOptions
 ) -> Iterator[Recorder]:
-    """Records a sequence, its mask, and in the end the damage of the source."""
+    """Records a sequence, its mask, and at the end the damage of the source."""
     with open_recorder(output, settings, IMAGES) as recorder:
         if mask is not None:
             recorder.write(InputFile("mask", encode_png(mask)))
@@ -344,15 +344,15 @@ def images_recorder(
 
 
 def recorded_pairs(recording: Replay) -> list[tuple[str, bytes]]:
-    """The pair files that a recording keeps, by name and content."""
+    """The pair files in a recording, by name and content."""
     return [(f"{recording.path}, pair {index}", raw) for index, raw in enumerate(recording.read_pair_bytes())]
 
 
 def parse_files(
     parse: Callable[..., BodyT], raws: Sequence[tuple[str, bytes]], noise_m: float | None, note: Note
 ) -> list[BodyT]:
-    """Pairs or motions of files given by name and content. Bodies that are unusually large, if their positions are
-    metres, are noted."""
+    """Pairs or motions of files given by name and content. A remark is printed for bodies that are unusually large if
+    their positions are metres."""
     seen = [parse(raw, name, noise_m=noise_m) for name, raw in raws]
     for remark in filter(None, dict.fromkeys(size_note(one.rest) for one in seen)):
         note(remark)
@@ -424,7 +424,7 @@ def pair_recorder(
     settings: Mapping[str, object],
     output: OutputOptions,
 ) -> Iterator[Recorder]:
-    """Records pairs, or a motion, their files as they were among them."""
+    """Records pairs, or a motion, with their unchanged files."""
     planes = {one.rest.shape[1] for one in seen}
     with open_recorder(output, settings, PAIR if planes == {2} else PAIR_3D) as recorder:
         if recorder.active and len(planes) > 1:

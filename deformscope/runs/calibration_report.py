@@ -25,7 +25,7 @@ from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.poke.poke_estimate import PokeRow, PokesResult
 
 MOST_SHOWN = 24
-"""Comparisons whose pictures go into a report."""
+"""Largest number of comparisons with pictures in a report."""
 
 
 def calibration_page(

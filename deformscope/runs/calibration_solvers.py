@@ -28,7 +28,7 @@ from deformscope.stages.setup.tip import pivot
 from deformscope.stages.setup.transform import LEVEL, TransformEstimate
 
 T95 = 1.7
-"""Half of a 90 % interval in deviations, roughly: Student's t of some measurements."""
+"""Half of a 90 % interval in deviations, approximately: Student's t for a few measurements."""
 DOUBT_AT_MOST_M = 0.03
 """Values of a rig file."""
 
@@ -169,7 +169,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
 
 
 def place_arrays(found: Arrays) -> TouchedCorners:
-    """T_base_ee (n, 4, 4) and corner (n,)."""
+    """The arrays T_base_ee (n, 4, 4) and corner (n,) for a file."""
     poses, corner = _array(found, "T_base_ee", (4, 4)), _array(found, "corner", ()).astype(int)
     if len(poses) != len(corner) or not ((corner >= 0) & (corner < len(CORNER_NAMES))).all():
         raise InputError("a corner from 0 to 3 for each pose", f"{corner.tolist()}")
@@ -190,7 +190,7 @@ class MeasuredCamera:
 
 
 def solve_camera(rig: Rig, measured: MeasuredCamera, board: CharucoSpec, *, measure_lens: bool) -> RigCalibrationResult:
-    """`[camera] T_arm_camera`, the lens where it was sought, and how far off it may be where the surface is."""
+    """`[camera] T_arm_camera`, the lens if it was fitted, and the error at the surface's distance."""
     camera = rig.camera
     values: dict[str, Any] = {}
     extra: dict[str, Any] = {}
@@ -252,7 +252,7 @@ def _middle(rig: Rig) -> FloatArray:
 
 
 def camera_arrays(found: Arrays) -> MeasuredCamera:
-    """T_base_ee with T_camera_board, or touched_m with seen_m."""
+    """The arrays T_base_ee with T_camera_board, or touched_m with seen_m, for a file."""
     if "touched_m" in found:
         return MeasuredCamera(places=_pair(_array(found, "touched_m", (3,)), _array(found, "seen_m", (3,))))
     return MeasuredCamera(poses=_pair(_array(found, "T_base_ee", (4, 4)), _array(found, "T_camera_board", (4, 4))))
@@ -270,8 +270,8 @@ def _pair(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPushes:
     """force_n, axis: (n, 3) measured [N], and direction of the tip on the world, tip frame; free: readings in free air,
-    None = not measured; R_base_tip: (m, 3, 3) rotations of the tip in free air; turned_n: (m, 3) forces then [N]
-    load_n: a known load, None = none; loaded_n: (k, 3) forces under it relative to free air [N]"""
+    None = not measured; R_base_tip: (m, 3, 3) rotations of the tip in free air; turned_n: (m, 3) forces in these poses
+    [N]; load_n: a known load, None = none; loaded_n: (k, 3) forces under the load relative to free air [N]"""
 
     force_n: FloatArray
     axis: FloatArray
@@ -401,18 +401,18 @@ def solve_time(rig: Rig, taps: Taps, device: str, beside: str) -> RigCalibration
 
 
 def time_arrays(found: Arrays) -> Taps:
-    """x_time_s, x, y_time_s, y."""
+    """The arrays x_time_s, x, y_time_s, y for a file."""
     return Taps(*(_array(found, name, ()) for name in ("x_time_s", "x", "y_time_s", "y")))
 
 
 RECORDED_AT_MOST_S = 120.0
-"""Longest recording with taps: all of it is compared at every offset."""
+"""Longest recording with taps: the whole recording is compared at every offset."""
 
 
 def recorded_taps(path: Path, wrench: str, device: str, kind: type[ArmFrame | DepthFrame | ColorFrame]) -> Taps:
     """Taps in a recording of a force sensor and another device, by their names in it.
 
-    Raises InputError where one is missing, or where it is too long.
+    Raises InputError if a device is missing, or the recording is too long.
     """
     from deformscope.recording.items import read_items
 

@@ -18,6 +18,7 @@ from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import compute
 from deformscope.files.result_table import make_table, read_table, select_rows, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
+from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Link, Section, Table, html_report
 from deformscope.plain import Json, plain
 from deformscope.recording.ledger import ledger_path
@@ -48,8 +49,8 @@ PICTURE_PX, PAGE_ROWS = 320, 1000
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CatalogResult(LibraryResult):
-    """folder: folder of the recordings; table: the requested rows; names: names of the columns to show; read:
-    recordings that were read now"""
+    """folder: folder of the recordings; table: the requested rows; names: names of the columns to show; read: number of
+    recordings that were read"""
 
     folder: Path
     table: pa.Table
@@ -59,7 +60,7 @@ class CatalogResult(LibraryResult):
     def tables(self) -> tuple[Table, ...]:
         there = [name for name in self.names if self.table[name].null_count < self.table.num_rows]
         rows = [[cell_text(row[name]) for name in there] for row in self.table.select(there).to_pylist()]
-        return (Table(rows, there, f"{self.table.num_rows} recordings"),)
+        return (Table(rows, there, counted(self.table.num_rows, "recording")),)
 
     def as_json(self) -> Json:
         rows = [{name: value for name, value in row.items() if value is not None} for row in self.table.to_pylist()]
@@ -75,7 +76,7 @@ def catalogue(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> CatalogResult:
-    """The recordings of a folder for which a condition holds (`select_rows`); the index is made or brought up to date.
+    """The recordings of a folder for which a condition holds (`select_rows`); the index is made or updated.
 
     names: names of columns to show. Raises InputError for unusable arguments; a damaged recording is a row with that
     status.
@@ -152,8 +153,8 @@ def _summarised(of: tuple[str, str]) -> dict[str, Any]:
 def catalog_page(
     found: CatalogResult, *, served: bool = False, workers: int | None = None, progress: Progress | None = None
 ) -> str:
-    """A page with a picture of each recording, which opens it; pictures are made once. served: its links are the places
-    of recordings on a page that is served, not files"""
+    """A page with a picture of each recording; a click on it opens the recording. Pictures are made once. served: its
+    links are the places of recordings on a page that is served, not files"""
     rows = found.table.slice(0, PAGE_ROWS).to_pylist()
     pictures = {row["path"]: found.folder / PICTURES / f"{row['sha256']}.png" for row in rows if row["sha256"]}
     left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]
@@ -177,7 +178,7 @@ def catalog_page(
 
 
 def serve_page(found: CatalogResult, workers: int | None = None, progress: Progress | None = None) -> str:
-    """The same, served: a click plays the recording. Its address."""
+    """Serve that page: a click plays the recording. Its address."""
     from deformscope.page.catalog_page import serve_catalog
 
     html = catalog_page(found, served=True, workers=workers, progress=progress)

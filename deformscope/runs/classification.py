@@ -1,4 +1,4 @@
-"""Content of a container: accuracy of its classification, for tables of one's own and data sets of squeezes."""
+"""Accuracy of the classification of a container's content, for own tables and data sets of squeezes."""
 
 from __future__ import annotations
 
@@ -176,14 +176,14 @@ def format_right(score: ClassificationScore) -> str:
 
 
 def format_split(score: ClassificationScore) -> str:
-    """Subject of the splits."""
+    """What the splits keep separate, as text."""
     if score.pair is not None:
         return f"transfer from {score.pair[0]} to {score.pair[1]}"
     return {"random": "random splits", "stratified": "stratified splits", "group": "splits by group"}[score.protocol]
 
 
 def format_fusion(found: Evaluation) -> str:
-    """Whether late fusion is worth it, class by class: in words that the intervals allow."""
+    """Text on the gain of late fusion, for each class, as far as the intervals show it."""
     names = found.table.fused[0]
     singles = {name: found.score(name, "pooled") for name in names}
     better = max(singles, key=lambda name: singles[name].accuracy.value)
@@ -244,8 +244,8 @@ def classify_table(
     progress: Progress | None = None,
     beyond: LabelledTable | None = None,
 ) -> ClassificationResult:
-    """`classify` on a table; linear algebra in one thread each, because splits run in parallel. beyond: as in
-    `evaluate`"""
+    """Evaluate a table as `classify` does; linear algebra uses one thread, because splits run in parallel. beyond: as
+    in `evaluate`"""
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1):

@@ -1,4 +1,4 @@
-"""The steps of a rig before it explores, in order, and the next one (`deformscope doctor RIG`)."""
+"""The steps that a rig needs before it explores, in order, and the next one (`deformscope doctor RIG`)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 
 @dataclass(frozen=True, slots=True)
 class RigStep:
-    """what: the step in a word; state: `by hand` = the value is there without a date, `optional` = not needed to
-    explore; words: its state; command: does it; minutes: estimated time at an arm, from a person's tasks, or with
+    """what: the step in a word; state: `by hand` = the value exists without a date, `optional` = not needed to explore;
+    words: its state; command: command of the step; minutes: estimated time at an arm, from a person's tasks, or with
     doubles; 0 = depends on its findings
     """
 
@@ -68,7 +68,7 @@ def commissioning_steps(rig: Rig, name: str, today: datetime.date | None = None)
 
 
 def next_step(steps: tuple[RigStep, ...]) -> RigStep | None:
-    """The first that is still to do, or to do again."""
+    """The first step that has to be done or repeated."""
     return next((one for one in steps if one.state in ("to do", "old")), None)
 
 
@@ -82,4 +82,5 @@ WHY = {
 }
 """Measured quantities, with their purpose or their tools."""
 MINUTES = {"tip": 8, "place": 6, "camera": 15, "force": 5, "arm": 5, "time": 1}
-"""Half a minute for a push, a minute for a pose that is steered to. Estimated: never measured on a real arm."""
+"""Duration of each step: half a minute for a push, a minute for a pose that a person steers to. Estimated: never
+measured on a real arm."""

@@ -1,4 +1,4 @@
-"""Data sets of squeezes, as a script has them."""
+"""Data sets of squeezes in scripts."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class OpenDataset(LibraryResult):
 
 
 def dataset_table(folder: Path, entries: Sequence[TrialEntry], *, trials: bool = False) -> Table:
-    """Trials by content and container, and those that are left out; trials: name each too"""
+    """Trials by content and container, and those that are left out; trials: list each trial too"""
     good = [one for one in entries if one.discarded is None]
     contents = Counter(one.content for one in good)
     containers = {content: len({one.container for one in good if one.content == content}) for content in contents}

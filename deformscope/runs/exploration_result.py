@@ -52,7 +52,7 @@ class LayerThickness:
 
 @dataclass(frozen=True, slots=True)
 class TruthScore:
-    """The true regions, and how good the map is against them; None where one has no regions, or no border."""
+    """The true regions, and the map's agreement with them; None if either has no regions, or no border."""
 
     region_count: int = field(metadata=reported())
     iou: float | None = field(metadata=reported())
@@ -77,13 +77,14 @@ class ExplorationResult(LibraryResult):
 
     feel: the mapped quantity; set_force_n, more_force_n: force of touches, and the larger one if that hardly dents,
     None = never
-    estimate: the maps, None where no touch gave any; lumps: result of the search for inclusions, None without one
+    estimate: the maps, None if no touch gave any; lumps: result of the search for inclusions, None without one
     missed: detection limit, None before any plan; probability: probability of each number of regions; max_force_n:
     largest true force, in the laboratory; measured_max_force_n: largest force that the sensor measured
-    seconds: computing, of the slowest touch, by the robot's clock and on this computer
+    seconds: durations of computing, of the slowest touch, by the robot's clock and on this computer
     supervisor_gaps_ms: times between two checks of the supervisor, None if the arm could never move; arm_stands:
     whether it could be stopped; losses: losses of each device that lost something; fault: why it was stopped
-    simulated: the scene; laboratory: its settings; recorded: another robot touched before, and nothing was commanded
+    simulated: the scene; laboratory: its settings; recorded: the touches are those of a recording, and no robot was
+    commanded
     """
 
     scenario: str = field(metadata=reported())
@@ -104,7 +105,7 @@ class ExplorationResult(LibraryResult):
     @property
     @derived(unit="m")
     def levelled_m(self) -> float | None:
-        """Thickness of the level layer that all stiffness is converted to [m]; None: it is apparent."""
+        """Thickness of the level layer to which all stiffness is converted [m]; None: it is apparent."""
         return None if self.estimate is None else self.estimate.levelled_m
 
     @property
@@ -172,7 +173,7 @@ class ExplorationResult(LibraryResult):
 
     @property
     def maps(self) -> dict[str, np.ndarray]:
-        """The (rows, columns) arrays of the maps that are known, by name, which says the unit; empty without a map."""
+        """The arrays (rows, columns) of the known maps, by name with its unit; empty without a map."""
         return {} if self.estimate is None else map_arrays(self.estimate)
 
     @property
@@ -184,7 +185,7 @@ class ExplorationResult(LibraryResult):
 
     @property
     def stiffness_n_per_mm(self) -> FloatArray:
-        """(rows, columns) at the force that was set [N/mm]; empty without a map."""
+        """Stiffness (rows, columns) at the set force [N/mm]; empty without a map."""
         return np.empty((0, 0)) if self.estimate is None else self.estimate.stiffness_n_per_mm
 
     @property

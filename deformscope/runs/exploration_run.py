@@ -74,10 +74,10 @@ def explore_on(
     planner: TouchPlanner | None = None,
     scene: OwnScene | None = None,
 ) -> ExplorationResult | None:
-    """Explore a simulated scene, or with the devices of a rig file; None where it ended before the arm could move.
+    """Explore a simulated scene, or with the devices of a rig file; None if it ended before the arm could move.
 
-    planner: instead of the built-in one; scene: scene of the rig's name, if that is not built in. In any case the arm
-    is halted, and the results are reported before the recording is closed.
+    planner: planner that replaces the built-in one; scene: scene of the rig's name, if that is not built in. In any
+    case the arm is halted, and the results are reported before the recording is closed.
     """
     from deformscope.config.explore import ExploreFlags
     from deformscope.experiments.explore import DRY_RUN, Exploration

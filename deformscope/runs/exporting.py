@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deformscope.config import ExportConfig
+from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Table
 from deformscope.recording.export.export import Credits, ExportRequest, export
 from deformscope.recording.losses import named
@@ -16,14 +17,15 @@ from deformscope.terminal import Progress
 
 @dataclass(frozen=True, slots=True)
 class ExportResult(FoundResult):
-    """What `export` wrote. remarks: what the recording lacks; checked: whether it has a ledger to check it with"""
+    """What `export` wrote. remarks: what the recording lacks; checked: whether the recording has a ledger for the
+    check"""
 
     remarks: tuple[str, ...] = ()
     checked: bool = True
 
 
 def export_recording(config: ExportConfig, progress: Progress) -> ExportResult:
-    """Write it, and list the files."""
+    """Write an export, and list its files."""
     asked = ExportRequest(
         to=config.format,
         folder=config.folder,
@@ -45,5 +47,6 @@ def export_recording(config: ExportConfig, progress: Progress) -> ExportResult:
     remarks = [f"losses: {named(replay.losses)}"] if replay.losses else []
     if "recovered" in replay.outcome or not replay.outcome.get("complete"):
         remarks.append("the recording does not have its run's end: what came after is lost")
-    table = Table(rows, caption=str(config.recording))
+    written = counted(sum(one.count for one in found.images) or len(found.files), "image" if found.images else "file")
+    table = Table(rows, caption=f"{config.recording}: {written} in {found.folder}")
     return ExportResult(said, (table,), tuple(remarks), replay.has_ledger)

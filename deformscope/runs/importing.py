@@ -1,4 +1,4 @@
-"""Data of others as a recording like any rig's."""
+"""Imports data of other programs as a recording like that of a rig."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""beta and theta together, of pairs: the same for the command and for a script."""
+"""beta and theta of pairs together, for the command and for scripts."""
 
 from __future__ import annotations
 

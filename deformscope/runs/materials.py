@@ -89,7 +89,7 @@ class MaterialJob:
     """Settings that determine a result besides the inputs; they are recorded.
 
     find: the quantity of a material; noise: noise of a position [m of files, px of images]; particles: number of
-    particles of images; frame: frame of images, that axes or a field are fitted to; force_n: force on the moved
+    particles of images; frame: frame of images to which axes or a field are fitted; force_n: force on the moved
     particles;
     at, released: see `UnloadingOptions`; version: see `NEWEST_FIT`; relaxation_version: see `NEWEST_RELAXATION`
     """
@@ -308,7 +308,7 @@ def _raw_files(job: MaterialJob, sources: Sequence[str]) -> list[tuple[str, byte
 
 
 def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
-    """The pair files or the motion file that a recording keeps, by name and content."""
+    """The pair files or the motion file in a recording, by name and content."""
     if name == "pair":
         return recorded_pairs(recording)
     found = recording.read_inputs()
@@ -319,10 +319,10 @@ def recorded_files(recording: Replay, name: str) -> list[tuple[str, bytes]]:
 
 
 def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce | None:
-    """The force that a recording has along with its images, None without one.
+    """The force in a recording of images, None without one.
 
-    sensor: name of the sensor, needed if several were recorded; began_ns: time of the first frame The first readings
-    give the sensor's zero: nothing touches it at the start.
+    sensor: name of the sensor, needed if several were recorded; began_ns: time of the first frame. The first readings
+    give the sensor's zero, as nothing touches it at the start.
     """
     found: dict[str, list[WrenchFrame]] = {}
     for row in read_rows(Replay(path, trust=True), (WrenchFrame,)):
@@ -347,7 +347,7 @@ def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce 
 
 
 def kept_force(recording: Replay) -> PressForce | None:
-    """The force that a recorded run was computed from."""
+    """The force from which a recorded run was computed."""
     raw = recording.read_inputs().get(FORCE_FILE)
     if raw is None:
         return None

@@ -26,17 +26,15 @@ Keys = Callable[[], str]
 
 @dataclass(frozen=True, slots=True)
 class RunOperator:
-    """The person who permits motion.
-
-    asked: set when a person requests the end of the run; agreed: a person has agreed at the page, None without one
-    """
+    """The person who permits motion. asked: set when a person requests the end of the run; agreed: a person has agreed
+    at the page, None without one"""
 
     asked: Interruption
     agreed: Callable[[], bool] | None = None
 
     def line(self, prompt: str) -> RigExperiment[str]:
-        """The typed line; frames pass meanwhile. Empty once a person ends the run, and yes once the page has confirmed
-        it."""
+        """The typed line; frames continue to come meanwhile. It is empty after a person ends the run, and yes after the
+        page has confirmed."""
         print(prompt, end="", file=sys.stderr, flush=True)
         listens = self.agreed is None or at_terminal()
         while not self.asked.is_set():
@@ -48,7 +46,8 @@ class RunOperator:
         return ""
 
     def confirm(self, prompt: str, *, or_ended: bool = False) -> RigExperiment[None]:
-        """Ask as `line`; raises InputError unless a person answers yes. or_ended: nor if a person ends the run"""
+        """Ask as `line`; raises InputError unless a person answers yes. or_ended: a person who ends the run does not
+        cause the error either"""
         if self.agreed is None and not at_terminal():
             raise InputError("a person who confirms", "no terminal for questions", "--yes")
         if (yield from self.line(prompt)) != "yes" and not (or_ended and self.asked.is_set()):
@@ -83,7 +82,7 @@ def wait_for_enter(words: str) -> None:
 
 @contextlib.contextmanager
 def terminal_keys() -> Iterator[Keys]:
-    """The keys of the terminal, each as it is pressed. Raises InputError without a terminal."""
+    """The keys of the terminal, each when it is pressed. Raises InputError without a terminal."""
     import termios
     import tty
 

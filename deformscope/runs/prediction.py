@@ -1,4 +1,4 @@
-"""A fitted model poked where it was not poked, and how that compares with measurements."""
+"""Predicts pokes that were not fitted, and compares them with measurements."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class PredictionResult(LibraryResult):
 
     @property
     def force_n(self) -> float | None:
-        """The force on the tip [N]; None where the model was fitted without one."""
+        """The force on the tip [N]; None if the model was fitted without one."""
         return self.prediction.force
 
     @property

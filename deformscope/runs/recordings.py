@@ -1,4 +1,4 @@
-"""Recordings in a script: an opened one, and the result of making one."""
+"""Recordings in scripts: an opened one, and the result of `record`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,8 @@ from deformscope.runs.result import LibraryResult
 
 
 class OpenRecording(LibraryResult):
-    """A recording of deformscope: settings, frames and results, read on demand.
-
-    path: path of the file; its bytes were compared with its ledger when it was opened
-    """
+    """A recording of deformscope: settings, frames and results, read on demand. path: path of the file; its bytes were
+    compared with its ledger when it was opened"""
 
     def __init__(self, path: Path) -> None:
         """Raises InputError if it is no recording of ours, or has changed since it was recorded."""
@@ -35,7 +33,7 @@ class OpenRecording(LibraryResult):
 
     @property
     def settings(self) -> Mapping[str, object]:
-        """Everything that decided the recorded results."""
+        """All settings that determined the recorded results."""
         return self._replay.settings
 
     @property
@@ -61,7 +59,7 @@ class OpenRecording(LibraryResult):
         return RecordingTables(self._replay)
 
     def streams(self) -> tuple[str, ...]:
-        """The names that `table` takes: the entities of devices, results and transforms."""
+        """The names for `table`: the entities of devices, results and transforms."""
         return tuple(self._tables.streams)
 
     def table(self, name: str) -> pa.Table:
@@ -81,11 +79,11 @@ class OpenRecording(LibraryResult):
         return self._replay.discarded
 
     def discard(self, reason: str, episode: int = 0) -> None:
-        """Mark it, or one of its episodes (from 1), as not to be used, in its ledger."""
+        """Mark the recording, or one of its episodes (from 1), as not to be used, in its ledger."""
         discard(self.path, reason, episode, self.notes())
 
     def estimates(self) -> list[Json]:
-        """The recorded estimates of a calibration, as the JSON of the command line has them."""
+        """The recorded estimates of a calibration, as in the JSON of the command line."""
         return [cast("Json", plain(one.as_json())) for one in read_estimates(self._replay)]
 
     def results(self) -> Iterator[object]:
@@ -111,7 +109,7 @@ class OpenRecording(LibraryResult):
 
 @dataclass(frozen=True, slots=True)
 class RecordResult(LibraryResult):
-    """Result of `record`. found: the JSON of `deformscope record`; table: the same for people"""
+    """Result of `record`. found: the JSON of `deformscope record`; table: the result as a table"""
 
     found: Mapping[str, object]
     table: Table
@@ -123,7 +121,7 @@ class RecordResult(LibraryResult):
 
     @property
     def losses(self) -> Losses:
-        """What each device lost; empty where none did."""
+        """The losses of each device; empty without losses."""
         return cast("Losses", self.found.get("losses") or {})
 
     def open(self) -> OpenRecording:

@@ -1,4 +1,4 @@
-"""A whole recording out of an unfinished or cut-off one."""
+"""Makes a complete recording from an unfinished or truncated one."""
 
 from __future__ import annotations
 

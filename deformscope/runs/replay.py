@@ -1,4 +1,4 @@
-"""A recording computed again: the same stages on its inputs, compared with its numbers. The bytes of a rig are decoded
+"""Computes a recording again: the same stages on its inputs, compared with its numbers. The bytes of a rig are decoded
 again and compared with its frames."""
 
 from __future__ import annotations

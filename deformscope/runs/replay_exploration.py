@@ -40,7 +40,7 @@ LEAN = "recorded lean, or by an older version: no pixel masks, surfaces under to
 
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
-    whether it fails may hang on the machine. page: page that plays it, and shows results with other settings next to
+    whether it fails may depend on the machine. page: page that plays it, and shows results with other settings next to
     the recorded ones
     """
     import msgspec

@@ -45,8 +45,8 @@ class ReplayResult(LibraryResult):
 
     def tables(self) -> tuple[Table, ...]:
         shown = [(one,) if isinstance(one, Table) else one.tables() for one in self.shown]
-        said = [("", words) for words in (*self.notes, self.verdict) if words]
-        return (*(table for tables in shown for table in tables), *([Table(said, caption="replay")] if said else []))
+        said = [("", words) for words in (self.verdict, *self.notes) if words]
+        return (*([Table(said, caption="replay")] if said else []), *(table for tables in shown for table in tables))
 
     def figures(self) -> tuple[Figure, ...]:
         return tuple(figure for one in self.shown if not isinstance(one, Table) for figure in one.figures())

@@ -74,8 +74,8 @@ def _later(before: object) -> list[str]:
 
 
 def squeeze_again(recording: Replay) -> SqueezeAgain:
-    """All results of a recorded squeeze, computed from its raw frames. Raises InputError where it is no such recording,
-    or a phase is not there."""
+    """All results of a recorded squeeze, computed from its raw frames. Raises InputError if it is no such recording, or
+    a phase is missing."""
     import msgspec
 
     from deformscope.experiments.squeeze import posterior_of
@@ -135,7 +135,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
 
 
 def sighted_again(recording: Replay, items: list[Any], geometry: SqueezeGeometry) -> list[ContainerSighting]:
-    """The container once more in each of the images in which it was sought; none where a person placed the hand."""
+    """The container, located again in each image in which it was searched; empty if a person placed the hand."""
     from deformscope.experiments.placing import sight
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame
     from deformscope.recording.items import read_results

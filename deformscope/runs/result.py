@@ -61,7 +61,7 @@ class LibraryResult(ABC):
 
 @dataclass(frozen=True, slots=True)
 class FoundResult(LibraryResult):
-    """What a command found or wrote. found: its JSON; shown: the same for people"""
+    """What a command found or wrote. found: its JSON; shown: its tables for people"""
 
     found: Mapping[str, object]
     shown: tuple[Table, ...]
@@ -75,11 +75,8 @@ class FoundResult(LibraryResult):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceResult(LibraryResult):
-    """Results of a source.
-
-    name: name of the source; recording: recording of the run; problems: damage of the source
-    settings, seed: inputs that determine the result
-    """
+    """Results of a source. name: name of the source; recording: recording of the run; problems: damage of the source;
+    settings, seed: inputs that determine the result"""
 
     name: str = ""
     recording: RecordingSummary | None = None
@@ -98,7 +95,7 @@ class SourceResult(LibraryResult):
 
 
 def resolve_viewer(choice: ViewerChoice) -> Viewer:
-    """`auto` is rerun's own window where there is a display, else none."""
+    """`auto` is rerun's window if there is a display, else none."""
     if choice != "auto":
         return choice
     return "native" if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") else "none"

@@ -46,16 +46,13 @@ if TYPE_CHECKING:
 
 REPORT_EVERY_S = 10.0
 PAGE_HOLDS_S = 30.0
-"""Seconds before now that a page can still record, unless the options say otherwise."""
+"""Default number of past seconds that a page can still record."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RigRun:
-    """Outcome of a rig's run.
-
-    result: result of the recording; failures: reason of each device that failed, by name; why: why it ended
-    early_by: the signal that ended it before its end, 0 = none
-    """
+    """Outcome of a rig's run. result: result of the recording; failures: reason of each device that failed, by name;
+    why: why it ended; early_by: signal that ended it early, 0 = none"""
 
     result: RecordResult
     failures: Mapping[str, str]
@@ -159,10 +156,8 @@ def _new_file(rig: Rig) -> Path:
 
 
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
-    """The options of the requested stages. Raises InputError if the rig lacks a device for one of the stages.
-
-    streams: streams of the devices, where they are not the rig's
-    """
+    """The options of the requested stages. Raises InputError if the rig lacks a device for one of the stages. streams:
+    streams of the devices, where they are not the rig's"""
     from deformscope.experiments.calibration_inputs import particle_options
     from deformscope.experiments.device_stages import LiveOptions, for_rig
     from deformscope.stages.fit.model import NEWEST_FIT

@@ -1,5 +1,5 @@
-"""Parts that all runs share: devices opened, recorded and closed, the question before a robot moves, and Ctrl-C. The
-robot is at rest in the end; a stopped run reports its reason."""
+"""Parts that all runs share: devices opened, recorded and closed, the question before a robot moves, and Ctrl-C. At the
+end the robot is at rest; a stopped run reports its reason."""
 
 from __future__ import annotations
 
@@ -39,16 +39,13 @@ PageT = TypeVar("PageT", bound="RobotPage")
 HALTS = 3
 """Number of attempts to halt the arm, as an interruption may end each."""
 SHOW_EVERY = 10
-"""Control periods between two words to the user."""
+"""Number of control periods between two messages to the user."""
 
 
 @dataclass(slots=True, eq=False)
 class OpenRun:
-    """A run whose devices are open and recorded.
-
-    line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices when they
-    were closed, None before
-    """
+    """A run whose devices are open and recorded. line: shows one line, which the next replaces; recorded: the recorder
+    of the session; last: the devices when they were closed, None before"""
 
     source: RigSource
     line: Callable[[str], None]
@@ -85,7 +82,7 @@ class OpenRun:
 @contextlib.contextmanager
 def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecorder) -> Iterator[OpenRun]:
     """The opened devices; at the end they are closed, and everything they sent until then is recorded. Devices that
-    fail, at closing too, are printed after any end of the run. Opening them starts the recorder."""
+    fail, even at closing, are printed at the end of the run. Opening them starts the recorder."""
     with contextlib.ExitStack() as closed, devices as source, status_line() as line:
         closed.callback(lambda: _say_failures(source.failures))
         run = OpenRun(source, line, recorder)
@@ -173,8 +170,8 @@ def permitted(
     places_m: FloatArray | None = None,
     page: RobotPage | None = None,
 ) -> RigExperiment[None]:
-    """Within an experiment: check everything, print the table of checks, and ask before a real arm moves. Before that
-    ask for a finger on the tip, if the force there is the only guard.
+    """Within an experiment: check everything, print the table of checks, and ask before a real arm moves. Before that,
+    request a finger on the tip if the force there is the only guard.
 
     calibrated: the required calibrations, by name, and whether they are done; yes: do not ask
     places_m: (n, 2) places that will be touched, None = any that can be reached; page: where the question can be
@@ -217,8 +214,8 @@ def agree(
 ) -> RigExperiment[None]:
     """Within an experiment: wait until a person permits the motion, at the page if there is one, or at the terminal.
 
-    what: the motion; enter_when: condition, as text, after which the terminal's Enter is enough Otherwise it raises
-    InputError unless a person says yes. or_ended: nor if a person ends the run
+    what: the motion; enter_when: condition, as text, after which Enter at the terminal is sufficient. Otherwise it
+    raises InputError unless a person answers yes. or_ended: nor if a person ends the run
     """
     operator = RunOperator(asked, None if page is None else page.is_agreed)
     first = ""
@@ -253,10 +250,8 @@ def leave(
     *,
     ended: bool,
 ) -> NoReturn:
-    """End the command as the stop demands: with the reason and the advice, or by the signal's own exit status.
-
-    state: progress of the run, and whether the robot is at rest; ended: a person requested it
-    """
+    """End the command after a stop: with the reason and the advice, or with the signal's exit status. state: progress
+    of the run, and whether the robot is at rest; ended: a person requested the end"""
     import signal
 
     advice = f"see to {stop.advice}" if stop is not None and stop.advice else ""

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 class SqueezeResult(LibraryResult):
     """Outcome of one squeeze: `to_dict()`, or `found`, is the JSON of `deformscope squeeze`.
 
-    content: the requested one or, in the laboratory, the random one; stop: why it ended before its steady state
+    content: the requested content or, in the laboratory, a random one; stop: why it ended before its steady state
     start_ns: start of the recording; computed: features and events, None if it was stopped; answer: answer of a model,
     None without one
     placement, sightings: placement and sightings of an arm that placed the hand, None and none where a person did;
-    withdrawal: why it stopped on its way back
+    withdrawal: why the arm stopped on its way back
     hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are restored
-    truth: true times of the contact with the laboratory's container and of the hold [s]; untracked: why it was not
-    tracked on, or empty
+    truth: true times of the contact with the laboratory's container and of the hold [s]; untracked: why tracking of the
+    container ended, or empty
     """
 
     rig: str = field(metadata=reported())
@@ -100,7 +100,7 @@ class SqueezeResult(LibraryResult):
     @property
     @derived(optional=True)
     def container_seen(self) -> list[Json] | None:
-        """Size and pose by the depth images, before, when the hand was placed, and after the squeeze."""
+        """Size and pose from the depth images: before the squeeze, when the hand was placed, and after it."""
         return [to_json(one) for one in self.sightings] or None
 
     withdrawal: SqueezeStop | None = field(metadata=reported(optional=True))

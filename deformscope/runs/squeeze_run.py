@@ -53,7 +53,7 @@ class SqueezeOutcome:
 
     @property
     def interrupted(self) -> bool:
-        """Whether that is why it ended."""
+        """Whether an interruption ended it."""
         from deformscope.robot.squeeze_supervisor import SqueezeFault
 
         stop = self.result.stop or self.result.withdrawal

@@ -1,6 +1,6 @@
 """A sweep: one function on many files and settings, each result stored when it is done.
 
-The content identifies a task: the bytes of its file and of that one's ledger, the function with its settings, and the
+A task is identified by content: the bytes of its file and of the file's ledger, the function with its settings, and the
 code of this package. A finished task is not computed again, under any name of the file.
 """
 
@@ -49,7 +49,7 @@ ENDINGS = (RECORDING_SUFFIX, ".npz", ".mp4", ".avi", ".mov", ".mkv", ".webm", ".
 JOURNAL, RESULTS, OVERVIEW, FILES = "tasks.jsonl", "results.parquet", "index.html", "files"
 TYPES = {name: pa.string() for name in ("source", "status", "reason", "key")} | {"seconds": pa.float64()}
 VARIED = "vary."
-"""Before the names of settings that were varied, in a table of results."""
+"""Prefix of the names of varied settings in a table of results."""
 PANELS, GROUPS, LISTED = 9, 6, 500
 """Quantities whose distribution is drawn, by this number of settings; rows of the overview."""
 EXIT_STATUS = "exit_status"
@@ -72,7 +72,7 @@ class Variation:
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """source: the file; sent: its content by its name, and its ledger's; files: begin of the names of its output
+    """source: the file; sent: its content by its name, and its ledger's; files: beginning of the names of its output
     files"""
 
     key: str
@@ -95,7 +95,8 @@ class SweepOptions:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SweepResult(LibraryResult):
-    """Outcome of the tasks. table: a row each; computed: how many were computed now; seconds: duration of this sweep"""
+    """Outcome of the tasks. table: one row for each task; computed: how many were computed now; seconds: duration of
+    this sweep"""
 
     folder: Path
     table: pa.Table
@@ -209,7 +210,7 @@ def content_of(path: Path | str) -> str:
 
 
 def contents_of(named: Iterable[object]) -> list[str]:
-    """The contents of those that name files or folders, which a task reads as well as its source."""
+    """The contents of settings that name files or folders, which a task reads besides its source."""
     contents = (content_of(one) for one in named if isinstance(one, str | Path) and str(one))
     return [one for one in contents if one]
 
@@ -344,7 +345,7 @@ def _source_link(source: str, folder: Path) -> Link:
 
 
 def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
-    """The recordings, pair files and videos in a folder and those in it (`in_order`)."""
+    """The recordings, pair files and videos in a folder and its subfolders (`in_order`)."""
     if not folder.is_dir():
         came = "a file" if folder.exists() else "nothing there"
         raise InputError("a folder of recordings, pair files or videos, or a catalog.parquet", came, where=folder)
@@ -376,7 +377,8 @@ def vary(settings: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
 def function_variations(
     function: Callable[..., Any], settings: Mapping[str, Sequence[object]], options: Mapping[str, object]
 ) -> list[Variation]:
-    """Ways to call a function of a module, by its name. Raises InputError for one that a worker would not find."""
+    """Ways to call a function of a module, by its name. Raises InputError for a function that a worker would not
+    find."""
     module, name = function.__module__, function.__qualname__
     if module == "__main__" or getattr(inspect.getmodule(function), name, None) is not function:
         raise InputError("a function of a module", f"{name} of {module}", "put it into a file that can be imported")
@@ -390,7 +392,7 @@ def function_variations(
 
 
 def call_function(task: SweepTask) -> Any:
-    """Call it with the source, in a worker; its result as in JSON."""
+    """Call a function with the source, in a worker; returns its result as JSON."""
     module, name, given = task.argument
     function = getattr(importlib.import_module(module), name)
     silent = {"progress": False} if "progress" in inspect.signature(function).parameters else {}
@@ -401,7 +403,7 @@ def call_function(task: SweepTask) -> Any:
 
 @contextmanager
 def at_hand(task: SweepTask) -> Iterator[str]:
-    """The source of a task: where it is, or where it was sent to as long as this is open."""
+    """The path of a task's source: its place, or the place to which it was sent while this context is open."""
     if not task.sent:
         yield task.source
         return

@@ -42,7 +42,7 @@ class VerifyResult(FoundResult):
 
     @property
     def ok(self) -> bool | None:
-        """Whether it is whole and finished; None = it has no ledger to compare its bytes with."""
+        """Whether it is whole and finished; None = it has no ledger for a comparison of its bytes."""
         return None if self.found["ok"] is None else bool(self.found["ok"])
 
 
@@ -74,10 +74,12 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     counts = (read_counts(path) if differs == [] else {}) or facts.counts  # a damaged ledger says nothing
     reached = "" if facts.until_s is None else f" until {facts.until_s:.1f} s"
     gone = f", but no frame of {', '.join(facts.absent)}" if facts.absent else ""
-    tables = [Table(_rows(facts, check, structure, reached, counts, unfinished=unfinished), caption=str(path))]
+    state = "damaged" if problems else "interrupted" if unfinished else "readable" if check is None else "whole"
+    rows = _rows(facts, check, structure, reached, counts, unfinished=unfinished)
+    tables = [Table(rows, caption=f"{path}: {state}")]
     found: dict[str, Any] = {
         "recording": path,
-        "ok": False if problems or unfinished else None if differs is None else True,
+        "ok": {"whole": True, "readable": None}.get(state, False),
         "checked": differs is not None,
         "finished": not unfinished,
         "until_s": facts.until_s,

@@ -1,1 +1,1 @@
-"""Pure stages: arrays in, frozen results out. Nothing here uses frames, files, devices or rerun."""
+"""Pure stages: functions from arrays to immutable results. Nothing here uses frames, files, devices or rerun."""

@@ -53,8 +53,7 @@ def exploration_blueprint(
     """The views of an exploration with these devices.
 
     size_m: size of the surface along x and y; truth: whether the truth is known: otherwise the surface's height is
-    shown instead
-    inclusions: whether inclusions are sought: they replace beta
+    shown instead; inclusions: whether inclusions are sought: they replace beta
     tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: the quantity that
     distinguishes regions; full: show also results between frames and estimates, as tabs

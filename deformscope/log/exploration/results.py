@@ -157,7 +157,7 @@ def prepare_results(
 ) -> Batch:
     """Prepare results for one stream or several, including pictures: about 0.1 s for each, six of them for the maps.
 
-    session_ns: when, since the recording's start [ns]; place: place on the other timelines; cell_m: cell size of a
+    session_ns: time since the recording's start [ns]; place: place on the other timelines; cell_m: cell size of a
     plan's maps, without a map of the same time; full: show the maps also on the surface
     failed: receives errors of views: every result is recorded nevertheless, with the error. A plan with maps is drawn
     over their contacts. Raises TypeError if it is no result of an exploration.

@@ -72,7 +72,7 @@ def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) ->
 
 
 def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingertips: Fingertips | None) -> Batch:
-    """Make results ready for one stream or several. session_ns: when, since the recording's start [ns].
+    """Prepare results for one stream or several. session_ns: time since the recording's start [ns].
 
     Raises TypeError if it is no result of a squeeze.
     """

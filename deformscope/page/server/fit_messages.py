@@ -56,10 +56,9 @@ class FitState(msgspec.Struct, frozen=True):
     none yet; command: gives the same numbers
     problem: why the settings cannot be simulated, as text; the other fields then belong to the earlier settings
     grid: rows, columns; spacing_px: distance between neighbours [px]
-    rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured
-    held: which particles are held; aee_free: average error of the free particles [unit]; the average of all that were
-    seen is `aee`; values, errors: simulated values of the parameter, and the average error of all seen particles at
-    each [unit]
+    rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured; held:
+    which particles are held; aee_free: average error of the free particles [unit]; the average of all that were seen is
+    `aee`; values, errors: simulated values of the parameter, and the average error of all seen particles at each [unit]
     busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none
     camera: the followed camera, empty = none; following: the camera's newest picture is shown, which has no command
     line yet; cameras: other cameras that can be followed

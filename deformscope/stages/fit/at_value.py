@@ -17,10 +17,10 @@ from deformscope.stages.msm.solver import Msm
 
 @dataclass(frozen=True, slots=True)
 class AtValue:
-    """The error there.
+    """The model's error at a value of its parameter.
 
     value: value of the parameter; aee: average Euclidean error over the particles seen (Thesis eq. 3.18, 3.19);
-    aee_free: the same over those that are not held [unit of the observations]
+    aee_free: error over particles that are not held [unit of the observations]
     converged: the simulation came to rest
     """
 
@@ -33,7 +33,7 @@ class AtValue:
 def simulate(seen: Observation, model: Model, values: FloatArray, body: Msm | None = None) -> list[Comparison]:
     """The model at each value (g,) of its parameter; a simulation that does not come to rest is NaN.
 
-    body: `model.body(seen)`, where it was made before. Each simulation begins at rest, so that its result does not
+    body: `model.body(seen)`, if it exists already. Each simulation begins at rest, so that its result does not
     depend on earlier simulations.
     """
     other = np.ones(len(values))
@@ -52,7 +52,7 @@ def errors_of(seen: Sequence[Observation], value: float, found: Sequence[Compari
 
 
 def at_value(seen: Sequence[Observation], model: Model, value: float) -> AtValue:
-    """The error of the model at one value. Raises InputError where its simulation does not come to rest."""
+    """The error of the model at one value. Raises InputError if its simulation does not come to rest."""
     found = errors_of(seen, value, [simulate(one, model, np.array([value]))[0] for one in seen])
     if not found.converged:
         raise InputError(f"a {model.parameter} at which the simulation comes to rest", f"{value:g}", "another --at")

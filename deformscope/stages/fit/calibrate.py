@@ -1,4 +1,4 @@
-"""Calibration of beta and theta: sweep all candidates at once, refine the minimum, say how sure it is.
+"""Calibration of beta and theta: sweep all candidates at once, refine the minimum, and compute interval and verdict.
 
 The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
 """
@@ -57,15 +57,13 @@ BETA_LIMIT = 0.9999
 """Highest beta that is searched: at 1 a cluster does not resist linear deformation."""
 
 TURNED = 5
-"""Values of the parameter, over its range, at which displacements with other axes are simulated."""
+"""Number of values of the parameter, over its range, at which displacements with other axes are simulated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """An estimate, the simulation at it of every observation that it rests on, and how sure of it one can be.
-
-    left_out: particles of each observation that do not count as measurements
-    """
+    """An estimate, the simulation of every observation at the estimate, and the evidence for it. left_out: particles of
+    each observation that do not count as measurements"""
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
@@ -237,7 +235,7 @@ def check_range(parameter: Parameter, bounds: tuple[float, float]) -> None:
 def identifiability(
     seen: Sequence[Observation], comparisons: Sequence[Comparison], inferred: Inferred
 ) -> Identifiability:
-    """Whether the data identify the parameter: see there."""
+    """Whether the data identify the parameter: see `Identifiability`."""
     return Identifiability(
         rise=inferred.rise,
         explained=explained(seen, [c.simulated for c in comparisons]),

@@ -1,11 +1,11 @@
 """Models of a creep compliance over time: discrete branches, or a spectrum without end (`stages.poke.creep_law`).
 
 Each is a set of low-pass filters of the force, of strengths j_i and retardation times l_i. `Branches`: each filter has
-its own. `Endless`: those of all times follow one power of the time. The compliance grows as t^n (Nutting 1921), with n
-about 0 as log(1 + t / t0), and reaches no plateau.
+a separate strength and time. `Endless`: the strengths for all times follow one power of the time. The compliance grows
+as t^n (Nutting 1921), with n about 0 as log(1 + t / t0), and reaches no plateau.
 
 Times have a log-uniform prior from a part of the approach's duration to ten holds, which is a sum of Gaussians about
-nodes: nodes of every choice of nodes the parameters have one likeliest value.
+nodes: for every choice of nodes the parameters have one likeliest value.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Filtered = Callable[[FloatArray, int], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class Branches:
-    """A number of filters; parameters (2 b,): log j, then log l of each. nodes: (n,) nodes of log l; prior:
+    """A fixed number of filters; parameters (2 b,): log j, then log l of each. nodes: (n,) nodes of log l; prior:
     probability, of all choices of nodes together"""
 
     count: int
@@ -74,8 +74,8 @@ class Branches:
 
 @dataclass(frozen=True, slots=True)
 class Endless:
-    """Filters of the log times (b,), whose strengths go as l^n; parameters (2,): log of their sum within the hold, and
-    n. within: (b,) which filters are within the record; methods as in `Branches`"""
+    """Filters of the log times (b,), with strengths in proportion to l^n; parameters (2,): log of their sum within the
+    hold, and n. within: (b,) which filters are within the record; methods as in `Branches`"""
 
     log_times: FloatArray
     within: FloatArray

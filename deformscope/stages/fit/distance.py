@@ -11,7 +11,7 @@ from deformscope.arrays import BoolArray, FloatArray
 
 
 def distances(simulated: FloatArray, observed: FloatArray) -> FloatArray:
-    """Euclidean distance of each particle from where it was observed: (..., K, d) and (K, d) give (..., K).
+    """Euclidean distance of each particle from its observed place: (..., K, d) and (K, d) give (..., K).
 
     Their mean is the average Euclidean error (AEE) of Thesis eq. 3.18 and 3.19.
     """

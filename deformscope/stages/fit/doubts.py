@@ -8,8 +8,9 @@ Which of them lower a verdict, and why:
 - Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
   of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. Such
 values are compromises that depend on how errors are summed, or on the body's load, so that the verdict is at most weak.
-- Other contradictions of a stated noise are allowed for in the interval, which rests on the residuals: named alone.
-- A body of an unlikely size has the same beta and theta in any unit: named, and its stiffness is at most weak.
+- The interval accounts for other contradictions of a stated noise, because it is computed from the residuals: they are
+only named.
+- A body of an unlikely size has the same beta and theta in any unit: it is named, and its stiffness is at most weak.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ NOISE_NAMED, NOISE_LOWERS = 3.0, 10.0
 one standard deviation of its prior (`noise.SCALE_SPREAD`)."""
 
 LIKE_NOISE = 1.5
-"""Residuals at most this many times as large as the stated noise are noise: they hold errors of prescribed
-positions too."""
+"""Ratio of residuals to the stated noise up to which they count as noise: they include errors of prescribed
+positions."""
 
 STAYS, BACKGROUND = 3.0, 0.3
 """A particle that moved at most this many times its noise stayed. From this share on they may lie on a background."""
@@ -57,7 +58,7 @@ RESCALED = 2.0
 """A deformed shape that is larger or smaller than the rest shape by this factor has another unit."""
 
 MIRRORED = 0.25
-"""Share of a motion beyond a rigid one (squares) that a mirrored rest shape leaves at most, where it is mirrored."""
+"""Largest share of a motion beyond a rigid one (squares) that a mirrored rest shape leaves if the shape is mirrored."""
 
 SWAPPED, SWAPPED_SHARE = 0.5, 0.75
 """With corrected columns, the squared residuals are at most this share of those without, and the remaining share of the
@@ -69,7 +70,7 @@ BULGES = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 """Values of theta at which a body may bulge instead."""
 
 NEGLIGIBLE = 1e-3
-"""Share of a push below which a misfit moves no theta."""
+"""Share of a push below which a misfit does not change theta."""
 
 TAIL = 0.005
 """Mass of a posterior beyond a value, below which the value contradicts it."""
@@ -91,10 +92,10 @@ def found_in_numbers(
     version: int = 1,
     seen: Sequence[Observation] = (),
 ) -> list[Doubt]:
-    """What the numbers of a fit within its bounds show.
+    """The doubts that the numbers of a fit within its bounds show.
 
     noise: residuals in units of the known noise, if any; their own noise [unit], if it is known apart from misfit;
-    source of the known noise; rank: mass of the posterior below the value, where there is a posterior; version: see
+    source of the known noise; rank: mass of the posterior below the value, if there is a posterior; version: see
     `model.NEWEST_FIT`; seen: as in `little_explained`
     """
     ratio, shown, source = noise
@@ -122,11 +123,12 @@ def ordered(reasons: Iterable[Doubt]) -> tuple[Doubt, ...]:
 OF_STIFFNESS: tuple[DoubtCode, ...] = (
     *("nothing-moved", "axes-swapped", "two-materials", "not-converged", "little-explained"),
 )
-"""What leaves no stiffness either: it is the model's of those very positions."""
+"""Doubts that concern the stiffness too: the model computes it from the same positions."""
 
 
 def of_stiffness(reasons: Iterable[Doubt]) -> list[Doubt]:
-    """The reasons that concern the stiffness too: it is in newtons a metre, so units lower its verdict in any case."""
+    """The reasons that concern the stiffness too: it is in newtons per metre, so that doubts about units always lower
+    its verdict."""
     kept = [one for one in reasons if one.code in OF_STIFFNESS]
     return kept + [Doubt(one.code, one.text, one.allows or "weak") for one in reasons if one.code == "units"]
 
@@ -138,7 +140,8 @@ def not_converged(converged: bool) -> Iterator[Doubt]:
 
 def little_explained(share: float, *, left_is_noise: bool = False, seen: Sequence[Observation] = ()) -> Iterator[Doubt]:
     """share: share of the motion beyond a rigid one that is explained (sums of squares); left_is_noise: the unexplained
-    motion is no larger than noise, which the interval includes; seen: what was fitted, to say whether anything moved"""
+    motion is no larger than noise, which the interval includes; seen: the fitted observations, to report whether a
+    particle moved"""
     words = f"the model explains {max(share, 0.0):.0%} of the motion"
     if seen and (still := _still(seen, share)):
         yield Doubt("nothing-moved", still, "unidentified")
@@ -189,9 +192,10 @@ def _still(seen: Sequence[Observation], share: float) -> str:
 def value_at_end(
     name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], rank: float | None = None
 ) -> Iterator[Doubt]:
-    """The value of least mean distance may be where the likelihood's interval ends, which was stretched to hold it.
+    """The value of least mean distance may be at the end of the likelihood's interval, which was extended to include
+    it.
 
-    rank: mass of the posterior below the value: one that is not in its tails is as likely as others are
+    rank: mass of the posterior below the value; a value outside of the tails is not contradicted
     """
     low, high = ends
     if rank is not None and TAIL < rank < 1.0 - TAIL:
@@ -209,8 +213,8 @@ def value_at_end(
 
 
 def residual_ratio(seen: Sequence[Observation], simulated: Sequence[FloatArray], floor: float) -> float | None:
-    """Size of the residuals of simulations (K, d) against the noise that was stated, by the median, which outliers
-    leave alone; None where none was stated. floor: what numbers resolve [unit]"""
+    """Ratio of the residuals of simulations (K, d) to the stated noise, by the median, which outliers do not affect;
+    None without a stated noise. floor: resolution of numbers [unit]"""
     each = []
     for one, position in zip(seen, simulated, strict=True):
         if one.noise is None:
@@ -279,9 +283,7 @@ def rescaled(rest: FloatArray, deformed: FloatArray) -> float:
 
 def mirrored(rest: FloatArray, deformed: FloatArray, known: BoolArray) -> Iterator[Doubt]:
     """A doubt if the deformed shape (K, d) is the rest shape (K, d) mirrored: two columns swapped, or one sign turned.
-
-    known: (K,) particles that were observed
-    """
+    known: (K,) particles that were observed"""
 
     def left(shape: FloatArray) -> float:
         """Sum of squared distances of the deformed particles from a shape (K, d) moved as a rigid body."""
@@ -303,7 +305,7 @@ Simulate = Callable[[Sequence[FloatArray]], Sequence[FloatArray]]
 particles at their places in its deformed shape (K, d); NaN where there is none."""
 
 Turn = tuple[str, FloatArray]
-"""What may have been done to the columns of displacements, in words, and the matrix (d, d) that undoes it."""
+"""A possible mistake in the columns of displacements, in words, and the matrix (d, d) that corrects it."""
 
 
 def turns(dim: int) -> list[Turn]:
@@ -352,7 +354,7 @@ def swapped_axes(
 
     bulge: the states of `bulging`. A bulge as that of rubber is no motion of another axis: exchanged columns have to
     fit better than it too. None = not tried; weight: (n,) weight of each observation, default 1
-    rival: squared error [unit^2] of another explanation, which other axes have to leave less than
+    rival: squared error [unit^2] of another explanation, which other axes have to undercut
     """
     each = np.ones(len(seen)) if weight is None else weight
 
@@ -392,7 +394,8 @@ def swapped_axes(
 
 
 def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Doubt:
-    """What a theta holds for; where misfit outweighs noise [unit], another depth or resolution gives another theta."""
+    """The setting for which a theta is valid; if misfit exceeds noise [unit], another depth or resolution gives another
+    theta."""
     share = max(push_share(one) for one in seen)
     least = NEGLIGIBLE * share * max(size_of(one.rest) for one in seen)
     many = ", ".join(dict.fromkeys(str(len(one.rest)) for one in seen))

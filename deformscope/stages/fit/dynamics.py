@@ -41,7 +41,8 @@ def step_through(
     volume: Volume = "scale",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Positions (B, F, K, d) of B candidates at every frame, from rest without velocity; which of them diverged (B,).
+    """Positions (B, F, K, d) of B candidates at every frame, from rest without velocity; and which candidates diverged
+    (B,).
 
     held: (F, n, d) positions of the held particles at the frames
     """
@@ -95,7 +96,7 @@ class MovingSearch(Search):
         progress: Callable[[int, int], None] | None = None,
         tolerance: float | None = None,
     ) -> Relaxed:
-        """Effect of wrong held positions (B, n, d) on a moving state (K, d): as on the static one there."""
+        """Effect of wrong held positions (B, n, d) on a moving state (K, d), computed as for the static state there."""
         assert start is not None
         still = super().relax(body, start[body.held], parameter, None, tolerance=tolerance)
         moved = super().relax(body, held_position, parameter, still.position[0], progress, tolerance)

@@ -29,7 +29,7 @@ EXPLAINED_LEAST, EXPLAINED_LOW = 0.3, 0.75
 the second, half of the motion (root mean square) is left, so that the parameter is a compromise and not identified."""
 
 SHOWN = 121
-"""Values of a posterior in the JSON."""
+"""Number of values of a posterior in the JSON."""
 
 DoubtCode = Literal[
     "not-converged",
@@ -53,8 +53,8 @@ DoubtCode = Literal[
 class Doubt:
     """A reason to doubt a parameter, or its range of validity.
 
-    code: stable name for programs; text: one sentence for people, with its numbers; allows: the best verdict that it
-    leaves; None: the reason states the range of validity, or the interval accounts for it
+    code: stable name for programs; text: one sentence for people, with its numbers; allows: the best verdict that is
+    possible with this doubt; None: the reason states the range of validity, or the interval accounts for it
     """
 
     code: DoubtCode
@@ -72,11 +72,8 @@ def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """The error over the parameter.
-
-    parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the estimate's unit], NaN where
-    the simulation did not stay finite
-    """
+    """The error over the parameter. parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the
+    estimate's unit], NaN if the simulation diverged"""
 
     parameter: FloatArray
     aee: FloatArray
@@ -84,10 +81,8 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Probability of a quantity, given the data.
-
-    parameter: (g,) rising; density: (g,) density, whose integral by trapezoids is 1
-    """
+    """Probability of a quantity, given the data. parameter: (g,) rising; density: (g,) density, whose integral by
+    trapezoids is 1"""
 
     parameter: FloatArray
     density: FloatArray
@@ -104,7 +99,7 @@ class Posterior:
         return Posterior(self.parameter[rows], self.density[rows])
 
     def rank(self, value: float) -> float:
-        """Share of the mass below a value: even over 0 to 1 for truths, if the posterior is right."""
+        """Share of the mass below a value: for true values it is uniform from 0 to 1 if the posterior is right."""
         return float(np.interp(value, self.parameter, self.cumulative()))
 
     def quantile(self, share: FloatArray | float) -> FloatArray:
@@ -122,7 +117,7 @@ class Posterior:
         """The shortest interval of the mass `level` that holds a value, the estimate.
 
         It is the set of highest density if that contains the estimate, and one-sided if the density is highest at a
-        bound: equal tails cannot cover there.
+        bound: equal tails cannot include it.
         """
         start = np.linspace(0.0, 1.0 - level, 401)
         at = self.rank(holding)
@@ -156,12 +151,12 @@ class Identifiability:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A choice of model that was tried on particles that it was not fitted to.
+    """A choice of model that was tested on particles that were left out of its fit.
 
     held: the parts whose motion is prescribed; alpha, dt [s]: of time stepping, None for static states, which neither
     alters; held_out, fit: mean error on particles left out, and of the same ones when fitted [the estimate's unit];
-    scatter: standard error of the first against that of the best choice; value: the parameter then; chosen: this option
-    was used
+    scatter: standard error of held_out relative to that of the best choice; value: the parameter with this choice;
+    chosen: this option was used
     """
 
     cluster_size: int | None = field(metadata=reported())
@@ -192,11 +187,11 @@ class Estimate(ReportedResult):
     at a bound; bounds: the range that was searched
     verdict: verdict on the parameter; stiffness_verdict: verdict on stiffness, which positions alone do not identify
     stiffness: the energy's stiffness k and its interval over `interval` [N/m], if a force was given
-    contact_stiffness: force over the distance that the contact moved, and its interval [N/mm], where both are known
-    metres_per_unit: the scale of the lengths; None where pixels have no known size
+    contact_stiffness: force over the displacement of the contact, and its interval [N/mm], if both are known
+    metres_per_unit: the scale of the lengths; None for pixels of unknown size
     posterior, identifiability: evidence of the interval and the verdict
     reasons: reasons to doubt the parameter, first those that lower its verdict
-    selection: choices of model that were tried, where some were to be chosen; selection_text: remarks on the selection
+    selection: choices of model that were tried, if a selection was requested; selection_text: remarks on the selection
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: error over the free particles
     only; nearest: one-sided nearest-neighbour error (eq. 4.6); unit: unit of every length here
     converged: every simulation that the value and the interval rest on reached its static state
@@ -277,7 +272,7 @@ class Estimate(ReportedResult):
     @property
     @derived()
     def explained(self) -> float | None:
-        """Share of the motion beyond a rigid one that the model explains; None where it was not judged."""
+        """Share of the motion beyond a rigid one that the model explains; None if not computed."""
         return None if self.identifiability is None else self.identifiability.explained
 
     converged: bool = field(metadata=reported())
@@ -290,7 +285,7 @@ class Estimate(ReportedResult):
     @property
     @derived(key="identifiability", optional=True)
     def identifiability_json(self) -> dict[str, float | None] | None:
-        """Lengths as those of the errors."""
+        """JSON of the identifiability, with lengths as those of the errors."""
         if (known := self.identifiability) is None:
             return None
         return to_json(known) | lengths("misfit", known.misfit, self.unit, self.metres_per_unit)
@@ -301,7 +296,7 @@ class Estimate(ReportedResult):
     @property
     @derived(flat=True)
     def selection_json(self) -> dict[str, object]:
-        """The choices that were tried, where some were."""
+        """JSON of the choices that were tried."""
         if not self.selection:
             return {}
         return {
@@ -342,7 +337,7 @@ def verdict(
     identifiability: Identifiability | None = None,
     reasons: Sequence[Doubt] = (),
 ) -> Verdict:
-    """The verdict by an interval within its bounds, the data behind it, and the reasons to doubt it."""
+    """The verdict from an interval within its bounds, its data, and the reasons to doubt it."""
     width = ends[1] - ends[0]
     found = identifiability
     if width >= WEAK_WIDTH or (found is not None and (found.rise < RISE_LEAST or found.explained < EXPLAINED_LEAST)):
@@ -353,7 +348,7 @@ def verdict(
 
 
 def relative_verdict(value: float, ends: tuple[float, float], reasons: Sequence[Doubt] = ()) -> Verdict:
-    """The verdict on a positive quantity without bounds: its interval's width against its value."""
+    """The verdict on a positive quantity without bounds, by its interval's width over its value."""
     width = (ends[1] - ends[0]) / value
     found: Verdict = "identified" if width < IDENTIFIED_WIDTH else "weak" if width < WEAK_WIDTH else "unidentified"
     return limited(found, reasons)

@@ -52,8 +52,8 @@ def secant(
 ) -> tuple[float, tuple[float, float]] | None:
     """Force over depth [N/mm] with its interval at `level`; None without a force and a depth above 0.
 
-    force, force_sd: (n,) [N]; depth, depth_sd: (n,) [m]. The mean is weighted by 1 / variance; where the ratios scatter
-    more than their noise, the interval grows as much (Birge's ratio).
+    force, force_sd: (n,) [N]; depth, depth_sd: (n,) [m]. The mean is weighted by 1 / variance; if the ratios scatter
+    more than their noise, the interval grows by that factor (Birge's ratio).
     """
     known = (force > 0.0) & (depth > 0.0)
     if not known.any():
@@ -117,7 +117,7 @@ def stiffness_interval(
     explanations: Sequence[Explanation],
     level: float,
 ) -> tuple[float, tuple[float, float]] | None:
-    """k at the last of some values (g,), the estimate's, and its interval over all of them with weights `share` (g,);
+    """k at the estimate, the last of some values (g,), and its interval over all of them with weights `share` (g,);
     None without a comparable force. It accounts for the force's noise and the model's misfit."""
     misfit = []
     for s, one in zip(seen, explanations, strict=True):
@@ -132,7 +132,7 @@ def stiffness_interval(
 
 
 def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:
-    """Posterior of k [N/m], with the parameter's probability (g,) at each value; None where no finite force was
+    """Posterior of k [N/m], with the parameter's probability (g,) at each value; None if no finite force was
     simulated."""
     known = np.isfinite(found.value) & (share > 0.0)
     if not known.any():

@@ -21,7 +21,7 @@ BLOCK = 3.0
 """Least side of a block [spacings]."""
 
 BLOCKS_ACROSS = 3
-"""Blocks along the longer side at least, whatever the flow's window."""
+"""Least number of blocks along the longer side, whatever the flow's window."""
 
 FINE = 10
 """Number of evaluated values from one candidate of the parameter to the next, by a spline of the states."""
@@ -33,11 +33,8 @@ TOLD_LEAST = 0.01
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Errors of one choice of model over all frames [unit].
-
-    error: held-out AEE; block: (b,) error of each block; fit: AEE of the same particles when all are fitted; value: the
-    parameter then; usable: the simulation stayed finite
-    """
+    """Errors of one choice of model over all frames [unit]. error: held-out AEE; block: (b,) error of each block; fit:
+    AEE of the same particles when all are fitted; value: the fitted parameter; usable: the simulation stayed finite"""
 
     error: float
     block: FloatArray
@@ -50,7 +47,7 @@ class HeldOut:
 
 
 def blocks_of(rest: FloatArray, spacing: float, window: float) -> tuple[IntArray, IntArray]:
-    """(K,) block and fold of each particle; window: how far the flow's errors reach [unit of rest].
+    """Block and fold (K,) of each particle; window: how far the flow's errors reach [unit of rest].
 
     A fold's blocks are spread out: with K folds, block (i, j) goes to fold (i + 2 j) mod K, a knight's move apart.
     """
@@ -63,10 +60,8 @@ def blocks_of(rest: FloatArray, spacing: float, window: float) -> tuple[IntArray
 
 
 def hold_out(search: Search, judged: BoolArray, block: IntArray, fold: IntArray) -> HeldOut:
-    """Fit to all folds but one and judge by that one, in turn, out of the candidates that a search has tried.
-
-    judged: (K,) particles that count; block, fold: (K,)
-    """
+    """For each fold, fit to all other folds and judge by this one, with the candidates that a search has tried. judged:
+    (K,) particles that count; block, fold: (K,)"""
     tried = search.tried
     if tried.usable.sum() < 4:
         return HeldOut(np.nan, np.full(int(block.max()) + 1, np.nan), np.nan, np.nan)

@@ -10,7 +10,7 @@ parameter. The part that the parameter does not change shows the size of the err
 If misfit exceeds the noise, a few projections of the residuals, which the parameter can change, identify it, with the
 noise of the first step. In that case an estimate is no sharper than that of least squares. Weighting every detail by a
 guessed covariance (as generalised least squares does) would treat the finest part of a misfit as information. Fits of
-versions 1 and 2 took these projections always.
+versions 1 and 2 always used these projections.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
 from deformscope.stages.fit.search import Progress, Search
 
 Judge = Callable[[int, FloatArray, FloatArray, Sequence[FloatArray], FloatArray], FloatArray]
-"""Log likelihood (f,) of one observation, by residuals (r, n, d) and their judged sums (f, r), the effect of held
-positions at some nodes, and the share of each node at each value (k, f)."""
+"""Computes the log likelihood (f,) of one observation, from residuals (r, n, d), their judged sums (f, r), the effect
+of held positions at some nodes, and the share of each node at each value (k, f)."""
 
 KNOTS, BETWEEN = 25, 8
 """Candidates over the range, and steps of the grid from one to the next."""
@@ -43,7 +43,7 @@ NODES_FROM = (0.15, 0.5)
 """Widths of the range above which the effect of held positions is computed at two, and at three places."""
 
 RESOLVED = 0.3
-"""The posterior is resolved where it fills this share of the range."""
+"""Share of the range from which the posterior counts as resolved."""
 
 NARROWEST = 1e-9
 """Width of a range below which candidates differ only by the solver's tolerance."""
@@ -63,7 +63,7 @@ class Inferred:
 
 
 class Inference:
-    """The posterior over what a search has simulated."""
+    """The posterior over the candidates that a search has simulated."""
 
     def __init__(self, search: Search, seed: int) -> None:
         self.search = search
@@ -166,8 +166,8 @@ class Inference:
         return np.asarray(np.sum(share * np.stack(each), axis=0))
 
     def response(self, row: int, place: int, *, exact: bool = True) -> FloatArray:
-        """(n, d, m) [unit] how the held positions of one observation move its particles at one of the candidates
-        tried; see `Residuals.response`."""
+        """Effect (n, d, m) [unit] of held positions of one observation on its particles, at one of the tried
+        candidates; see `Residuals.response`."""
         search, part = self.search, self.parts[row]
         parameter = float(search.tried.parameter[place])
         return part.response(

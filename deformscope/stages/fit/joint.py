@@ -60,13 +60,13 @@ SUMMARIES = 5
 """Most directions that represent the effect of beta and theta on the particles."""
 
 DRAWN = 24
-"""Draws of the posterior that stand for it in the stiffness."""
+"""Number of draws of the posterior for the stiffness."""
 
 THETA_STEP = 0.02
 """Step of theta for a derivative."""
 
 POLISH = 6
-"""Grids of 5 x 5 that close in on the lowest error."""
+"""Number of successive grids of 5 x 5 around the lowest error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class JointOptions:
 
 @dataclass(frozen=True, slots=True)
 class JointEstimate:
-    """beta and theta of lowest error, and what else they may be.
+    """beta and theta of lowest error, and their posterior.
 
     beta, theta: each with its marginal posterior; its curve is the least error over the other
     density: (b, t) joint posterior over `beta.posterior.parameter` and `theta.posterior.parameter`, whose integral is 1

@@ -20,14 +20,14 @@ Simulate = Callable[[FloatArray], FloatArray]
 """Computes the compared values (B, n) from parameters (B, m); NaN if a candidate has no reliable simulation."""
 
 DAMPINGS = (0.0, 1e-3, 1e-1, 1e1)
-"""Tried in every round, as shares of the derivatives' squares."""
+"""Dampings that are tried in every round, as shares of the derivatives' squares."""
 
 NOTHING = 1e-8
-"""A derivative this much smaller than the largest is of a parameter that does nothing."""
+"""Ratio to the largest derivative below which a parameter counts as without effect."""
 
 ROUNDS = 25
 SETTLED = 1e-4
-"""A step shorter than this, in every parameter, is the last."""
+"""Length of a step, in every parameter, below which it is the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Minimum:
     """The parameters with the least sum of squares.
 
     at: (m,) parameters; simulated: (n,) there; jacobian: (n, m); residual: (n,) observed - simulated
-    inside: (m,) whether it is away from both bounds; converged: the steps ended without the limit
+    inside: (m,) whether each parameter is away from both bounds; converged: the steps ended before their limit
     """
 
     at: FloatArray
@@ -53,10 +53,8 @@ class Minimum:
 def minimise(
     simulate: Simulate, observed: FloatArray, start: FloatArray, bounds: FloatArray, difference: FloatArray
 ) -> Minimum:
-    """The minimum downhill from `start` (m,).
-
-    bounds: (m, 2) within which it is searched; difference: (m,) steps of the finite differences; observed: (n,)
-    """
+    """The minimum downhill from `start` (m,). bounds: (m, 2) range of the search; difference: (m,) steps of the finite
+    differences; observed: (n,)"""
     low, high = bounds.T
     at = np.clip(np.asarray(start, dtype=np.float64), low, high)
     m = len(at)
@@ -117,8 +115,8 @@ class Noise:
     def covariance(self, jacobian: FloatArray) -> FloatArray:
         """Covariance (m, m) of a least squares estimate with these derivatives (n, m).
 
-        A parameter, or a combination of some, that changes nothing that was seen has a variance without bound, here a
-        very large one.
+        A parameter, or a combination, without effect on the observed numbers has an infinite variance, here a very
+        large one.
         """
         size = np.linalg.norm(jacobian, axis=0)
         size = np.maximum(size, NOTHING * size.max(initial=0.0)) if size.any() else np.ones_like(size)
@@ -147,7 +145,7 @@ def deviation_of(residual: FloatArray, parameters: int) -> float:
 
 
 def half_width(covariance: FloatArray, level: float, freedom: int) -> FloatArray:
-    """(m,) of the intervals at `level`."""
+    """Half widths (m,) of the intervals at `level`."""
     wide = stdtrit(max(freedom, 1), 0.5 + 0.5 * level)  # Student's t; scipy.stats takes a second to import
     return np.asarray(wide * np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 

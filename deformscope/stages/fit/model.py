@@ -24,11 +24,11 @@ move is `little-explained`. 1, as in older recordings: as 2, but neither the too
 error, a smooth error with exact held positions is misfit, and `axes-swapped` ignores bulging bodies."""
 
 TOUCHED_SHARE = 0.5
-"""Held particles that moved more than this share of the largest motion among them are taken as touched."""
+"""Held particles that moved more than this share of the largest motion among them count as touched."""
 
 
 def touched_of(rest: FloatArray, deformed: FloatArray, held: IntArray) -> IntArray:
-    """The held particles (n,) that something moved, rather than held still, (m,). rest, deformed: (K, d)."""
+    """The held particles (m,) of (n,) that something moved. rest, deformed: (K, d)."""
     moved = np.linalg.norm((deformed - rest)[held], axis=1)
     return np.asarray(held[moved > TOUCHED_SHARE * moved.max(initial=0.0)])
 
@@ -45,11 +45,11 @@ class Observation:
     force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
     deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
-    tip: what pressed the particles of `contact`, if it is known; tip_at: (d,) place where the tip's axis met the body
+    tip: the tip that pressed the particles of `contact`, if known; tip_at: (d,) place where the tip's axis met the body
     [unit], if known; particles show it only to within their spacing
     held_shift: standard deviation of the common error of all held positions [unit]: of a robot's or a fixture's
     registration; None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
-    loose: held particles whose position is no measurement but estimated, None = none
+    loose: held particles whose position was estimated, not measured, None = none
     """
 
     rest: FloatArray
@@ -92,7 +92,7 @@ class Observation:
 
     @property
     def pose_held(self) -> bool:
-        """Whether the held particles keep the body from turning: two in the plane, three off a line in space."""
+        """Whether the held particles prevent rotation of the body: two in the plane, three off a line in space."""
         return bool(clusters.rank(self.rest[self.held]) >= self.rest.shape[1] - 1)
 
     @property
@@ -102,7 +102,7 @@ class Observation:
 
     @property
     def free_observed(self) -> BoolArray:
-        """(K,) particles that the fit is judged by: seen and not prescribed."""
+        """(K,) particles by which the fit is judged: seen and not prescribed."""
         return np.asarray(self.observed & ~clusters.held_mask(len(self.rest), self.held))
 
 
@@ -110,11 +110,11 @@ class Observation:
 class Model:
     """Which parameter is fitted, and the fixed settings of the simulation.
 
-    cluster_size: particles a side of the overlapping clusters; None = one cluster of all particles
+    cluster_size: particles along a side of the overlapping clusters; None = one cluster of all particles
     beta, theta: value of the parameter that is not fitted; alpha does not change a static state and is only recorded
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
     overlapping clusters
-    version: version of how errors are explained, see `NEWEST_FIT`
+    version: version of the errors' model, see `NEWEST_FIT`
     """
 
     parameter: Parameter = "beta"

@@ -9,7 +9,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class MomentFit:
-    """Particles at one moment, and the parameter that the pose at this moment gives alone.
+    """Particles at one time, and the parameter fitted to this pose alone.
 
     rest_px, observed_px, simulated_px: (K, 2) positions at rest, as seen, as simulated with `value` (NaN without a fit)
     [px]; seen: (K,) whether the flow followed it; held: (n,) particles whose motion is prescribed
@@ -36,8 +36,8 @@ class MomentFit:
 
 @dataclass(frozen=True, slots=True)
 class ParticleMoment:
-    """Particles at one moment. rest_px, position_px: (K, 2) where a lost one was last seen [px]; noise_px: (K,) one
-    standard deviation of each coordinate [px]; seen: (K,)"""
+    """Particles at one moment. rest_px, position_px: (K, 2) positions; a lost particle has its last seen one [px];
+    noise_px: (K,) one standard deviation of each coordinate [px]; seen: (K,)"""
 
     rest_px: FloatArray
     position_px: FloatArray
@@ -49,7 +49,7 @@ class ParticleMoment:
 class FieldMoment:
     """Relative stiffness of each place at one moment, as in `calibrate field` for a frame.
 
-    place_px: (C, 2) middles of the cells where they are now [px]; spacing_px: spacing of the particles [px]; stiffness:
+    place_px: (C, 2) present middles of the cells [px]; spacing_px: spacing of the particles [px]; stiffness:
     (C,) stiffness over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak
     ratio, ratio_interval: stiffest over softest; verdict: as in a `FieldEstimate`; explained: share of the motion
     """

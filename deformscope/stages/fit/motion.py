@@ -1,4 +1,4 @@
-"""A recorded motion: where particles were, frame by frame, and which of them were prescribed."""
+"""A recorded motion: positions of particles in each frame, and which of them were prescribed."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from deformscope.stages.fit.estimate import LengthUnit, NoiseSource
 class Motion:
     """A recorded motion.
 
-    rest: (K, d) before any load; position: (T, K, d) positions at each frame [unit of rest]; NaN where a particle was
-    not seen; held: (T, K) particles whose position is prescribed in a frame
+    rest: (K, d) positions before any load; position: (T, K, d) positions at each frame [unit of rest]; NaN where a
+    particle was not seen; held: (T, K) particles whose position is prescribed in a frame
     duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
     shape, cell: the particles' lattice, None without one
     noise: standard deviation of a coordinate; None: from the residuals; noise_source: where it is known from
@@ -54,5 +54,5 @@ class Motion:
 
     @property
     def judged(self) -> BoolArray:
-        """(T, K) particles that the fit is judged by."""
+        """(T, K) particles by which the fit is judged."""
         return np.asarray(~self.held & np.isfinite(self.position).all(axis=2))

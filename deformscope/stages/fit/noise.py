@@ -9,7 +9,7 @@ prescribed particles. Or it is misfit of the model, only in free particles.
 
 Each combination of a field's roughness, length and size is one hypothesis with a Gaussian likelihood. Whether the
 prescribed positions were measured too is another choice if unstated. The scale is integrated (Laplace) with a
-log-normal prior about 1, or a flat one where no noise was stated.
+log-normal prior about 1, or a flat one without a stated noise.
 
 With G the covariance of (e, e_held), r has P G P^T, P = [I, -J]. P G P^T is never formed: it is the marginal over a
 flat e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1. The eigenvectors of the field make this diagonal, one
@@ -49,11 +49,11 @@ FIELD_SIZES = tuple(float(size) for size in 10.0 ** np.concatenate([np.arange(-1
 """Variances of the smooth field, in units of the white noise; coarser where there is hardly any white noise left."""
 
 MISFIT_MOST = 1e5
-"""Largest of them that misfit may have."""
+"""Largest of these variances for misfit."""
 
 SHARED_MOST = 1e8
-"""Largest that an error of measurement which neighbours share may have. The smoother a field, the less of it appears as
-a difference between neighbours, and there may be next to no other white noise."""
+"""Largest of these variances for an error of measurement that neighbours share. A smoother field appears less as a
+difference between neighbours, and there may be almost no white noise besides."""
 
 MISFIT_MOST_UNKNOWN = 100.0
 """As `FIELD_SIZES`, if no noise was stated: beyond it, the smallest residuals would determine the white noise."""
@@ -67,10 +67,10 @@ PRIOR_HELD_EXACT = 0.15
 """Prior weight of exact prescribed positions, if it is not stated whether they were measured."""
 
 EXACT = 1e-3
-"""Noise of prescribed positions that are as good as exact, as a share of the others'."""
+"""Noise of practically exact prescribed positions, as a share of the others'."""
 
 LOOSE = 0.5
-"""Deviation of a prescribed position that is no measurement [spacings]; only where the noise is stated."""
+"""Deviation of a prescribed position that is no measurement [spacings]; only used with a stated noise."""
 
 SCALE_SPREAD = 1.0
 """Log-normal deviation of the true noise about the stated one: a factor of 2.7 up or down is one deviation."""
@@ -87,16 +87,17 @@ registration or a scale may be worse than most. Versions before 3 have the first
 bodies of tuning seeds (`studies.seeds`) with a tool off by 1 mm held in 0.81."""
 
 SCALE_LEAST = 0.05
-"""Residuals this far below the stated noise are no sample of it (made-up or smoothed data): the stated value holds."""
+"""Ratio to the stated noise below which residuals are no sample of it (invented or smoothed data): the stated value is
+used."""
 
 NEIGHBOURS = 1.2
-"""Particles within this many spacings are neighbours."""
+"""Distance within which particles are neighbours [spacings]."""
 
 TELLS_APART = 1e-13
-"""Parts of residuals that are smaller than this share of the largest are rounding errors."""
+"""Share of the largest part of residuals below which a part is a rounding error."""
 
 PRODUCTS_AT_ONCE = 2_000_000
-"""Numbers that the sizes of a field make at once."""
+"""Most numbers that are computed at once for the sizes of a field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +108,8 @@ class Measured:
     directions of a response; None if m random combinations, including noise, represent too many directions; noise,
     held_noise: (n,), (k,) deviation of a coordinate, None if unknown; held_measured: whether the prescribed positions
     carry noise, None = not known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
-    loose: (k,) prescribed ones that may be anywhere near, None = none
-    touched: (k,) prescribed ones that something moved, None where `held_rest` is
+    loose: (k,) prescribed particles with an unmeasured position, None = none
+    touched: (k,) prescribed particles that something moved, None if `held_rest` is None
     shift: deviation of the common offset of all held particles [unit]
     version: see `model.NEWEST_FIT`
     """
@@ -126,7 +127,7 @@ class Measured:
     version: int = 1
 
     def some(self, pick: IntArray) -> Measured:
-        """The same of the free particles at indices (n,) alone."""
+        """The measurement of only the free particles at indices (n,)."""
         noise = None if self.noise is None else self.noise[pick]
         return dataclasses.replace(self, rest=self.rest[pick], noise=noise)
 
@@ -135,8 +136,8 @@ class Measured:
 class NoiseHypotheses:
     """Explanations of residuals, (h,) each.
 
-    held: the prescribed positions carry noise; shared: the smooth field is one of measurement, which they carry too if
-    they carry noise
+    held: the prescribed positions carry noise; shared: the smooth field is an error of measurement, which prescribed
+    positions have too if they have noise
     field: index in `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
     camera, tool: their errors' deviation in units of the usual one
     """
@@ -247,7 +248,7 @@ class ErrorModel:
         )
 
     def modes(self, response: FloatArray, *, held: bool) -> FloatArray:
-        """(n, d, q) what errors of the tool and the camera, one deviation each, do to the residuals, by a response
+        """Effect (n, d, q) on the residuals of errors of the tool and the camera, one deviation each, from a response
         (n, d, m); held: errors of the camera displace the prescribed positions too."""
         rest, at, touched = self.measured.rest, self.measured.held_rest, self.measured.touched
         n, d = rest.shape
@@ -288,18 +289,16 @@ class ErrorModel:
     def evidence(
         self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, mix: FloatArray | None = None
     ) -> Evidence:
-        """How likely residuals are, where prescribed positions act by `response` (n, d, m).
-
-        residual: (r, n, d); mix: (g, r) sums of them that are judged; default each alone
-        chosen: rows of the hypotheses; default all
-        """
+        """How likely residuals are, where prescribed positions act by `response` (n, d, m). residual: (r, n, d); mix:
+        (g, r) sums of residuals that are judged; default each alone; chosen: rows of the hypotheses; default all"""
         mix = np.eye(len(residual)) if mix is None else mix
         return self.judged(self.products(residual, response, chosen), mix)
 
     def products(
         self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, *, settle: bool = False
     ) -> Products:
-        """chi2 of all sums of some residuals (r, n, d); of more than there are coordinates, `few` makes fewer.
+        """chi2 of all sums of some residuals (r, n, d); if there are more residuals than coordinates, `few` reduces
+        their number.
 
         settle: each residual belongs to a value of the parameter, and the best of them determines `log_scale`
         """
@@ -406,10 +405,8 @@ class ErrorModel:
         return found, log_det
 
     def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray, amplitude: FloatArray) -> FloatArray:
-        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1.
-
-        amplitude: (a, a) second moment of the factors of `modes`
-        """
+        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1. amplitude: (a,
+        a) second moment of the factors of `modes`"""
         every = self.hypotheses
         n, d, q = onto.shape
         m = response.shape[2]
@@ -470,7 +467,7 @@ class ErrorModel:
 
 
 def few(residual: FloatArray, mix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Sums (g, r) of residuals (r, n, d) as sums of as few as the arithmetic distinguishes."""
+    """Sums (g, r) of residuals (r, n, d), expressed by the fewest residuals that the arithmetic distinguishes."""
     across, size, along = np.linalg.svd(residual.reshape(len(residual), -1), full_matrices=False)
     keep = max(1, int(np.count_nonzero(size > TELLS_APART * size[0])))
     return (size[:keep, None] * along[:keep]).reshape(keep, *residual.shape[1:]), mix @ across[:, :keep]

@@ -54,10 +54,8 @@ WEIGHT_LEAST = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """How the errors of two frames correlate.
-
-    mean, most: mean and most of all pairs on the average, and its upper bound; far, near: far and near of C
-    """
+    """How the errors of two frames correlate. mean, most: mean correlation of all pairs, and its upper bound; far,
+    near: correlation of distant and of neighbouring frames"""
 
     mean: float
     most: float

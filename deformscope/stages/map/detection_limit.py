@@ -36,10 +36,8 @@ CENTRE_CELL_M = 0.02
 
 
 class UnseenInclusions:
-    """Inclusions of one radius that may be there unseen, after the touches.
-
-    probability: probability that there is one; weight: (c,) probability of each centre, 1 in total
-    """
+    """Inclusions of one radius that may be there unseen, after the touches. probability: probability that there is one;
+    weight: (c,) probability of each centre, 1 in total"""
 
     def __init__(self, posterior: RegionPosterior, radius_m: float) -> None:
         self._radius_m, self._blur_m, self._noise_sd = radius_m, posterior.prior.blur_m, posterior.touch_sd

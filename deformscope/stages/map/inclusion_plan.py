@@ -38,10 +38,8 @@ def plan_inclusion_touch(
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
 ) -> TouchChoice:
-    """The next touch, on cells half as wide as those of the map of gains; arguments as in `plan.plan_touch`.
-
-    tip_m: (2,), left_out_m: (k, 2) [m]; reachable: (rows, columns) mask of the posterior's grid
-    """
+    """The next touch, on cells half as wide as those of the map of gains; arguments as in `plan.plan_touch`. tip_m:
+    (2,), left_out_m: (k, 2) [m]; reachable: (rows, columns) mask of the posterior's grid"""
     grid = MapGrid(posterior.grid.size_m, options.cell_m)
     places = grid.centres_m
     made = posterior.places_m if left_out_m is None else np.concatenate([posterior.places_m, left_out_m])

@@ -81,11 +81,8 @@ Z_90 = 1.6449
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """Variation of foam without inclusions: a Gaussian field of log stiffness.
-
-    scatter: its deviation; length_m: length over which it changes (squared exponential); apart: share of its variance
-    that is each touch's own
-    """
+    """Variation of foam without inclusions: a Gaussian field of log stiffness. scatter: its deviation; length_m: length
+    over which it changes (squared exponential); apart: share of its variance that is each touch's own"""
 
     scatter: float
     length_m: float
@@ -137,11 +134,8 @@ class InclusionPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InclusionHypotheses:
-    """All `j` inclusions that are considered, of every kind at every place.
-
-    centre_m: (j, 2); radius_m, depth_m, share: (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior
-    probability, 1 in total
-    """
+    """All `j` inclusions that are considered, of every kind at every place. centre_m: (j, 2); radius_m, depth_m, share:
+    (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior probability, 1 in total"""
 
     centre_m: FloatArray
     radius_m: FloatArray

@@ -47,7 +47,7 @@ class MapScore:
     """A map against the truth. A score without a truth is None; shares are from 0 to 1.
 
     region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are; iou: `match_regions`;
-    least_iou: least IoU of the smallest true region with its match; boundary_m: `boundary_distance`
+    least_iou: IoU of the smallest true region with its match; boundary_m: `boundary_distance`
     ordered: the matched regions' levels have the true order
     rigid_found: most of the rigid area is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched

@@ -149,8 +149,8 @@ def plan_touch(
 
     tip_m: (2,) present place of the tip, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
-    reachable: (rows, columns) reachable share of `posterior.grid`; thesis: the field of the planner "thesis"; seed:
-    seed of random planners
+    reachable: (rows, columns) cells of `posterior.grid` that the tip reaches; thesis: the field of the planner
+    "thesis"; seed: seed of random planners
     """
     grid = MapGrid(posterior.grid.size_m, options.cell_m)
     places = grid.centres_m

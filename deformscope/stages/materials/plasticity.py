@@ -261,10 +261,8 @@ class _YieldFit:
     def run(
         self, strain: FloatArray, beta: FloatArray, creep: FloatArray, held: list[FloatArray] | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """(B, T, K, d) states, NaN if one did not converge, and the largest strain of any cluster, (B,).
-
-        held: for each frame (B, n, d), in place of the observation
-        """
+        """(B, T, K, d) states, NaN if one did not converge, and the largest strain of any cluster, (B,). held: for each
+        frame (B, n, d), in place of the observation"""
         motion, options = self.motion, self.options
         body = PlasticMsm(self.body, Plasticity(strain, creep, options.maximum), len(strain))
         found = np.empty((len(strain), *motion.position.shape))

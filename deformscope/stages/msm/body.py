@@ -36,10 +36,8 @@ class BodyRest:
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Parameters of all candidates on the device.
-
-    beta_stride: 0, or with a beta for each cluster the numbers from one group of candidates to the next
-    """
+    """Parameters of all candidates on the device. beta_stride: 0, or with a beta for each cluster the numbers from one
+    group of candidates to the next"""
 
     beta: Field
     theta: Field
@@ -164,9 +162,7 @@ class Operator(ABC):
         self, u: Field, out: Field, parameters: Parameters, running: Field, kept: object = None, what: int = 0
     ) -> None:
         """goal - u of every free particle into `out`; with `what` BY_BETA or BY_THETA the derivative of the goals.
-
-        kept: place of the values for `change` (None: nowhere)
-        """
+        kept: place of the values for `change` (None: nowhere)"""
 
     @abstractmethod
     def change(self, direction: Field, out: Field, parameters: Parameters, running: Field, kept: object) -> None:

@@ -103,10 +103,8 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
     return r;"""
     )
     def turn_2d(a: moments.rows, c: squares.rows) -> turns.rows:
-        """R - I of eq. 3.9 in the plane (transposed), the compliance of its angle, and 1. See `functions.turn_2d`.
-
-        a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
-        """
+        """R - I of eq. 3.9 in the plane (transposed), the compliance of its angle, and 1. See `functions.turn_2d`. a:
+        rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)"""
 
     @wp.func_native(
         f"""
@@ -428,9 +426,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
         what: int,
     ):
         """The blend of a cluster's rotation and its linear (quadratic) fit (Thesis eq. 3.10 to 3.14, 3.17), less rest.
-
-        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); target: R - I, or that of the rest vectors that it has
-        """
+        affine_t: A~ - [I, 0] (eq. 3.7, 3.14); target: R - I, or that of the rest vectors that it has"""
         affine_t = with_null(rest, cluster, step, affine_t, target)
         if volume != wp.static(NONE):
             affine_t = conserve(rest, cluster, step, kept, position, count, affine_t, theta, volume, what)

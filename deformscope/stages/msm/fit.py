@@ -221,9 +221,7 @@ def _least(
     away: FloatArray, slope: FloatArray, error: float, box: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, float]:
     """The step (2,) within `box` at which the mean length of `away + slope @ step` is least, and that length (convex).
-
-    away: (n, d); slope: (n, d, 2)
-    """
+    away: (n, d); slope: (n, d, 2)"""
 
     def mean_length(step: FloatArray) -> tuple[float, FloatArray]:
         moved = away + slope @ step

@@ -152,10 +152,10 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
 
     @wp.struct
     class Passes:
-        """Parameters of the passes; motion: motion of time stepping, or none.
+        """Parameters of the passes; motion: those of time stepping, or none.
 
         pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
-        residual and the direction's change; threads: number of threads of a block that stays
+        residual and the direction's change; threads: number of threads of a resident block
         """
 
         grid: Grid

@@ -35,7 +35,7 @@ class TableSeen:
 
 @dataclass(frozen=True, slots=True)
 class KnownLayer:
-    """thickness_m: thickness of a level layer that stands for the foam [m], None = not known; sd_m: its deviation [m]
+    """thickness_m: thickness of the level layer that represents the foam [m], None = not known; sd_m: its deviation [m]
     table_m: height of the table under the foam; uneven: whether the surface's shape is used
     """
 

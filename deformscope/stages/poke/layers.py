@@ -30,7 +30,7 @@ class MeasuredSurface:
     """A surface seen from above, with the same thickness of material everywhere below it.
 
     points: (n, 3) points [m], one height at each place; thickness: [m].
-    Raises InputError where there are too few points, or several above each other.
+    Raises InputError with too few points, or several above each other.
     """
 
     points: FloatArray

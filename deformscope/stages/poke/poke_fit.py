@@ -229,7 +229,8 @@ class PosedPoke:
         self.state: PokedBody | None = None
 
     def settle(self, laws: Sequence[Law]) -> PokedBody:
-        """The static states with these laws, at once, started from the last one's first."""
+        """The static states with these laws, computed together; they start from the first state of the previous
+        call."""
         start, at = (None, self.at) if self.state is None else (self.state.position[:1], self.state.hold[0])
         slips = self.poke.tip.slips
         self.state = settle(self.scene, self.body, laws, self.touched, at, slips=slips, start=start)

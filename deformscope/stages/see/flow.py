@@ -96,7 +96,7 @@ class FlowStep:
 def flow_onward(before: Image, after: Image, method: FlowMethod = "dis", last: FlowStep | None = None) -> FlowStep:
     """Flow both ways in a sequence, in a seventh of the time if the motion continues.
 
-    last: last of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
+    last: result of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
     correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed, and the flow is computed
     as for a pair.
     """

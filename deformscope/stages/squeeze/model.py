@@ -46,7 +46,7 @@ class ContentModel:
     labels: C contents; modalities: models by name; fusion: model that fuses these, in their order; steps: by modality
     one model for each step of the squeeze, `step_s` apart; step_fusion: model that fuses these, in their order, for
     each step, () = they are not fused
-    settings: settings of the features, as whoever computed them wrote them down: a squeeze must have the same
+    settings: settings of the features, as stored with them: a squeeze must have the same
     promised: accuracy with its interval, as evaluated; provenance: versions and source
     seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known
     """

@@ -31,8 +31,8 @@ TIMES_S = (0.2, 0.5, 1.0)
 @dataclass(frozen=True, slots=True)
 class TimeCheck:
     """A model's posterior at this time after first contact, of the modalities of `score`; time_s: NaN = in the end, of
-    all that are fused; error_interval: error interval of the calibration error, by bootstrap over trials; by_chance:
-    the error that a perfectly calibrated model of the same posteriors has in the mean, as its bins hold few trials
+    all that are fused; error_interval: interval of the calibration error, by bootstrap over trials; by_chance: mean
+    error of a perfectly calibrated model with the same posteriors, as its bins hold few trials
     debiased: root mean square error over the bins, without the contribution of chance to its square (Kumar, Liang and
     Ma 2019); with many trials it is not below the mean error"""
 

@@ -45,7 +45,7 @@ class FingertipPressure:
 
     index: the frame's place in its stream; center_m: (2, 2) centre of pressure (x along the columns, y along the rows)
     from the outer corner of the array's first texel [m], NaN without contact; axis_rad: (2,) orientation of the
-    pressure's principal axis, from the columns towards the rows; elongation: (2,) 0 round to 1 a line
+    pressure's principal axis, from the columns towards the rows; elongation: (2,) from 0 (round) to 1 (a line)
     force_n: (2,); area_m2: (2,) area of the texels in contact
     """
 
@@ -158,7 +158,7 @@ class ContentPosterior:
 
     since_s: since the first contact [s]; modality: its input; labels; probability: (k,) probability of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
-    vision_index: vision index of the image whose change of depth it also is of, None = none
+    vision_index: index of the image whose change of depth was used too, None = none
     """
 
     since_s: float

@@ -182,7 +182,7 @@ def late_fusion(
 ) -> FloatArray:
     """(m, C) fused posteriors of the split's test side; weights are learned from training points left out.
 
-    fitted: fitted of each modality its sides, its expert, and its posteriors on the test side
+    fitted: for each modality its sides, its expert, and its posteriors on the test side
     """
     shape = len(fitted), len(split.train)
     inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)

@@ -31,7 +31,7 @@ need the weak direction."""
 class SpeedLimits(Protocol):
     """Speed limits of an arm's commands; its configuration has them.
 
-    linear_limit_m_s, angular_limit_rad_s: linear limit and angular limit of the end effector; joint_limit_deg_s: joint
+    linear_limit_m_s, angular_limit_rad_s: largest speeds of the end effector; joint_limit_deg_s: joint
     limit of any joint, whose own limit holds besides; command_deadline_s: default duration of a velocity
     """
 

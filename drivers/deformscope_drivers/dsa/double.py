@@ -53,8 +53,7 @@ class DsaDouble:
     sensor; matrices: the matrices that it describes (default: the SDH's six); scene: pressures on them [Pa] (default:
     `GraspScene`); pa_per_count: pressure per count of a texel at sensitivity 0.5; noise_counts: standard deviation,
     before the threshold; bytes_per_s: the line's, None = as over TCP; boot_s: time from power-up to answers (`BOOT_S`
-    for that of a real one)
-    seed: seed of scene and noise; first_timestamp_ms: the clock at power-up
+    for that of a real one); seed: seed of scene and noise; first_timestamp_ms: the clock at power-up
     """
 
     def __init__(

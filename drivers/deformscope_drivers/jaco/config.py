@@ -36,7 +36,7 @@ class EthernetAddresses:
 class Workspace:
     """A box in the base frame that the end effector must not leave by a command.
 
-    low_m, high_m: (x, y, z) lower end and upper end of its corners [m]; base frame: z up from the table, origin at the
+    low_m, high_m: (x, y, z) its lower and upper corner [m]; base frame: z up from the table, origin at the
     middle of the base
     """
 

@@ -111,8 +111,8 @@ class ForceMeasurer:
     def measure(
         self, reading: Reading, host_ns: int, gap: Gap, *, zeroed: bool = False, zero_in_doubt: bool = False
     ) -> ForceMeasurement:
-        """The loads of a reading. gap: gap of `follow`; zeroed: the DAQ subtracts the zero point itself; zero_in_doubt:
-        whether it does is not known"""
+        """The loads of a reading. gap: gap before it, from `follow`; zeroed: the DAQ subtracts the zero point itself;
+        zero_in_doubt: whether it does is not known"""
         known = reading.kind is self.kind
         found = doubts(reading, self._nominal_counts if known else None)
         if gap.verdict in (CounterStep.JUMPED, CounterStep.LATE, CounterStep.REPEATED):

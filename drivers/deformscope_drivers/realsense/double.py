@@ -436,7 +436,7 @@ class Streaming:
         self._lines: dict[float, bytes] = {}
 
     def next(self, until_s: float, capacity: int) -> frameset | None:
-        """The next frames, None when none are due in time. capacity: capacity of the queue in which they wait"""
+        """The next frames, None when none are due in time. capacity: largest number of frames that wait"""
         fps = self._depth.fps()
         camera = _world.camera(self._device.serial)
         due = max(self._number + 1, int((time.monotonic() - self._start_s) * fps) - capacity + 1)

@@ -42,7 +42,7 @@ class Capture(Protocol):
     """An opened camera. Reads images from a camera; only one thread may use it."""
 
     def set(self, setting: Setting, value: float) -> None:
-        """Ask for a setting; whether the camera took it is seen by `get` alone."""
+        """Request a setting; only `get` shows whether the camera accepted it."""
 
     def get(self, setting: Setting) -> float | None:
         """The setting that is in force; None where the camera has no such thing."""
