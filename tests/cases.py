@@ -15,5 +15,6 @@ def slow(*values: Any) -> Any:
 
 def slow_but(quick: Collection[Any], cases: Iterable[Any]) -> list[Any]:
     """All cases, slow but for the quick ones; a tuple is a case of several arguments."""
-    assert all(case in list(cases) for case in quick)
+    cases = list(cases)
+    assert all(case in cases for case in quick)
     return [case if case in quick else slow(*(case if isinstance(case, tuple) else (case,))) for case in cases]

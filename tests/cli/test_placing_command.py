@@ -95,7 +95,7 @@ def test_a_real_arm_is_asked_for_and_everything_is_looked_at_again(
     asked: list[str] = []
 
     def opening(*given: object, **named: object) -> SqueezeOpening:
-        made = container_lab("rice", "box-03", seed=5, camera_hz=5.0, arm="kuka")
+        made = container_lab("rice", "box-03", seed=5, camera_hz=2.0, arm="kuka")
         return SqueezeOpening(dataclasses.replace(made.setup, simulated=False), {}, "rice", "box-03")
 
     def agree(asking: object, page: object, what: str, **named: object) -> RigExperiment[None]:

@@ -130,6 +130,7 @@ def test_other_settings_are_other_tasks_and_a_moved_file_is_none(
     )
 
 
+@pytest.mark.slow  # the next test has such a file, too
 def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> None:
     shutil.copy(PAIR, tmp_path / "a.npz")
     out = tmp_path / "out"

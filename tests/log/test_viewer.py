@@ -83,7 +83,8 @@ def test_two_recordings_in_one_viewer(tmp_path: Path, viewer: ViewerClient) -> N
     assert len(viewer.get_state().recordings) == 2
 
 
-@pytest.mark.parametrize("dimensions", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.slow  # pokes are pairs in space, too
+@pytest.mark.parametrize("dimensions", [2, 3])
 def test_calibration_of_a_pair(tmp_path: Path, viewer: ViewerClient, dimensions: int) -> None:
     path = tmp_path / "run.rrd"
     pair = synthetic.pair_in_plane() if dimensions == 2 else synthetic.pair_in_space()

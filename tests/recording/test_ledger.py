@@ -38,7 +38,7 @@ SAMPLE = ROOT / "recordings" / "rig.rrd"
 OLD = Path(__file__).parent / "old" / "format-1.rrd"
 HEADER = 16
 """Bytes before the payload of each message of a file: its kind and its length (uint64)."""
-QUICK, ALL = (200, 25), (10_000, 1_000)
+QUICK, ALL = (200, 10), (10_000, 1_000)
 """Flips and truncations: by default, and with `-m slow`."""
 
 

@@ -26,6 +26,7 @@ from deformscope_drivers.kuka import KukaConfig
 from deformscope_drivers.memory import SimulatedClock
 from studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
 from studies.springy_foam import SpringyFoam
+from tests.cases import slow
 from tests.robot.quick_touch import quick_scene
 
 POINT_M = np.array([0.3, 0.2, TOP_M])
@@ -59,13 +60,13 @@ def bench() -> Iterator[Bench]:
     ("pushes_n", "right"),
     [
         ([(0, 0, 5)], True),
-        ([(1, -1, 3)], True),
+        slow([(1, -1, 3)], True),
         ([(0, 0, 0)], False),  # nobody presses
-        ([(0, 0, 1.5)] * 3, False),  # too little
+        slow([(0, 0, 1.5)] * 3, False),  # too little
         ([(0, 0, 11)] * 3, False),  # too much
         ([(0, 0, -5)] * 3, False),  # from above: a sign is wrong
         ([(5, 0, 0)] * 3, False),  # from the side: axes are
-        ([(4, 0, 4)] * 3, False),
+        slow([(4, 0, 4)] * 3, False),
         ([(0, 0, 1), (0, 0, 5)], True),  # the second time
         ([(0, 0, 1)] * 3 + [(0, 0, 5)], False),  # no more than three
     ],

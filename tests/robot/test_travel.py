@@ -21,6 +21,7 @@ from deformscope.robot.touch import Phase, TouchPlan, run_touch
 from deformscope.robot.travel import PASSED_M, REACHED_M, NotThere, TravelWay, find_way, to_above
 from deformscope_drivers.jaco.chains import J2N6S300
 from studies.fault_study import FaultScene, make_scene
+from tests.cases import slow
 from tests.robot.quick_touch import quick_scene
 
 STANDOFF_M = 0.05
@@ -160,7 +161,7 @@ def test_a_large_turn_between_two_slopes_goes_straight() -> None:
     assert way.joints_deg is None
 
 
-@pytest.mark.parametrize("shrunk_m", [0.0, 0.12, 0.25])
+@pytest.mark.parametrize("shrunk_m", [slow(0.0), 0.12, slow(0.25)])
 def test_no_way_leaves_the_box(shrunk_m: float) -> None:
     """Between touches on random slopes, in boxes as wide as the laboratory's and narrower: by the supervisor's margins,
     or there is none."""

@@ -215,7 +215,7 @@ def test_maps_of_more_regions_count_where_each_is_met() -> None:
 
 
 def test_more_regions_than_are_told_apart_are_named() -> None:
-    nothing = RegionPosterior.before_touches(GRID, particle_count=300, most_regions=3)
+    nothing = RegionPosterior.before_touches(GRID, particle_count=100, most_regions=3)
     assert list(nothing.probability) == ["1", "2", "3", "gradual"]
     shown = functools.reduce(RegionPosterior.with_touch, quadrants(), nothing).region_map()
     assert (shown.region_count, shown.at_least) == (3, True)

@@ -22,6 +22,7 @@ from deformscope.stages.squeeze.scores import reliability_of, score_of, split_ra
 from deformscope.stages.squeeze.splits import Split, draw
 from deformscope.stages.squeeze.table import LabelledTable
 from deformscope.stages.squeeze.trial_run import COSTLY, Answers, run_split
+from tests.cases import slow
 from tests.stages.squeeze.trials import blobs, noise, two_modalities
 
 FAST = EvaluationOptions(splits=12, costly_splits=0, curve_splits=0, protocols=("stratified",))
@@ -35,7 +36,7 @@ def missing(table: LabelledTable) -> dict[str, np.ndarray]:
 # Leakage -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("classes", "columns"), [(2, 5), (4, 80)])
+@pytest.mark.parametrize(("classes", "columns"), [(2, 5), slow(4, 80)])
 def test_random_labels_give_every_classifier_the_no_information_rate(classes: int, columns: int) -> None:
     options = dataclasses.replace(FAST, splits=16, costly_splits=3, level=0.99, protocols=("random", "stratified"))
     found = evaluate(noise(classes, 24, columns, seed=classes), options)
@@ -112,7 +113,7 @@ def sets() -> dict[str, LabelledTable]:
     }
 
 
-@pytest.mark.parametrize("name", ["digits", "wine", "40 classes"])
+@pytest.mark.parametrize("name", ["digits", "wine", slow("40 classes")])
 def test_at_least_as_good_as_the_nearest_neighbour(name: str) -> None:
     table = dataclasses.replace(sets()[name], group=None)
     options = dataclasses.replace(FAST, splits=16)
