@@ -303,8 +303,8 @@ class ForceCurve(msgspec.Struct, frozen=True):
     """The forecast of a touch's force curve, and the measured one.
 
     x_m, y_m: where; known: source of the forecast, as text; force_n: forces; depth_mm, depth_low_mm,
-    depth_high_mm: the dent at each force, and its 90 % interval; felt_mm, felt_n: measured curve, empty before the touch;
-    words: how the two compare
+    depth_high_mm: the dent at each force, and its 90 % interval; felt_mm, felt_n: measured curve, empty before the
+    touch; words: how the two compare
     """
 
     x_m: float
