@@ -23,7 +23,10 @@ Kind = Literal["color", "depth", "tactile", "wrench", "arm", "hand"]
 
 @dataclass(frozen=True, slots=True)
 class ColorFrame:
-    """One camera image. image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16"""
+    """One camera image.
+
+    image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16
+    """
 
     stamp: Stamp
     index: int
@@ -33,8 +36,11 @@ class ColorFrame:
 
 @dataclass(frozen=True, slots=True)
 class DepthFrame:
-    """One image of distances along the camera's axis. depth: (H, W) uint16 in units of unit_m [m], 0 = nothing seen;
-    color: (H, W, 3) RGB uint8 at the depth's pixels, or None"""
+    """One image of distances along the camera's axis.
+
+    depth: (H, W) uint16 in units of unit_m [m], 0 = nothing seen; color: (H, W, 3) RGB uint8 at the depth's pixels, or
+    None
+    """
 
     stamp: Stamp
     index: int
@@ -46,8 +52,11 @@ class DepthFrame:
 
 @dataclass(frozen=True, slots=True)
 class TactileFrame:
-    """The pressures on a hand's pads at one moment. counts: (texels,) uint16, as the device gave them, all pads one
-    after the other, row by row; pressure_pa: one (rows, columns) array for each pad [Pa]"""
+    """The pressures on a hand's pads at one moment.
+
+    counts: (texels,) uint16, as the device gave them, all pads one after the other, row by row; pressure_pa: one (rows,
+    columns) array for each pad [Pa]
+    """
 
     stamp: Stamp
     index: int
@@ -101,8 +110,11 @@ class ArmFrame:
 
 @dataclass(frozen=True, slots=True)
 class HandFrame:
-    """The joints of a hand. position_deg, velocity_deg_s: (7,) [deg], [deg/s]; temperature_c: (9,) [deg C], NaN before
-    the first reading; state: one word for each axis (idle, positioning, blocked...)"""
+    """The joints of a hand.
+
+    position_deg, velocity_deg_s: (7,) [deg], [deg/s]; temperature_c: (9,) [deg C], NaN before the first reading; state:
+    one word for each axis (idle, positioning, blocked...)
+    """
 
     stamp: Stamp
     index: int

@@ -62,9 +62,8 @@ def calibrate_beta(
     source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
     cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
     bounds: range in which beta is searched; thickness_m: thickness of the material below a surface that was poked,
-    spacing_m: spacing of its lattice; whole_motion: fit all frames
-    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
-    terminal or a notebook; True: always, False: never
+    spacing_m: spacing of its lattice; whole_motion: fit all frames; progress: called with what is done, how much of it,
+    and of how much; default: shown on stderr where that is a terminal or a notebook; True: always, False: never
     options: the other fields of `deformscope.config.BetaConfig` and its groups, each the flag of that name of
     `deformscope calibrate beta`. They are roi, grid, held, px_per_cm, level, seed, fine, record, viewer... Raises
     InputError for what cannot be used, and TypeError for options that it has not.
@@ -273,10 +272,9 @@ def explore(
     rig: a rig file (.toml), a simulated scene (`lab:NAME`), or an own scene; planner: a planner's name, or an own
     planner, which chooses all touches; touches: most touches, default 8, or 30 for inclusions
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
-    inclusions to find, default 0.06, with goal inclusions 0.02; set_force_n: force of a touch, at most 5 N
-    pace: quick = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows
-    how the foam creeps; feel: what is mapped: immediate stiffness, relaxed stiffness, or the share of its energy that a
-    touch loses
+    inclusions to find, default 0.06, with goal inclusions 0.02; set_force_n: force of a touch, at most 5 N; pace: quick
+    = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows how the foam
+    creeps; feel: what is mapped: immediate stiffness, relaxed stiffness, or the share of its energy that a touch loses
     record: a recording to make (.rrd); detail: lean = without results between frames and estimates
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
@@ -381,8 +379,7 @@ def replay(
     """Compute a recording again from its inputs, and compare with the recorded numbers.
 
     settings: settings of an exploration that replace the recorded ones, by name, or as KEY=VALUE; their results are not
-    compared to the bit
-    progress: as in `calibrate_beta`.
+    compared to the bit; progress: as in `calibrate_beta`.
     Raises InputError where the numbers differ, or for what cannot be used.
     """
     from deformscope.config import ReplayConfig
@@ -453,9 +450,8 @@ def classify(
 
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: use only these
     merge: classes that are merged, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
-    containers, or as TRAINED:TESTED
-    splits: 70/30, random, stratified and by group; costly_splits: splits of boosting and the Gaussian process, 0 =
-    without
+    containers, or as TRAINED:TESTED; splits: 70/30, random, stratified and by group; costly_splits: splits of boosting
+    and the Gaussian process, 0 = without
     curve_splits: splits of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never Raises InputError for what cannot be used.

@@ -43,8 +43,10 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Compute:
-    """A command: call a function outside the loop (for devices on their own clock); its value is the answer. stage:
-    name under which its cost is recorded"""
+    """A command: call a function outside the loop (for devices on their own clock); its value is the answer.
+
+    stage: name under which its cost is recorded
+    """
 
     call: Callable[..., object]
     arguments: tuple[object, ...] = ()
@@ -64,12 +66,10 @@ class Step:
 
     results: stage results, each of a type with a view in `deformscope.log`
     frame: index of the results' frame; None = the frame that was just sent
-    moment: their time instead, in a session with a robot
-    command: a `Compute`, a future that another party will fill, such as a person's answer, or a command that the robot
-    carries out; an experiment gives one at a time
+    moment: their time instead, in a session with a robot; command: a `Compute`, a future that another party will fill,
+    such as a person's answer, or a command that the robot carries out; an experiment gives one at a time
     batch_s: time over which device items are then gathered, without a robot
-    costs: costs of the computations behind the results; the loop adds them
-    notes: remarks for the recording
+    costs: costs of the computations behind the results; the loop adds them; notes: remarks for the recording
     """
 
     results: tuple[object, ...] = ()
@@ -109,8 +109,10 @@ class SessionRig(Protocol):
 
 
 class SessionRobot(Protocol):
-    """An object that carries out commands (`deformscope.experiments.touching_robot`). stopped: future that fails when
-    the robot must stop, also without a command"""
+    """An object that carries out commands (`deformscope.experiments.touching_robot`).
+
+    stopped: future that fails when the robot must stop, also without a command
+    """
 
     stopped: Future[None]
 

@@ -96,9 +96,8 @@ class FaultRun:
 
     ended_s: after it was noticed, until nothing waited in the arm that would move it; moved_later: a stopped arm was
     moved again; moving: it moved when the fault came; max_force_n: greatest true contact force
-    standstill: from when it was stopped until it stood
-    unseen_m: way of the tip from the fault until it was noticed; turned_deg: rotation of the arm's end relative to the
-    command; both are true values
+    standstill: from when it was stopped until it stood; unseen_m: way of the tip from the fault until it was noticed;
+    turned_deg: rotation of the arm's end relative to the command; both are true values
     """
 
     seed: int

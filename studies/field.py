@@ -1,7 +1,6 @@
 """`python -m studies field`: how well one deformation determines the stiffness of each place of a body.
 
-python -m studies field
-python -m studies field --kinds "two, stretch" "three, shear" --objects 20 --json field.json
+python -m studies field python -m studies field --kinds "two, stretch" "three, shear" --objects 20 --json field.json
 python -m studies field --independent --objects 20
 
 Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements (`field_bodies`); and
@@ -110,9 +109,8 @@ class FieldOutcome:
     right: the verdict and number of materials are the true ones; ratio: stiffest over softest, over the true one
     border: distance of the farthest wrong cell from one of its assigned material [spacings], 0 = none is wrong; NaN
     without materials, or with another number; held: share of the places whose interval holds the truth; beta_ratio:
-    ratio of 1 - beta, over the true ratio of stiffness
-    claims: places differ; reasons: to doubt it; directions: ratio of moduli along those that are named, over the true
-    one, None where none are
+    ratio of 1 - beta, over the true ratio of stiffness; claims: places differ; reasons: to doubt it; directions: ratio
+    of moduli along those that are named, over the true one, None where none are
     """
 
     kind: str

@@ -1,15 +1,14 @@
 """`python -m studies force`: how often the intervals of a predicted force hold the true one, on random slabs.
 
-python -m studies force
-python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume forces.jsonl --json force.json
-python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as given" "nu 0.45" "twice as deep"
+python -m studies force python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume
+forces.jsonl --json force.json python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as
+given" "nu 0.45" "twice as deep"
 
 Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 
 Two ways. In full: finite elements press the slab, and a shape-matching model is fitted to the surface's motion. It
 predicts other places, tips and forces; about a minute or more per slab, for any number of scatters. Fast: the effect of
-a border in finite elements (`FELT`) replaces both, and only the field of stiffness is tested, thousands
-of times.
+a border in finite elements (`FELT`) replaces both, and only the field of stiffness is tested, thousands of times.
 
 Both have a scatter of the force from poke to poke that the model is not given; a seed has one pattern of it on slabs of
 all kinds.

@@ -1,7 +1,6 @@
 """`python -m studies lumps`: how many lumps in foam `explore --goal inclusions` finds, and how many it misses.
 
-python -m studies lumps --objects 40 --json lumps.json
-python -m studies lumps --foam 110 --lump rigid --errors
+python -m studies lumps --objects 40 --json lumps.json python -m studies lumps --foam 110 --lump rigid --errors
 
 Lumps in foam, sought with `explore --goal inclusions`: share found within numbers of touches, false alarms without a
 lump, and calibration of the miss probability.
@@ -71,9 +70,8 @@ class LumpAfter:
 @dataclass(frozen=True, slots=True)
 class LumpOutcome:
     """Outcome of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
-    foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found
-    radius_m, interval_m: radius and interval of the found lump nearest to the true one, within_m: stated accuracy of
-    its middle; depth: its class
+    foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found; radius_m, interval_m: radius
+    and interval of the found lump nearest to the true one, within_m: stated accuracy of its middle; depth: its class
     xy_m: (t) places that were touched
     """
 

@@ -1,7 +1,6 @@
 """`python -m studies materials`: how often the intervals of `calibrate axes`, `yield` and `viscous` hold the truth.
 
-python -m studies materials
-python -m studies materials --kinds axes viscous --objects 200 --json materials.json
+python -m studies materials python -m studies materials --kinds axes viscous --objects 200 --json materials.json
 
 Deformations and motions of known materials: how often `calibrate axes`, `yield` and `viscous` hold the truth.
 

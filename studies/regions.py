@@ -1,15 +1,13 @@
 """`python -m studies regions`: how often a map's levels and its number of regions are right, on known surfaces.
 
-python -m studies regions --objects 300 --jobs 8 --json -
-python -m studies regions --objects 50 --scatter 0.08 --only "scatter 8 %"
-python -m studies regions --objects 24 --touches 16 --only "4 materials"
+python -m studies regions --objects 300 --jobs 8 --json - python -m studies regions --objects 50 --scatter 0.08 --only
+"scatter 8 %" python -m studies regions --objects 24 --touches 16 --only "4 materials"
 
 Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
 
-A touch is the stiffness under its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite
-elements, so that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths
-come from the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that
-violate it.
+A touch is the stiffness under its contact plus its errors (`LabErrors`, `touch_error`): no arm, no finite elements, so
+that hundreds of explorations take minutes. Posterior, planner and stop rule are those of `explore`. Truths come from
+the estimator's own prior (simulation-based calibration, Talts et al. 2018), and from scenes and errors that violate it.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ ROOT = Path(__file__).resolve().parents[1]
 HELP_COLUMNS = "100"
 OUTSIDE = re.compile(r"\]\((?:\.\./)+((?:drivers|recordings|studies)/[\w./-]+)")
 ABOUT = re.compile(r"^( *```\w+) ([\w.-]+)$", re.MULTILINE)
-FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+, )*\w+): ", re.MULTILINE)
+FIELD_NAMES = re.compile(r"(?:^|; )((?:\w+,\s)*\w+):\s", re.MULTILINE)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -272,7 +272,7 @@ def _meanings(kind: type) -> dict[str, str]:
     ends = [one.start() for one in starts[1:]] + [len(body)] * bool(starts)
     for start, end in zip(starts, ends, strict=True):
         words = " ".join(body[start.end() : end].split()).rstrip(";")
-        found |= {name: _escaped(words) for name in start[1].split(", ")}
+        found |= {name: _escaped(words) for name in start[1].replace("\n", " ").split(", ")}
     return found
 
 

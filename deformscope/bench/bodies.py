@@ -19,8 +19,10 @@ PUSH = 1.5
 
 @dataclass(frozen=True, slots=True)
 class BenchBody:
-    """A full lattice with some particles held. Lengths are in units of its spacing. named: its name in the table;
-    shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)"""
+    """A full lattice with some particles held. Lengths are in units of its spacing.
+
+    named: its name in the table; shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)
+    """
 
     named: str
     shape: tuple[int, ...]

@@ -36,8 +36,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One command. summary: its line in `deformscope --help`; config: its class in `deformscope.config`; module: where
-    it lives; function: runs it, called with the config"""
+    """One command.
+
+    summary: its line in `deformscope --help`; config: its class in `deformscope.config`; module: where it lives;
+    function: runs it, called with the config
+    """
 
     summary: str
     config: str

@@ -1,7 +1,6 @@
 """`deformscope completion`: the words that a shell completes, for bash, zsh and fish.
 
-eval "$(deformscope completion bash)"
-deformscope completion fish > ~/.config/fish/completions/deformscope.fish
+eval "$(deformscope completion bash)" deformscope completion fish > ~/.config/fish/completions/deformscope.fish
 """
 
 from __future__ import annotations

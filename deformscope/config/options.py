@@ -18,7 +18,10 @@ MarkT = TypeVar("MarkT")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """An output file of a command. flag: the flag of its name; replace: whether an existing file may be replaced"""
+    """An output file of a command.
+
+    flag: the flag of its name; replace: whether an existing file may be replaced
+    """
 
     flag: str
     path: Path

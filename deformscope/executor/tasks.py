@@ -86,9 +86,8 @@ def compute(
     """The outcome of each item as it is ready.
 
     items: cases; each is taken only when a worker is free for it; attempts: most attempts of each task
-    limit_s: an attempt that takes longer is ended; the start of its worker counts too
-    begin: a function of a module too, called in each worker before its first task. Raises OtherVersion; an error of an
-    attempt becomes its outcome.
+    limit_s: an attempt that takes longer is ended; the start of its worker counts too; begin: a function of a module
+    too, called in each worker before its first task. Raises OtherVersion; an error of an attempt becomes its outcome.
     """
     coming, again = iter(items), deque[tuple[T, tuple[str, ...]]]()
     under_way: dict[Any, tuple[T, tuple[str, ...], float]] = {}

@@ -221,8 +221,10 @@ class AfterTouch:
 
 
 class UnseenSurface:
-    """An exploration before its look at the surface: only the `Explorer` that a look returns accepts touches. failed:
-    recorded failures by touch and stage"""
+    """An exploration before its look at the surface: only the `Explorer` that a look returns accepts touches.
+
+    failed: recorded failures by touch and stage
+    """
 
     def __init__(
         self,

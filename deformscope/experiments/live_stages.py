@@ -114,8 +114,7 @@ def live_stages(
 
     executors: the executor of each stage, by the stage's name; each has its own, so that no stage waits for another;
     ended: called with every batch and the stages' notes, returns whether to end; lossless: colour images are recorded
-    without losses
-    watch: called with every result; clock: the host's, or that of recorded items [ns]
+    without losses; watch: called with every result; clock: the host's, or that of recorded items [ns]
     """
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
     given = yield Step(batch_s=SOON_S)

@@ -126,8 +126,7 @@ def camera_motion(
 ) -> tuple[Motion, PressCycle]:
     """All frames, the first one at rest among them, and the time of the release.
 
-    Released parts count as held until the frame of the release. After that the particles
-    count as not seen.
+    Released parts count as held until the frame of the release. After that the particles count as not seen.
     """
     released = [part for part in particles.held if part in unloading.released]
     if not released:

@@ -86,8 +86,7 @@ def find_touches(
     """The look and the touches of a recording, and why other approaches do not count as touches.
 
     items: items of its devices in order of time, images need not be decoded; names: names of arm, force sensor and
-    depth camera
-    model: the vendor's name of the arm. Raises InputError if nothing is found.
+    depth camera; model: the vendor's name of the arm. Raises InputError if nothing is found.
     """
     arm, wrench, camera = names
     chooser = _Approaches(wrench, arm)

@@ -20,8 +20,10 @@ from deformscope_drivers.arms import chain_of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Touch:
-    """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,). plan: path of
-    the touch, for a robot that needs one"""
+    """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,).
+
+    plan: path of the touch, for a robot that needs one
+    """
 
     xy_m: FloatArray
     height_m: float

@@ -131,8 +131,10 @@ def frame_ns(frame: Frame) -> int:
 
 
 class Tracking:
-    """The tracker of the container (`deformscope.experiments.squeeze_live`); this class does not track. found: all
-    tracked poses; failed: why tracking stopped, or empty; waiting: the last image that is being computed"""
+    """The tracker of the container (`deformscope.experiments.squeeze_live`); this class does not track.
+
+    found: all tracked poses; failed: why tracking stopped, or empty; waiting: the last image that is being computed
+    """
 
     waiting: Future[Any] | None = None
 

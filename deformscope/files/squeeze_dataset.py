@@ -72,8 +72,10 @@ class TrialEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialRow:
-    """A squeeze and its features by modality; a missing modality was not measured, as in a discarded trial. series: by
-    modality (k, p) features every 0.1 s since first contact"""
+    """A squeeze and its features by modality; a missing modality was not measured, as in a discarded trial.
+
+    series: by modality (k, p) features every 0.1 s since first contact
+    """
 
     entry: TrialEntry
     features: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -81,8 +83,10 @@ class TrialRow:
 
 
 class SqueezeDataset:
-    """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing. settings:
-    settings of the features; None = those of the folder"""
+    """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing.
+
+    settings: settings of the features; None = those of the folder
+    """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any] | None = None) -> None:
         self.folder = Path(folder)

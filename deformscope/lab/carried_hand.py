@@ -197,8 +197,10 @@ def _aligned(T_hand_container: FloatArray, shape: ContainerShape) -> FloatArray:
 
 
 class _Wire(MemoryTransport):
-    """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened. passes:
-    until a moment [ns]"""
+    """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened.
+
+    passes: until a moment [ns]
+    """
 
     passes: Callable[[int], None]
 

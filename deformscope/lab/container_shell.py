@@ -126,8 +126,11 @@ SHAPES = {"box": BOX, "cylinder": CYLINDER}
 
 
 class Shell:
-    """The elastic wall of a shape. Displacements and loads are positive inwards. s_m, z_m: nodes of its mesh;
-    patch_area_m2: (p,) and patch_z_m: (p,) of the patches that a filling acts on, those of the side at +x first"""
+    """The elastic wall of a shape. Displacements and loads are positive inwards.
+
+    s_m, z_m: nodes of its mesh; patch_area_m2: (p,) and patch_z_m: (p,) of the patches that a filling acts on, those of
+    the side at +x first
+    """
 
     def __init__(self, shape: ContainerShape) -> None:
         self.shape = shape

@@ -48,7 +48,10 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 
 
 class ContainerView(RayCamera):
-    """A camera in front of a container in the hand. shape: shape of the container"""
+    """A camera in front of a container in the hand.
+
+    shape: shape of the container
+    """
 
     def __init__(
         self,

@@ -206,8 +206,10 @@ class _Tangent:
 
 
 class ContainerWorld:
-    """A container with a content, and its response to the fingers. shape, content, trial: as given; mass_kg: mass of
-    all of it"""
+    """A container with a content, and its response to the fingers.
+
+    shape, content, trial: as given; mass_kg: mass of all of it
+    """
 
     def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial

@@ -47,8 +47,10 @@ TABLE_M = 0.6
 
 
 class DepthView(RayCamera):
-    """A camera in front of a scene. places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes
-    displacements [m]"""
+    """A camera in front of a scene.
+
+    places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
+    """
 
     def __init__(
         self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None

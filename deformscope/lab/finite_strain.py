@@ -84,8 +84,10 @@ def press(
 
 
 class LargeStrain(ABC):
-    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method. prescribed, free:
-    (n,) degrees of freedom that are held, and all others"""
+    """Equilibrium of a body at large strain while something is pushed into it, by Newton's method.
+
+    prescribed, free: (n,) degrees of freedom that are held, and all others
+    """
 
     prescribed: IntArray
     free: IntArray

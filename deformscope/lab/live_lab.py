@@ -110,8 +110,10 @@ class _Shared:
 
 
 class LiveLab:
-    """The table, the arm over it, and their state (`robot.setup.SimulatedTable`). view: the camera; arm: the simulated
-    arm, and the person who places it"""
+    """The table, the arm over it, and their state (`robot.setup.SimulatedTable`).
+
+    view: the camera; arm: the simulated arm, and the person who places it
+    """
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 

@@ -26,8 +26,10 @@ from deformscope.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class OgdenFoam:
-    """One foam. shear: mu_i [Pa], > 0; exponent: a_i, not 0, one for each; poisson: nu of small strains, 0 to below
-    1/2"""
+    """One foam.
+
+    shear: mu_i [Pa], > 0; exponent: a_i, not 0, one for each; poisson: nu of small strains, 0 to below 1/2
+    """
 
     shear: tuple[float, ...]
     exponent: tuple[float, ...]

@@ -201,9 +201,8 @@ class Scene:
     """A slab on the table.
 
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
-    size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio
-    drawn: the seed's values, by name; buried: the ball inside the foam. The places above it have its
-    label; the modulus of a place is without it
+    size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio; drawn: the seed's values, by name;
+    buried: the ball inside the foam. The places above it have its label; the modulus of a place is without it
     """
 
     name: str

@@ -26,8 +26,11 @@ MOST_CONTACT_ROUNDS = 30
 
 @dataclass(frozen=True, slots=True)
 class Slab:
-    """A slab with its corner at the origin, up is +z. size: (x, y, thickness) [m]; young: Young's modulus [Pa], a
-    number or a function of places (n, 3); poisson: Poisson's ratio"""
+    """A slab with its corner at the origin, up is +z.
+
+    size: (x, y, thickness) [m]; young: Young's modulus [Pa], a number or a function of places (n, 3); poisson:
+    Poisson's ratio
+    """
 
     size: tuple[float, float, float]
     young: float | Callable[[FloatArray], FloatArray]

@@ -107,8 +107,11 @@ class SpeckleMotion:
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A push as a camera records it. mask: (H, W) True where the foam is in the first image; motions: the true motion
-    at each image; images: functions that make each (H, W) uint8 image on demand"""
+    """A push as a camera records it.
+
+    mask: (H, W) True where the foam is in the first image; motions: the true motion at each image; images: functions
+    that make each (H, W) uint8 image on demand
+    """
 
     mask: BoolArray
     motions: tuple[SpeckleMotion, ...]

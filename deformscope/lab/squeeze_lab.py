@@ -78,9 +78,8 @@ class ContainerTruth:
     contact_ns: when a finger first pressed the wall; steady_ns: when the pressing joints began to turn less than
     `STILL_DEG_S` until they were opened again, or until now; None without such a time
     T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force of finger 0 and finger 2, and the largest
-    inward displacement of the wall below each
-    inward_m: (nodes along s, along z) depth of the wall within the undeformed container; its content bulges it even
-    before contact
+    inward displacement of the wall below each; inward_m: (nodes along s, along z) depth of the wall within the
+    undeformed container; its content bulges it even before contact
     """
 
     content: str
@@ -116,8 +115,10 @@ class ContainerCase:
 
 
 class SqueezedContainer:
-    """The world of the doubles: a container between the fingers of a simulated hand, in a camera's view. hand, pads:
-    the doubles; shape, world, view: the container's form, the pressed body, the camera"""
+    """The world of the doubles: a container between the fingers of a simulated hand, in a camera's view.
+
+    hand, pads: the doubles; shape, world, view: the container's form, the pressed body, the camera
+    """
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
         """clock: that the hand's double runs on; port: the hand's port"""
@@ -200,8 +201,10 @@ class SqueezedContainer:
 
 
 class SqueezeLab:
-    """The laboratory with one container in it, closed. hand, pads, camera: the real drivers' devices, which `open`
-    opens; simulated: the world behind them"""
+    """The laboratory with one container in it, closed.
+
+    hand, pads, camera: the real drivers' devices, which `open` opens; simulated: the world behind them
+    """
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)

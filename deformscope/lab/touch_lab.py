@@ -254,10 +254,9 @@ class SpoiledWire(MemoryTransport):
 class Spoiled:
     """The vendor's functions, whose results and arguments can be changed.
 
-    invalid: poses and joint angles are NaN; frozen: every reading is the one before; waits: called before each
-    call, which takes its time
-    turning_rad_s: (3,) rotation of the arm's end in addition to each point of joint rates, about the tip's centre, in
-    the base frame
+    invalid: poses and joint angles are NaN; frozen: every reading is the one before; waits: called before each call,
+    which takes its time; turning_rad_s: (3,) rotation of the arm's end in addition to each point of joint rates, about
+    the tip's centre, in the base frame
     """
 
     def __init__(self, arm: JacoDouble, T_ee_center: FloatArray) -> None:

@@ -16,9 +16,8 @@ class Application:
     """rerun's application: a viewer keeps one set of views for each.
 
     name: rerun's id of the application; over_picture: the views of results over a picture, once the picture is known,
-    None = the views come with their results
-    devices: whether devices are recorded; robot_moves: whether a robot moves during the recording, whose run reports
-    its state on a page. A recording without its results is useless
+    None = the views come with their results; devices: whether devices are recorded; robot_moves: whether a robot moves
+    during the recording, whose run reports its state on a page. A recording without its results is useless
     """
 
     name: str

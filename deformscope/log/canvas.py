@@ -26,9 +26,8 @@ class Canvas:
     low, high: (d,) its corners, d = 2 or 3, in pixels of the image or in the pair's unit
     spacing: distance between neighbouring particles, in the same unit; 0 = not yet known; particles: (K, 2) present
     places of the particles [px], so that nothing is drawn outside of the body; None = draw anywhere
-    image: the path of the image under the results; empty = none
-    origin, scale: (d,) positions are drawn at (position - origin) * scale; empty = unchanged. Corners are of the
-    drawing
+    image: the path of the image under the results; empty = none; origin, scale: (d,) positions are drawn at (position -
+    origin) * scale; empty = unchanged. Corners are of the drawing
     """
 
     low: tuple[float, ...] = (0.0, 0.0)

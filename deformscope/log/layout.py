@@ -18,8 +18,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RecordingLayout(ABC):
-    """How a session with devices is recorded and shown. Creating a layout does not import rerun. streams: streams of
-    the devices; by_touch: whether device items are on the timelines of an exploration (`deformscope.log.rig.Place`)"""
+    """How a session with devices is recorded and shown. Creating a layout does not import rerun.
+
+    streams: streams of the devices; by_touch: whether device items are on the timelines of an exploration
+    (`deformscope.log.rig.Place`)
+    """
 
     streams: tuple[Stream, ...]
 

@@ -21,10 +21,9 @@ class ShownStage:
     name: its name, also that of its costs; chapter: chapter of the thesis, 0 = records of the run itself; gives: its
     result in words; entity: place of its rows, with entities below it, "" = that of its type of result
     field: field of the result, without which a row holds nothing of the stage, "" = each does
-    costs: names of other stages that are computed for it
-    when: the setting of a recording that requests it, such as `explore.hold_s`, or a setting with one of its values,
-    such as `stages.names=beta`. Several, separated by spaces, are all needed; "" = it is always present, `SOMETIMES` =
-    it may be absent
+    costs: names of other stages that are computed for it; when: the setting of a recording that requests it, such as
+    `explore.hold_s`, or a setting with one of its values, such as `stages.names=beta`. Several, separated by spaces,
+    are all needed; "" = it is always present, `SOMETIMES` = it may be absent
     """
 
     name: str

@@ -35,8 +35,7 @@ class FitProcess:
     config: the command's options, with which it begins; state: the state that was shown last; commands: commands that
     are possible then; changed: called with the state after every change, in the thread that receives from the process
     next_folder: makes a folder for held pictures of a camera, None = it is a fit of files
-    keeps_last: the final picture is held
-    drawn_ms: time from a change on the page until the page has drawn it [ms]
+    keeps_last: the final picture is held; drawn_ms: time from a change on the page until the page has drawn it [ms]
     """
 
     def __init__(

@@ -104,8 +104,7 @@ class FollowedCamera:
 
     name: name of the camera; first: its first picture, which shows the thing at rest; method: method of the flow
     flow: computes the motion in a process in which nothing else uses OpenCV: the same pictures give the same result to
-    the last bit
-    next_folder: makes a folder for pictures to store; want: requests the next picture
+    the last bit; next_folder: makes a folder for pictures to store; want: requests the next picture
     """
 
     def __init__(

@@ -13,7 +13,10 @@ from deformscope.page.server.page_session import PageSession
 
 
 class RobotPage(ABC):
-    """`PageRun` of a robot's page. robot: the moving part, as text; button: text of the page's button for a motion"""
+    """`PageRun` of a robot's page.
+
+    robot: the moving part, as text; button: text of the page's button for a motion
+    """
 
     robot = button = ""
 

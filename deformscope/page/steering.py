@@ -47,8 +47,11 @@ CURVE_POINTS = 60
 
 
 class PageSteering(RobotPage):
-    """`Steering` of an exploration, and `PageRun` of its page. arm: its name; set_force_n: set force of a touch;
-    budget: most touches of the exploration; paused: begin paused, and touch only on a request of the page"""
+    """`Steering` of an exploration, and `PageRun` of its page.
+
+    arm: its name; set_force_n: set force of a touch; budget: most touches of the exploration; paused: begin paused, and
+    touch only on a request of the page
+    """
 
     robot, button = "arm", "Explore"
 

@@ -27,8 +27,10 @@ magnified."""
 
 @dataclass(frozen=True, slots=True)
 class CloseUp:
-    """The part of a body that is shown. low, high: (3,) its corners [unit]; heights: how many times z is drawn
-    out; surface: a layer seen from above"""
+    """The part of a body that is shown.
+
+    low, high: (3,) its corners [unit]; heights: how many times z is drawn out; surface: a layer seen from above
+    """
 
     low: FloatArray
     high: FloatArray

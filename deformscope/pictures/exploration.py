@@ -420,8 +420,7 @@ certain; the true ones, if known, and over them the outline of the estimated one
 
 
 def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
-    """The ends of a logarithmic scale that holds these values (...,) [N/mm], both 1, 2 or 5 times a power of
-    ten."""
+    """The ends of a logarithmic scale that holds these values (...,) [N/mm], both 1, 2 or 5 times a power of ten."""
     known = stiffness[np.isfinite(stiffness) & (stiffness > LEAST)]
     if not known.size:
         return 0.1, 1.0

@@ -56,7 +56,10 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """A window that was started. pid: its process; messages: descriptor of a file with its standard error"""
+    """A window that was started.
+
+    pid: its process; messages: descriptor of a file with its standard error
+    """
 
     pid: int
     messages: int

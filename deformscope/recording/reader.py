@@ -56,8 +56,10 @@ def check_magic(path: Path) -> None:
 
 
 class Replay:
-    """Content of a recording, read on demand. trust: skip the comparison with the ledger; has_ledger: there is a
-    ledger, with which its bytes can be compared"""
+    """Content of a recording, read on demand.
+
+    trust: skip the comparison with the ledger; has_ledger: there is a ledger, with which its bytes can be compared
+    """
 
     def __init__(self, path: Path, *, trust: bool = False) -> None:
         self.path = Path(path)

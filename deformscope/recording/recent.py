@@ -87,8 +87,10 @@ class RecentItems:
 
 
 class WatchedRecorder:
-    """A session's recorder whose view continues after an error of its file; the error is raised at the end. watch: the
-    view of the session; kept: records"""
+    """A session's recorder whose view continues after an error of its file; the error is raised at the end.
+
+    watch: the view of the session; kept: records
+    """
 
     def __init__(self, watch: Recorder, kept: Recorder) -> None:
         self._watch, self._kept = watch, kept
@@ -140,8 +142,10 @@ class WatchedRecorder:
 
 
 class LastRecorder(WatchedRecorder):
-    """A session's recorder that shows the whole session and records its last seconds. kept: recorder of the last
-    seconds; it may wait, as all of them are written at once"""
+    """A session's recorder that shows the whole session and records its last seconds.
+
+    kept: recorder of the last seconds; it may wait, as all of them are written at once
+    """
 
     def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
         super().__init__(watch, kept)

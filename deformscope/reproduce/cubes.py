@@ -309,8 +309,11 @@ def standard_error(values: Iterable[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """theta over cubes of one Poisson's ratio. of: other properties that they share, "" without any; count: number of
-    cubes; sem: standard error of the mean; equal_share_sem: that of `Found.equal_share_theta`"""
+    """theta over cubes of one Poisson's ratio.
+
+    of: other properties that they share, "" without any; count: number of cubes; sem: standard error of the mean;
+    equal_share_sem: that of `Found.equal_share_theta`
+    """
 
     poisson: float
     of: str

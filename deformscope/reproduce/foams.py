@@ -51,8 +51,11 @@ VIEW = View(width=810, height=430, middle_px=405.0, top_px=50.0, px_per_m=100.0 
 
 @dataclass(frozen=True, slots=True)
 class FoamSetup:
-    """The push and its images. depth_m: depth of the clamp at the end; images: number of images, including that at
-    rest; noise: noise of the camera [grey values]"""
+    """The push and its images.
+
+    depth_m: depth of the clamp at the end; images: number of images, including that at rest; noise: noise of the camera
+    [grey values]
+    """
 
     foams: tuple[Foam, ...] = FOAMS
     block: Block = BLOCK
@@ -284,7 +287,9 @@ CHANGES: dict[str, tuple[float, float]] = {
 @dataclass(frozen=True, slots=True)
 class Control:
     """The middle foam with one property changed: effect of the change on its true positions, and on beta from these.
-    true_px: (K, 2) places of its particles"""
+
+    true_px: (K, 2) places of its particles
+    """
 
     changed: str
     foam: Foam

@@ -46,8 +46,7 @@ Numbers = dict[str, float | str]
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Error of a tracked pose in the directions that the tracker reports as observed. good: its own
-    verdict"""
+    """Error of a tracked pose in the directions that the tracker reports as observed. good: its own verdict"""
 
     shift_m: float
     turn_deg: float

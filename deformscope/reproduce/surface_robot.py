@@ -101,8 +101,7 @@ class LabRobot:
 
     scene: the true scene, without its scatter; arm: the arm as calibrated
     errors: errors of this session; truth: the scene's true values; most_force_n: the largest true contact force so far
-    felt: `felt_log_stiffness` of each touch
-    sees: whether the camera records during the press, which only beta needs
+    felt: `felt_log_stiffness` of each touch; sees: whether the camera records during the press, which only beta needs
     """
 
     def __init__(

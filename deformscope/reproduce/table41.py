@@ -73,8 +73,10 @@ def _setup(scene: Scene, options: ExploreOptions) -> SetupGeometry:
 
 
 class _Scores:
-    """Scores each map once the plan after it is there; the session's recorder. stop_after: touches at the end of the
-    plan, though it continued"""
+    """Scores each map once the plan after it is there; the session's recorder.
+
+    stop_after: touches at the end of the plan, though it continued
+    """
 
     def __init__(
         self, found: Exploration, stages: ExplorationStages, robot: LabRobot, truth: TrueMap, clock: TouchClock

@@ -42,8 +42,7 @@ class Quantity:
     json: converts the value to JSON; json_scale: factor of the value in JSON
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None if the scale is unknown
-    missing: text in place of None
-    older_key: an older key under which JSON has it too
+    missing: text in place of None; older_key: an older key under which JSON has it too
     optional: JSON lacks the key if the value is None; flat: JSON has the value's parts instead
     line: its text in the line of main values, with "{}" for the value; caption: its text below the title of a picture
     name: name of the field or property; place: number that rises in the order of declaration

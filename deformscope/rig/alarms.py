@@ -103,7 +103,9 @@ class _Watched:
 
 class SensorAlarms:
     """Alarms of sensors: `look` receives all items of devices in order, and returns notes on alarms that begin and end.
-    stuck_after_s: times by device, as in the rig; None = its readings may stay the same for ever"""
+
+    stuck_after_s: times by device, as in the rig; None = its readings may stay the same for ever
+    """
 
     def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:
         self._streams = {stream.device: stream for stream in streams}

@@ -32,8 +32,11 @@ from deformscope_drivers.transport import CAN_FRAME_BYTES
 
 @dataclass(frozen=True, slots=True)
 class DeviceComparison:
-    """How a device's recorded frames compare with its bytes. frames: recorded; compared: how many frames were decoded
-    again; left_out: parts without a comparison, and why; difference: the first difference, in words; empty = none"""
+    """How a device's recorded frames compare with its bytes.
+
+    frames: recorded; compared: how many frames were decoded again; left_out: parts without a comparison, and why;
+    difference: the first difference, in words; empty = none
+    """
 
     device: str
     driver: str
@@ -47,9 +50,8 @@ class Redecoder(ABC):
     """Makes frames from one device's bytes, as its driver did.
 
     left_out: parts of a frame that its bytes do not determine; compares: the fields that the bytes determine, besides
-    the stamp
-    listening: whether new items are for the decoder; late_answers: answers that were too late for the driver give no
-    frame
+    the stamp; listening: whether new items are for the decoder; late_answers: answers that were too late for the driver
+    give no frame
     """
 
     left_out = ""

@@ -270,8 +270,11 @@ SECTIONS: dict[str, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A rig, read from its file. name: name of the file, for titles; text: the file, for recordings; folder: folder of
-    the file, to which its paths are relative"""
+    """A rig, read from its file.
+
+    name: name of the file, for titles; text: the file, for recordings; folder: folder of the file, to which its paths
+    are relative
+    """
 
     name: str
     text: str

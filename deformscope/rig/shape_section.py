@@ -41,8 +41,7 @@ class ShapeSection:
     at its end, if the arm's URDF does not have it; paths relative to the rig file
     T_ee_gripper: 4x4, the gripper's root to the arm's end [m]; closed: joints whose angle is not reported, such as
     those of fingers: position as a share of the way from the lower limit to the upper one
-    margin_m: margin of meshes and hulls, in addition to [camera] doubt_m
-    cables: cables, for any kind of removal
+    margin_m: margin of meshes and hulls, in addition to [camera] doubt_m; cables: cables, for any kind of removal
     """
 
     removal: Literal["capsules", "hull", "mesh"] | None = None

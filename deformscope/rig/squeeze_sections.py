@@ -79,9 +79,8 @@ class SqueezeSection:
     contact_timeout_s, still_timeout_s: most time until the first contact, and from there to the steady state
     hand_silent_s, tactile_silent_s: limits on silence that stop the hand. The limits are five periods of the hand's 25
     Hz, and nearly four of pads with at least 11 frames a second; set longer ones on a busy machine
-    saturation_counts: a texel that reaches it ends the squeeze
-    spread_m, tilt_deg: standard deviation of a random grasp along the container's longest edge, about its middle, and
-    of its tilt
+    saturation_counts: a texel that reaches it ends the squeeze; spread_m, tilt_deg: standard deviation of a random
+    grasp along the container's longest edge, about its middle, and of its tilt
     """
 
     current_a: float = 0.3

@@ -49,8 +49,10 @@ AGAIN = "a height in mm on the scale, or nothing for the requested height: "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceRequest:
-    """A request to a person to place the stick. words: text for the person; T_base_ee: (4, 4) requested pose of the
-    arm's end in the base frame [m]"""
+    """A request to a person to place the stick.
+
+    words: text for the person; T_base_ee: (4, 4) requested pose of the arm's end in the base frame [m]
+    """
 
     words: str
     T_base_ee: FloatArray

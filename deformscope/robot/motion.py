@@ -133,7 +133,9 @@ def within_limits(
 
 class CommandedRotation:
     """The rotation of the arm's end in the base frame as it was commanded, to be compared with the measured one.
-    rotation: (3, 3), None until the first reading of the arm"""
+
+    rotation: (3, 3), None until the first reading of the arm
+    """
 
     def __init__(self) -> None:
         self.rotation: FloatArray | None = None

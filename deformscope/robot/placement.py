@@ -51,8 +51,11 @@ Larger may step over a limit or a singularity between two; smaller takes longer 
 
 @dataclass(frozen=True)
 class Placement:
-    """The rigid relations of base, surface, arm's end and tip. T_base_surface: (4, 4) surface frame to the arm's base
-    frame [m]; tool: the arm's tool. Raises InputError for a transform that is not rigid."""
+    """The rigid relations of base, surface, arm's end and tip.
+
+    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: the arm's tool. Raises InputError for a
+    transform that is not rigid.
+    """
 
     T_base_surface: FloatArray
     tool: Tool = field(default_factory=Tool)

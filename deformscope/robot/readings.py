@@ -23,9 +23,8 @@ class ForceSample:
     """A reading of the force sensor.
 
     time_ns: arrival; force_n: (3,) force of the tip on the world in the tip's frame, positive z = compression, tare
-    taken off [N]; sensor_n: (3,) force as the sensor reports it
-    pattern: the bits as sent, which a frozen sensor repeats; usable: sensor and wire report no error; ticks: the
-    sensor's own count, -1 = none
+    taken off [N]; sensor_n: (3,) force as the sensor reports it; pattern: the bits as sent, which a frozen sensor
+    repeats; usable: sensor and wire report no error; ticks: the sensor's own count, -1 = none
     """
 
     time_ns: int
@@ -48,9 +47,8 @@ class ArmSample:
     """A state of the arm.
 
     time_ns: arrival; T_base_ee: (4, 4) pose of the arm's end in the base frame [m]; joints_deg: (n,); fifo_count:
-    points that wait in the arm
-    torques_nm: (n,) torques of the joints without gravity's, read at times of their own; currents: (n,) currents of the
-    motors in the arm's own unit; either is empty where the arm reports none
+    points that wait in the arm; torques_nm: (n,) torques of the joints without gravity's, read at times of their own;
+    currents: (n,) currents of the motors in the arm's own unit; either is empty where the arm reports none
     """
 
     time_ns: int
@@ -78,8 +76,11 @@ class CameraSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotObservation:
-    """Items since the last control period, oldest first. refused: frames of the force sensor's wire that failed their
-    checksum or made no sense, since opening; lost_links: names of devices whose link is down, and why"""
+    """Items since the last control period, oldest first.
+
+    refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening; lost_links:
+    names of devices whose link is down, and why
+    """
 
     now_ns: int
     forces: tuple[ForceSample, ...] = ()

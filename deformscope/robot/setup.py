@@ -77,15 +77,13 @@ class Setup:
     """Opened by `source`, then made one robot by `robot`.
 
     open_source: opens all devices; names: names of arm, force sensor and camera among them
-    compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]
-    calibrated: the required calibrations before the arm moves, by name, and whether they are done; ages: ages of the
-    calibrations
+    compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]; calibrated: the
+    required calibrations before the arm moves, by name, and whether they are done; ages: ages of the calibrations
     simulated: all devices are simulated; truth: the simulation's true values, None without a simulation
     runs_itself: the devices have separate threads and the host's clock, so that they continue during any computation
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None if only the sensor measures it
-    person: places the arm; None = an arm with motors
-    described: shape of the robot
+    person: places the arm; None = an arm with motors; described: shape of the robot
     press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
     """
 
@@ -154,7 +152,10 @@ def seen(robot: Robot) -> Robot:
 
 
 class SimulatedDevices(Protocol):
-    """The scenes of a rig's doubles. opener: as for `RigSource`; other attributes as in `Setup`"""
+    """The scenes of a rig's doubles.
+
+    opener: as for `RigSource`; other attributes as in `Setup`
+    """
 
     @property
     def runs_itself(self) -> bool: ...

@@ -75,8 +75,11 @@ class SqueezeStopped(Exception):
 
 
 class SqueezeRobot:
-    """Opened devices and a supervisor; `cycle` is one control period. hand_readings, tactile_frames: items of the last
-    period, oldest first; on_cycle: called in every period, before it is judged: the observer may request a stop"""
+    """Opened devices and a supervisor; `cycle` is one control period.
+
+    hand_readings, tactile_frames: items of the last period, oldest first; on_cycle: called in every period, before it
+    is judged: the observer may request a stop
+    """
 
     def __init__(
         self,

@@ -48,8 +48,10 @@ class TrueMoments(Protocol):
 
 
 class SimulatedContainer(SimulatedDevices, Protocol):
-    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`). T_hand_camera: (4, 4) camera to hand [m];
-    intrinsics, camera_hz: intrinsics and frame rate of that camera"""
+    """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
+
+    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: intrinsics and frame rate of that camera
+    """
 
     @property
     def intrinsics(self) -> Intrinsics: ...
@@ -67,7 +69,10 @@ class SimulatedContainer(SimulatedDevices, Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SqueezeParts:
-    """Devices of a rig file by their parts; camera, arm: None without one. grasp: grasp that was drawn from the seed"""
+    """Devices of a rig file by their parts; camera, arm: None without one.
+
+    grasp: grasp that was drawn from the seed
+    """
 
     rig: Rig
     hand: RigDevice

@@ -88,8 +88,10 @@ SqueezeDecision = Decision[SqueezeFault]
 
 
 class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
-    """The rules of a hand with tactile arrays; `judge` once in each control period. closing: False if the hand only
-    opens: it then needs no tactile arrays, and may start at the end of its range"""
+    """The rules of a hand with tactile arrays; `judge` once in each control period.
+
+    closing: False if the hand only opens: it then needs no tactile arrays, and may start at the end of its range
+    """
 
     def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
         super().__init__(SqueezeFault.NONE, LATE_NS)

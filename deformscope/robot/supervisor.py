@@ -77,9 +77,8 @@ class Limits:
     tip's expected place must be in the box
     force_silent_s, arm_silent_s: greatest age of the newest reading; force_frozen_s: greatest time of equal readings
     axes_rest: the force sensor's axes are a hand's fingers, which read 0 without contact and then do not count as
-    frozen
-    arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints, pauses
-    excluded (an arm begins to move, and reports it, some periods after the command)
+    frozen; arm_frozen_m, arm_frozen_s: commanded distance and least time of commands without any change of the joints,
+    pauses excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: number of damaged frames, or of unusable readings, within window_s
     camera_period_s: period of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
     repeats of a picture that mean a frozen camera (noise makes two real ones differ)

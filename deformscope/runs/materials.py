@@ -132,7 +132,10 @@ class MaterialJob:
 
 @dataclass(frozen=True, slots=True)
 class MaterialResult(SourceResult):
-    """Result of `calibrate axes`, `field`, `yield` or `viscous`. estimate: the numbers; found: the compared motion"""
+    """Result of `calibrate axes`, `field`, `yield` or `viscous`.
+
+    estimate: the numbers; found: the compared motion
+    """
 
     found: MaterialFit
 

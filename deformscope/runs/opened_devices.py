@@ -29,8 +29,11 @@ LAB = "lab:"
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
 class Opening:
-    """A setup, and its parts. options: how to explore it; settings: for its recording; lab: source of faults, None on a
-    rig; recorded: items of another robot, None = a robot is commanded"""
+    """A setup, and its parts.
+
+    options: how to explore it; settings: for its recording; lab: source of faults, None on a rig; recorded: items of
+    another robot, None = a robot is commanded
+    """
 
     setup: Setup
     options: ExploreOptions

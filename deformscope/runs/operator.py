@@ -26,8 +26,10 @@ Keys = Callable[[], str]
 
 @dataclass(frozen=True, slots=True)
 class RunOperator:
-    """The person who permits motion. asked: set when a person requests the end of the run; agreed: a person has agreed
-    at the page, None without one"""
+    """The person who permits motion.
+
+    asked: set when a person requests the end of the run; agreed: a person has agreed at the page, None without one
+    """
 
     asked: Interruption
     agreed: Callable[[], bool] | None = None

@@ -75,8 +75,11 @@ class FoundResult(LibraryResult):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceResult(LibraryResult):
-    """Results of a source. name: name of the source; recording: recording of the run; problems: damage of the source;
-    settings, seed: inputs that determine the result"""
+    """Results of a source.
+
+    name: name of the source; recording: recording of the run; problems: damage of the source; settings, seed: inputs
+    that determine the result
+    """
 
     name: str = ""
     recording: RecordingSummary | None = None

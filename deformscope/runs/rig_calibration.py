@@ -44,8 +44,11 @@ TAPS_S = (0.9, 1.3, 0.7, 1.6, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RigCalibrationResult:
-    """Result of a rig calibration. kind: place, tip, camera, force or time; values: values for the rig file; rows:
-    names and values of the table; figure: how far each measurement is off; found: results for JSON"""
+    """Result of a rig calibration.
+
+    kind: place, tip, camera, force or time; values: values for the rig file; rows: names and values of the table;
+    figure: how far each measurement is off; found: results for JSON
+    """
 
     kind: str
     values: Values
@@ -82,8 +85,11 @@ class Station:
 
 @dataclass(frozen=True, slots=True)
 class SetupTask(Generic[M]):
-    """One of the commands that calibrate a set-up. kind: its kind; needs: kinds of devices; measure: the experiment;
-    arrays: measurements from a file of arrays; solve: its solution; recorded: measurements from a recording"""
+    """One of the commands that calibrate a set-up.
+
+    kind: its kind; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays; solve:
+    its solution; recorded: measurements from a recording
+    """
 
     kind: str
     needs: tuple[str, ...]

@@ -51,8 +51,11 @@ PAGE_HOLDS_S = 30.0
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class RigRun:
-    """Outcome of a rig's run. result: result of the recording; failures: reason of each device that failed, by name;
-    why: why it ended; early_by: signal that ended it early, 0 = none"""
+    """Outcome of a rig's run.
+
+    result: result of the recording; failures: reason of each device that failed, by name; why: why it ended; early_by:
+    signal that ended it early, 0 = none
+    """
 
     result: RecordResult
     failures: Mapping[str, str]

@@ -44,8 +44,11 @@ SHOW_EVERY = 10
 
 @dataclass(slots=True, eq=False)
 class OpenRun:
-    """A run whose devices are open and recorded. line: shows one line, which the next replaces; recorded: the recorder
-    of the session; last: the devices when they were closed, None before"""
+    """A run whose devices are open and recorded.
+
+    line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices when they
+    were closed, None before
+    """
 
     source: RigSource
     line: Callable[[str], None]

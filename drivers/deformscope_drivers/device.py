@@ -154,10 +154,8 @@ class Device(ABC, Generic[MeasurementT]):
     # Lifecycle -------------------------------------------------------------------------------------------------------
 
     def open(self, *, own_thread: bool = True) -> Self:
-        """Connect. Raises NotConnected, or another error that prevents the configured operation.
-
-        own_thread: False = no thread; `poll` does one round (a simulated laboratory on its own clock)
-        """
+        """Connect. Raises NotConnected, or another error that prevents the configured operation. own_thread: False = no
+        thread; `poll` does one round (a simulated laboratory on its own clock)"""
         if self.is_open:
             raise DeviceError("a device that is closed", "one that is open", "close() first", self.name)
         self._failure, self._last, self._same, self._asked = None, None, None, False
@@ -230,10 +228,8 @@ class Device(ABC, Generic[MeasurementT]):
         return iter(self.readings())
 
     def readings(self, capacity: int | None = None) -> Subscription[MeasurementT]:
-        """A queue of every reading from now on; of a closed device, from its next opening on.
-
-        capacity: readings that wait for a slow reader before any is lost
-        """
+        """A queue of every reading from now on; of a closed device, from its next opening on. capacity: readings that
+        wait for a slow reader before any is lost"""
         return self._subscribe(self._readings, self.queue_readings if capacity is None else capacity)
 
     def next(self, timeout_s: float) -> MeasurementT:

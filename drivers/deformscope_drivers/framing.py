@@ -21,10 +21,9 @@ EventT = TypeVar("EventT")
 class Skipped:
     """Bytes that belong to no good frame.
 
-    count: how many, 1 or more
-    reason: `noise` where nothing looked like a frame; else why the frame that seemed to start there was refused
-    ("checksum", "length"...). However the bytes are divided, each refused frame has one event with a reason other than
-    `noise`, and the counts of all events sum up to the refused bytes.
+    count: how many, 1 or more; reason: `noise` where nothing looked like a frame; else why the frame that seemed to
+    start there was refused ("checksum", "length"...). However the bytes are divided, each refused frame has one event
+    with a reason other than `noise`, and the counts of all events sum up to the refused bytes.
     """
 
     count: int

@@ -39,16 +39,14 @@ class LinkEvent:
 class Health:
     """The health of a device at one time.
 
-    link: the state of the connection; reason: why it is so, in words
-    received: readings since it was opened
+    link: the state of the connection; reason: why it is so, in words; received: readings since it was opened
     lost: readings that should have come and never did: by the device's counter, or by time
     dropped: readings that came and that a reader was too slow to take, over all readers
     skipped_bytes: bytes that fit no frame; refused: frames refused, by reason (checksum, length...)
     resyncs: stretches of skipped bytes; reconnects: links made again
     rate_hz: readings a second lately, 0 where none; age_s: time since the last reading, None before the first
     stuck: the same reading came again and again, as from a sensor that has died behind a link that lives
-    clock: relation of the device's clock to the host's, None without one
-    extra: what only this kind of device counts
+    clock: relation of the device's clock to the host's, None without one; extra: what only this kind of device counts
     lost_by_time: how many of the lost ones are estimated from the device's rate and the time of a lost link or of
     silence, where its counter does not show them; silent_s: how long that was [s]
     jitter_s: standard deviation of the time from one reading to the next, lately, as the host stamps them [s]

@@ -62,8 +62,10 @@ class Place:
 
 
 class Batch:
-    """Calls to rerun that are prepared once, with encoded images, and sent to any number of streams. place: in an
-    exploration, place of the rows on its timelines"""
+    """Calls to rerun that are prepared once, with encoded images, and sent to any number of streams.
+
+    place: in an exploration, place of the rows on its timelines
+    """
 
     def __init__(self, place: Place | None = None) -> None:
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []

@@ -328,8 +328,11 @@ class Chapter(msgspec.Struct, frozen=True):
 
 
 class Playback(msgspec.Struct, frozen=True):
-    """A recording that a page plays. timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step
-    time of a single step; layer: a file of the page that is shown over the recording, empty = none"""
+    """A recording that a page plays.
+
+    timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step time of a single step; layer: a
+    file of the page that is shown over the recording, empty = none
+    """
 
     timeline: str
     until_ns: int
@@ -346,10 +349,9 @@ class PageState(ToPage, frozen=True, tag="state"):
     recorded_since_s: when the recording began, on the clock of now_s; free_minutes: time until the disk is full at the
     present rate; episode: label of the present one; held_s: number of last seconds that can still be recorded
     commands: requests that are possible at present, by kind; tares: devices that can be tared
-    controls: the page that steers; pages: how many there are
-    pending: motion that waits for a confirmation; next_place, curve: next place and curve of an exploration; beat_s:
-    time without a `Beat` after which motions stop that a page confirmed [s]; playback: playback of a page that shows a
-    recording; fit: the fit that is set on the page
+    controls: the page that steers; pages: how many there are; pending: motion that waits for a confirmation;
+    next_place, curve: next place and curve of an exploration; beat_s: time without a `Beat` after which motions stop
+    that a page confirmed [s]; playback: playback of a page that shows a recording; fit: the fit that is set on the page
     """
 
     version: int = VERSION

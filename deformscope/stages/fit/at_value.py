@@ -20,8 +20,7 @@ class AtValue:
     """The model's error at a value of its parameter.
 
     value: value of the parameter; aee: average Euclidean error over the particles seen (Thesis eq. 3.18, 3.19);
-    aee_free: error over particles that are not held [unit of the observations]
-    converged: the simulation came to rest
+    aee_free: error over particles that are not held [unit of the observations]; converged: the simulation came to rest
     """
 
     value: float

@@ -62,8 +62,10 @@ TURNED = 5
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """An estimate, the simulation of every observation at the estimate, and the evidence for it. left_out: particles of
-    each observation that do not count as measurements"""
+    """An estimate, the simulation of every observation at the estimate, and the evidence for it.
+
+    left_out: particles of each observation that do not count as measurements
+    """
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]

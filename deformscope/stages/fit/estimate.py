@@ -72,8 +72,11 @@ def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """The error over the parameter. parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the
-    estimate's unit], NaN if the simulation diverged"""
+    """The error over the parameter.
+
+    parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the estimate's unit], NaN if the
+    simulation diverged
+    """
 
     parameter: FloatArray
     aee: FloatArray
@@ -81,8 +84,10 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Probability of a quantity, given the data. parameter: (g,) rising; density: (g,) density, whose integral by
-    trapezoids is 1"""
+    """Probability of a quantity, given the data.
+
+    parameter: (g,) rising; density: (g,) density, whose integral by trapezoids is 1
+    """
 
     parameter: FloatArray
     density: FloatArray

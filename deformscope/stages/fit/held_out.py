@@ -33,8 +33,11 @@ TOLD_LEAST = 0.01
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Errors of one choice of model over all frames [unit]. error: held-out AEE; block: (b,) error of each block; fit:
-    AEE of the same particles when all are fitted; value: the fitted parameter; usable: the simulation stayed finite"""
+    """Errors of one choice of model over all frames [unit].
+
+    error: held-out AEE; block: (b,) error of each block; fit: AEE of the same particles when all are fitted; value: the
+    fitted parameter; usable: the simulation stayed finite
+    """
 
     error: float
     block: FloatArray

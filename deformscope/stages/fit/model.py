@@ -41,9 +41,8 @@ class Observation:
     observed: (K,) particles that were seen in `deformed`
     noise: (K,) standard deviation per coordinate, None if unknown; noise_source: where it is known from
     shape, cell: the particles' lattice (last axis fastest, may have holes), None without one
-    metres_per_unit: size of the unit, None for pixels of unknown size
-    force_n: net force [N] on the held particles `contact`, None if it was not measured; force_noise_n: its standard
-    deviation [N], None if unknown
+    metres_per_unit: size of the unit, None for pixels of unknown size; force_n: net force [N] on the held particles
+    `contact`, None if it was not measured; force_noise_n: its standard deviation [N], None if unknown
     held_measured: whether the held positions were measured, with the noise of the others, or are exact; None = unknown
     tip: the tip that pressed the particles of `contact`, if known; tip_at: (d,) place where the tip's axis met the body
     [unit], if known; particles show it only to within their spacing
@@ -113,8 +112,7 @@ class Model:
     cluster_size: particles along a side of the overlapping clusters; None = one cluster of all particles
     beta, theta: value of the parameter that is not fitted; alpha does not change a static state and is only recorded
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
-    overlapping clusters
-    version: version of the errors' model, see `NEWEST_FIT`
+    overlapping clusters; version: version of the errors' model, see `NEWEST_FIT`
     """
 
     parameter: Parameter = "beta"

@@ -110,8 +110,7 @@ class Measured:
     carry noise, None = not known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed particles with an unmeasured position, None = none
     touched: (k,) prescribed particles that something moved, None if `held_rest` is None
-    shift: deviation of the common offset of all held particles [unit]
-    version: see `model.NEWEST_FIT`
+    shift: deviation of the common offset of all held particles [unit]; version: see `model.NEWEST_FIT`
     """
 
     rest: FloatArray

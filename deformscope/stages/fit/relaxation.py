@@ -97,9 +97,8 @@ class RelaxationSeen:
     """The part of relaxation that a record shows.
 
     reasons: reasons to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that
-    nothing ends; open: whether these together exceed `OPEN`
-    within: (d,) draws that relax completely within the record; share: (d,) share of the modulus that relaxes, of
-    endless creep within the record
+    nothing ends; open: whether these together exceed `OPEN`; within: (d,) draws that relax completely within the
+    record; share: (d,) share of the modulus that relaxes, of endless creep within the record
     """
 
     reasons: tuple[Doubt, ...]

@@ -24,8 +24,10 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass
 class Tried:
-    """Every candidate simulated so far, in rising order. parameter: (g,); positions: (g, K, d) for each observation;
-    converged, usable (not diverged): (g,)"""
+    """Every candidate simulated so far, in rising order.
+
+    parameter: (g,); positions: (g, K, d) for each observation; converged, usable (not diverged): (g,)
+    """
 
     parameter: FloatArray = field(default_factory=lambda: np.empty(0))
     positions: list[FloatArray] = field(default_factory=list)
@@ -34,8 +36,10 @@ class Tried:
 
 
 class Search:
-    """Finds one parameter for one or more observations that share it. weight: (observations,) how much each counts, in
-    the error and in the posterior"""
+    """Finds one parameter for one or more observations that share it.
+
+    weight: (observations,) how much each counts, in the error and in the posterior
+    """
 
     def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float]) -> None:
         self.seen = list(seen)

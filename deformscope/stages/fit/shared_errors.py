@@ -54,8 +54,11 @@ WEIGHT_LEAST = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """How the errors of two frames correlate. mean, most: mean correlation of all pairs, and its upper bound; far,
-    near: correlation of distant and of neighbouring frames"""
+    """How the errors of two frames correlate.
+
+    mean, most: mean correlation of all pairs, and its upper bound; far, near: correlation of distant and of
+    neighbouring frames
+    """
 
     mean: float
     most: float

@@ -4,8 +4,7 @@ An inclusion is a disc of some radius, twice as stiff or twice as soft as its su
 with equal probability, if the whole inclusion is below the surface. The touches are taken to read as the map explains
 them: the likelihood of an inclusion at a place follows from its effect on them (its share under a contact, as with any
 region), in standard deviations of them. Therefore a touch inside excludes it, and a touch at its rim does not. Rigid
-parts have no
-inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
+parts have no; inclusions: twice as stiff or as soft is as rigid to the arm, and no touch there would show one.
 """
 
 from __future__ import annotations
@@ -36,8 +35,10 @@ CENTRE_CELL_M = 0.02
 
 
 class UnseenInclusions:
-    """Inclusions of one radius that may be there unseen, after the touches. probability: probability that there is one;
-    weight: (c,) probability of each centre, 1 in total"""
+    """Inclusions of one radius that may be there unseen, after the touches.
+
+    probability: probability that there is one; weight: (c,) probability of each centre, 1 in total
+    """
 
     def __init__(self, posterior: RegionPosterior, radius_m: float) -> None:
         self._radius_m, self._blur_m, self._noise_sd = radius_m, posterior.prior.blur_m, posterior.touch_sd

@@ -52,9 +52,8 @@ class TouchEstimate:
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
     modulus_pa, modulus_interval_pa: corrected for the tip and the layer, None = rigid, or thickness not known
     depth_m, peak_force_n: depth and peak force of the dent; peak_rate_n_per_s, peak_rate_interval_n_per_s: greatest
-    rate of the force on the approach (`contact.peak_rate`), None with too few samples
-    beta, beta_interval, beta_verdict: beta, beta interval and beta verdict of the MSM fitted to the dent, None = not
-    fitted
+    rate of the force on the approach (`contact.peak_rate`), None with too few samples; beta, beta_interval,
+    beta_verdict: beta, beta interval and beta verdict of the MSM fitted to the dent, None = not fitted
     observed_m: (k, 3) raw points around the dent; simulated_m: (p, 3) particles of the fitted model there
     speed_m_s: speed of the approach in contact, None = unknown: creeping foam is stiffer at higher speed
     creep: the foam's creep by the touch's hold and retract, None = not requested, or not fitted
@@ -540,8 +539,7 @@ class ExplorationStop:
     """The exploration ended before the end of its plan.
 
     kind: kind of the fault, in the supervisor's text or the touch's; reason: its evidence; advice: the remedy
-    action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first
-    touch: as in PhaseStart
+    action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first; touch: as in PhaseStart
     """
 
     kind: str

@@ -166,9 +166,8 @@ def fit_field(
     """The field through touches at places (n, 2) [m] with values (n,) and their deviations (n,).
 
     kernel, nugget: used if given, else estimated by marginal likelihood under `prior`; several touches at one place are
-    replicates and identify the nugget
-    average: average over the posterior of the hyper-parameters; otherwise the most probable ones count as known. Raises
-    InputError without a touch, and for values that are not finite.
+    replicates and identify the nugget; average: average over the posterior of the hyper-parameters; otherwise the most
+    probable ones count as known. Raises InputError without a touch, and for values that are not finite.
     """
     places, value, sd = (np.asarray(one, dtype=np.float64) for one in (places_m, value, sd))
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):

@@ -60,8 +60,10 @@ class LogLikelihood:
 
 
 class HilbertBasis:
-    """Sines over a box, good for kernels of lengths from `shortest` to `longest` [m]. middle, half: (2,) middle and
-    half of the box that holds the data [m]"""
+    """Sines over a box, good for kernels of lengths from `shortest` to `longest` [m].
+
+    middle, half: (2,) middle and half of the box that holds the data [m]
+    """
 
     def __init__(self, middle: FloatArray, half: FloatArray, shortest: float, longest: float) -> None:
         self.middle = middle

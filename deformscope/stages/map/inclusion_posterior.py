@@ -81,8 +81,11 @@ Z_90 = 1.6449
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """Variation of foam without inclusions: a Gaussian field of log stiffness. scatter: its deviation; length_m: length
-    over which it changes (squared exponential); apart: share of its variance that is each touch's own"""
+    """Variation of foam without inclusions: a Gaussian field of log stiffness.
+
+    scatter: its deviation; length_m: length over which it changes (squared exponential); apart: share of its variance
+    that is each touch's own
+    """
 
     scatter: float
     length_m: float
@@ -134,8 +137,11 @@ class InclusionPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InclusionHypotheses:
-    """All `j` inclusions that are considered, of every kind at every place. centre_m: (j, 2); radius_m, depth_m, share:
-    (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior probability, 1 in total"""
+    """All `j` inclusions that are considered, of every kind at every place.
+
+    centre_m: (j, 2); radius_m, depth_m, share: (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior
+    probability, 1 in total
+    """
 
     centre_m: FloatArray
     radius_m: FloatArray
@@ -297,8 +303,7 @@ class InclusionState:
 
     odds_log: (j,) logarithm of each hypothesis's likelihood over that without an inclusion; open: (j,) guesses that
     stay apart from all that were found; posterior: (j,) posterior of kind and place of one more inclusion, 1 in total;
-    exists: probability that there is one more, of any radius
-    backgrounds: (b,) posterior of `BACKGROUNDS`
+    exists: probability that there is one more, of any radius; backgrounds: (b,) posterior of `BACKGROUNDS`
     """
 
     def __init__(

@@ -48,14 +48,11 @@ class MapScore:
 
     region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are; iou: `match_regions`;
     least_iou: IoU of the smallest true region with its match; boundary_m: `boundary_distance`
-    ordered: the matched regions' levels have the true order
-    rigid_found: most of the rigid area is reported so
+    ordered: the matched regions' levels have the true order; rigid_found: most of the rigid area is reported so
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
-    to; None with a wrong number of regions
-    wrong, wrong_claimed: share of the surface whose label is not that of its matched region, and the map's expectation
-    of it
-    field_rms: root mean square of log stiffness; field_covered: share of cells whose truth lies in the field's 90 %
-    interval; both without rigid parts
+    to; None with a wrong number of regions; wrong, wrong_claimed: share of the surface whose label is not that of its
+    matched region, and the map's expectation of it; field_rms: root mean square of log stiffness; field_covered: share
+    of cells whose truth lies in the field's 90 % interval; both without rigid parts
     """
 
     region_count: int

@@ -76,15 +76,13 @@ class FieldKernel:
 class PlanOptions:
     """planner; fill: touches that fill the space before regions are planned; cell_m: cell size of the places considered
     border_m, apart_m: least distance from the border and from earlier touches, except for `regions`, which may repeat
-    one
-    touch_s, speed_m_s: costs of touch and route
+    one; touch_s, speed_m_s: costs of touch and route
     threshold: threshold of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: most touches
     inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected one below which
-    the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`)
-    missed: where inclusions alone are sought: probability of a missed one, below which enough is known
-    (`inclusion_plan`)
+    the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`); missed:
+    where inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)
     version: version of the expected readings of touches: 1 (older recordings) shares scatter with earlier touches only
     at the same places, 2 also near them
     """

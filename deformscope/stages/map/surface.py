@@ -50,9 +50,8 @@ class HeightProcess:
 
     learned: the hyper-parameters; level_m: mean of the process [m]
     noise_m: (n,) deviation of each point given, as it was used [m]; used: (n,) points that were not taken as outliers
-    box_m: (low, high) places (x, y) that contain the inducing points [m]
-    evidence: lower bound of the log marginal likelihood by the inducing points; where it is as high as
-    `learned.log_likelihood` both approximations hold
+    box_m: (low, high) places (x, y) that contain the inducing points [m]; evidence: lower bound of the log marginal
+    likelihood by the inducing points; where it is as high as `learned.log_likelihood` both approximations hold
     """
 
     learned: Hyperparameters

@@ -89,8 +89,10 @@ class BallContact:
 
 @dataclass(frozen=True, slots=True)
 class TouchBeta:
-    """beta of a touch, with interval and verdict, and the fit that it comes from. points: raw ones it rests on;
-    simulated_m: (p, 3) particles of the model's top layer under the ball, at beta"""
+    """beta of a touch, with interval and verdict, and the fit that it comes from.
+
+    points: raw ones it rests on; simulated_m: (p, 3) particles of the model's top layer under the ball, at beta
+    """
 
     estimate: Estimate
     fit: PokesFit

@@ -56,11 +56,9 @@ class FieldEstimate(ReportedResult):
     ratio: stiffest over softest, and its interval
     beta: (C,) beta of clusters of 2^d particles, beta_interval: (C, 2); beta_ratio: largest 1 - beta over the smallest
     absolute: (C,) stiffness of a cell [N per unit], absolute_interval: (C, 2); None without a force
-    directions: directions of one anisotropic material, else None
-    verdict: "uniform", "anisotropic" (one material, stiffer along a direction), "materials", "gradual"; "unidentified"
-    if the data do not determine most of the places
-    reasons: reasons to doubt it
-    poisson, poisson_sd: Poisson's ratio; reach: reach of the smooth field [spacings]
+    directions: directions of one anisotropic material, else None; verdict: "uniform", "anisotropic" (one material,
+    stiffer along a direction), "materials", "gradual"; "unidentified" if the data do not determine most of the places
+    reasons: reasons to doubt it; poisson, poisson_sd: Poisson's ratio; reach: reach of the smooth field [spacings]
     held_out: (h,) error of left-out data, chi2 for each number, of each of `tried` (with the borders found from all
     data); probability: (h,) probability of each by its evidence; plausible: (h,) whether intervals hold it
     noise, noise_reach: noise and noise reach of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error

@@ -103,8 +103,10 @@ def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArr
 
 
 def gain(prior: StiffnessPrior, gram: FloatArray, wanted: FloatArray) -> float:
-    """Reduction of chi2 by the parameters of a prior, less the prior's penalty. gram, wanted: (C + 1, C + 1), (C + 1,)
-    products of the derivatives with each other and with the targets"""
+    """Reduction of chi2 by the parameters of a prior, less the prior's penalty.
+
+    gram, wanted: (C + 1, C + 1), (C + 1,) products of the derivatives with each other and with the targets
+    """
     inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
     along = prior.root.T @ (wanted - gram @ prior.mean)
     return float(along @ np.linalg.solve(inner, along))

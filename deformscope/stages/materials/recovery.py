@@ -82,8 +82,7 @@ def fit_recovery(
 
     time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
     the frame from which the law holds without a force; force_n: (T,) force of the tool [N], and the deviation of one
-    sample; largest: displacement of the pressed particles then
-    version: see `NEWEST_RELAXATION`.
+    sample; largest: displacement of the pressed particles then; version: see `NEWEST_RELAXATION`.
 
     Raises InputError if too little was recorded after the release, and no force before it.
     """

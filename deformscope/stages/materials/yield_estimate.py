@@ -31,9 +31,8 @@ class YieldEstimate(ReportedResult):
     """Results of yielding from a motion.
 
     yield_strain: |S - I|_2 above which it flows. If the verdict is `unidentified`, its interval has no upper end: no
-    yield strain above the lower end contradicts the motion
-    verdict: verdict by the interval's width over the value (`identified` below 0.2, `weak` below 0.7); reasons: reasons
-    to doubt it, which may lower its verdict
+    yield strain above the lower end contradicts the motion; verdict: verdict by the interval's width over the value
+    (`identified` below 0.2, `weak` below 0.7); reasons: reasons to doubt it, which may lower its verdict
     explained: share of the motion beyond a rigid one that the model explains (sums of squares; free particles)
     largest_strain: largest strain of any cluster if nothing had yielded
     set: root mean square distance between the last frame simulated with and without yielding, at its free particles

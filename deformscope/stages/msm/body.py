@@ -36,8 +36,10 @@ class BodyRest:
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Parameters of all candidates on the device. beta_stride: 0, or with a beta for each cluster the numbers from one
-    group of candidates to the next"""
+    """Parameters of all candidates on the device.
+
+    beta_stride: 0, or with a beta for each cluster the numbers from one group of candidates to the next
+    """
 
     beta: Field
     theta: Field

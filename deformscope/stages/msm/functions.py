@@ -31,10 +31,8 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
     @wp.func
     def turn_2d(a_qq: square, change: square):
-        """R - I of eq. 3.9 in the plane, for A_pq = a_qq + change: the closed form, without cancellation.
-
-        Second: the compliance of the rotation, d angle = compliance[0, 0] * axial(R^T dA_pq).
-        """
+        """R - I of eq. 3.9 in the plane, for A_pq = a_qq + change: the closed form, without cancellation. Second: the
+        compliance of the rotation, d angle = compliance[0, 0] * axial(R^T dA_pq)."""
         s = change[1, 0] - change[0, 1]
         c = a_qq[0, 0] + a_qq[1, 1] + change[0, 0] + change[1, 1]
         size = wp.sqrt(s * s + c * c)

@@ -186,10 +186,8 @@ def material_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Sim
 
 @functools.cache
 def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material: bool = False) -> SimpleNamespace:
-    """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`.
-
-    material: for clusters that have one, with `flow`
-    """
+    """The kernels for `dim` = 2 or 3, `terms` = 2, 3 (linear) or 5, 9 (quadratic), and lanes of `width`. material: for
+    clusters that have one, with `flow`"""
     numbers = wp.array(dtype=scalar)
     tag = f"{dim}d_{terms}_{scalar.__name__}_{width}"
     kernel = kernel_in(f"{'material' if material else 'general'}_{tag}", scalar)
@@ -446,10 +444,8 @@ def flow_kernel_for(dim: int, terms: int, scalar: Any, width: int) -> wp.Kernel:
         moved_out: numbers,
         size_out: numbers,
     ):
-        """S^p of each cluster after a share of its S - I has flown (see `materials`), a candidate at a time.
-
-        stop: 1 to stop at the yield strain; moved: largest change of an entry of S^p; size: |S - I|_2 before
-        """
+        """S^p of each cluster after a share of its S - I has flown (see `materials`), a candidate at a time. stop: 1 to
+        stop at the yield strain; moved: largest change of an entry of S^p; size: |S - I|_2 before"""
         group, c = wp.tid()
         if running[group] == 0:
             return

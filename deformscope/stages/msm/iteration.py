@@ -254,10 +254,8 @@ class Newton(Iteration):
         progress: Progress | None = None,
         until: float = math.inf,
     ) -> Ended:
-        """The static states; tolerance and result in particle spacings.
-
-        start: displacements (B or 1, K, d); None: from the present `u`; until: as in `_watch`
-        """
+        """The static states; tolerance and result in particle spacings. start: displacements (B or 1, K, d); None: from
+        the present `u`; until: as in `_watch`"""
         state = self.state
         self._watch(progress, until)
         if start is not None:

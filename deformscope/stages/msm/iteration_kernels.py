@@ -658,10 +658,8 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         group: int,
         thread: int,
     ):
-        """All passes over a group: goals (with `changing` their derivative) at `offset` of u, into out.
-
-        before_offset: in u, of the displacement one time step before
-        """
+        """All passes over a group: goals (with `changing` their derivative) at `offset` of u, into out. before_offset:
+        in u, of the displacement one time step before"""
         own = passes  # a copy, which nothing that is stored in a field can change
         grid = own.grid
         threads = own.threads

@@ -78,10 +78,8 @@ class Plasticity:
 def axis_weights(
     gram: FloatArray, span: FloatArray, beta: FloatArray, axes: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """W and C (see above) of clusters for candidates, (B, n, d, d) each.
-
-    gram: (n, d, d) second moments A_qq; span: (n, d, k) orthonormal, the span of all n clusters; beta: (B, d)
-    """
+    """W and C (see above) of clusters for candidates, (B, n, d, d) each. gram: (n, d, d) second moments A_qq; span: (n,
+    d, k) orthonormal, the span of all n clusters; beta: (B, d)"""
     if span.shape[2] == len(axes):  # as they are, without the rounding of 1 - beta
         span = np.broadcast_to(np.eye(len(axes)), gram.shape)
         share, spread = beta[:, None], np.broadcast_to(axes, (len(beta), 1, *axes.shape))

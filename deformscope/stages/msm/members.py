@@ -10,10 +10,8 @@ from deformscope.stages.msm.lanes import module_options
 
 
 def kernel_in(name: str, scalar: Any, options: dict[str, Any] | None = None, **each: Any) -> Any:
-    """The decorator for kernels of the module `deformscope_<name>`; each: keywords of each `wp.kernel`.
-
-    options: options of the module, default those of lanes of `scalar`
-    """
+    """The decorator for kernels of the module `deformscope_<name>`; each: keywords of each `wp.kernel`. options:
+    options of the module, default those of lanes of `scalar`"""
     module = f"deformscope_{name}"
     wp.get_module(module).options.update(module_options(scalar) if options is None else options)
 

@@ -246,10 +246,8 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
     def assemble(
         body: ReducedBody, row: Doubles, beta: scalar, e: square, r: square, direct: scalar, held: scalar, slope: bool
     ):
-        """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T.
-
-        direct: weight of the first part; held: whether y_j is held; slope: beta g_j is replaced by its derivative
-        """
+        """T = e L + R J + sum_j beta g_j (e L (G - C) b_j + y_j - R J C b_j) b_j^T. direct: weight of the first part;
+        held: whether y_j is held; slope: beta g_j is replaced by its derivative"""
         out = transform()
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):

@@ -63,8 +63,7 @@ class Relaxed:
     error: (B,) estimated distance from the static state, root mean square over particles (same unit)
     iterations: (B,) evaluations of goals or of their derivative; converged: (B,) `error` came below the tolerance;
     diverged: (B,) the state diverged (eq. 3.17 with overlapping clusters can): its position is the last one, and is
-    useless
-    smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
+    useless; smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
     unaided: (B,) the preconditioner did not help: plain conjugate gradients continued
     out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are the last ones
     """
@@ -356,8 +355,7 @@ class Msm:
 
         held_position: (n, d) or (B, n, d); theta: a number or (B,)
         beta: a number, (B,), (B, C) for each cluster, or `AxisBeta` (linear basis, theta = 0)
-        volume: "scale" (eq. 3.17) or "project" (stable): see `reference`
-        start: (K, d) or (B, K, d), default rest
+        volume: "scale" (eq. 3.17) or "project" (stable): see `reference`; start: (K, d) or (B, K, d), default rest
         tolerance: largest estimated distance from the static state, as a share of the body's extent
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
         candidates that do not converge with eq. 3.17 start again at the state without conservation
@@ -506,10 +504,8 @@ class Msm:
         *,
         volume: Volume = "scale",
     ) -> Sensitivity:
-        """How static states move with beta and theta, by implicit differentiation: (I - J) dx = d goals.
-
-        position: (K, d) or (B, K, d), static for these parameters (`relax`), held particles in place
-        """
+        """How static states move with beta and theta, by implicit differentiation: (I - J) dx = d goals. position: (K,
+        d) or (B, K, d), static for these parameters (`relax`), held particles in place"""
         position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
         if self._one is not None:
             return self._one_sensitivity(position, beta, theta, volume)

@@ -71,8 +71,7 @@ class ContactFit:
     into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and log_stiffness;
     peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
-    samples: number of samples that were fitted
-    peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`
+    samples: number of samples that were fitted; peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`
     """
 
     stiffness_n_per_mm: float

@@ -68,10 +68,8 @@ class FittedModel:
     left_out: (p,) relative error of each stiffness predicted from the other pokes
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that fit about as well
-    fitted_depth: depth of the deepest fitted poke [m]; fitted_strain: the largest depth over tip width;
-    nan: unknown
-    residual: the law's residual on the surface around the tip of every fitted poke
-    provenance: where it comes from
+    fitted_depth: depth of the deepest fitted poke [m]; fitted_strain: the largest depth over tip width; nan: unknown
+    residual: the law's residual on the surface around the tip of every fitted poke; provenance: where it comes from
     """
 
     body: BodyKind

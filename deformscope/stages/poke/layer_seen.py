@@ -56,10 +56,8 @@ def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen |
 
 
 def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
-    """Thickness and shape of foam with surface heights (n,) [m] at possible touches.
-
-    stated_m: its stated thickness, if any: the foam then lies at z = 0; relief: whether its shape is used
-    """
+    """Thickness and shape of foam with surface heights (n,) [m] at possible touches. stated_m: its stated thickness, if
+    any: the foam then lies at z = 0; relief: whether its shape is used"""
     mean_m, range_m = float(height_m.mean()), float(np.ptp(height_m))
     if stated_m is not None:
         even_m = UNEVEN * stated_m
@@ -93,10 +91,8 @@ def modulus_of(
     radius_m: float,
     dent_m: float | None = None,
 ) -> LayerModulus | None:
-    """Modulus of foam of this stiffness at a force, under a ball on the layer; None with an unknown thickness.
-
-    dent_m: the dent at that force, if it was the measured quantity: then its modulus is that to the last bit
-    """
+    """Modulus of foam of this stiffness at a force, under a ball on the layer; None with an unknown thickness. dent_m:
+    the dent at that force, if it was the measured quantity: then its modulus is that to the last bit"""
     if layer.thickness_m is None:
         return None
 

@@ -78,10 +78,8 @@ class ShapeShift:
 def shape_shift(
     shape: LocalShape, depth_m: float, *, reference_m: float, radius_m: float = 0.01, poisson: float = 0.3
 ) -> ShapeShift:
-    """Addition of a level, wide layer of the reference thickness [m] to a touch's log stiffness at its force.
-
-    depth_m: depth of the dent at the force at which stiffness is taken [m]; radius_m: radius of the ball
-    """
+    """Addition of a level, wide layer of the reference thickness [m] to a touch's log stiffness at its force. depth_m:
+    depth of the dent at the force at which stiffness is taken [m]; radius_m: radius of the ball"""
     if not (depth_m > 0.0 and reference_m > 0.0 and radius_m > 0.0):
         raise InputError("depth, reference thickness and radius above 0 m", f"{depth_m}, {reference_m}, {radius_m}")
     thickness = _thickness_log(shape.thickness_m, depth_m, reference_m, radius_m, poisson)
@@ -112,9 +110,7 @@ def _thickness_log(thickness_m: float, depth_m: float, reference_m: float, radiu
 
 def shape_of(height_m: FloatArray, deviation_m: FloatArray, step_m: float, edge_m: float, least_m: float) -> LocalShape:
     """The shape from heights over the table (5,), at a place and a step along +x, -x, +y, -y, and their deviations [m].
-
-    edge_m: distance to the layer's edge; least_m: least thickness of a layer [m]
-    """
+    edge_m: distance to the layer's edge; least_m: least thickness of a layer [m]"""
     middle, right, left, ahead, behind = (float(one) for one in height_m)
     return LocalShape(
         thickness_m=max(middle, least_m),

@@ -69,13 +69,11 @@ class SeenPoke:
 
     at: (3,) the middle of the touched points, at rest [m]; depth: mean displacement of the touched points, downwards
     [m]; touched, touched_by: (m, 3) rest and displacement of the touched points; points, moved: (n, 3) all points seen,
-    before and after
-    noise: (n,) [m] or None; force: [N] or None
+    before and after; noise: (n,) [m] or None; force: [N] or None
     average_over: cells of this side, seen from above, whose mean displacement is compared in place of each point's [m]:
     white noise of many points falls, and the misfit remains; None: every point alone
-    misfit_over: points nearer than this share the model's misfit [m], None: the tip's width
-    footprint: `at` and `tip` describe the tip, so that all points below it are touched; otherwise the area between the
-    touched points is
+    misfit_over: points nearer than this share the model's misfit [m], None: the tip's width; footprint: `at` and `tip`
+    describe the tip, so that all points below it are touched; otherwise the area between the touched points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
     alone, not the material point that is there
     """
@@ -146,9 +144,7 @@ def scene_below(
     surface: MeasuredSurface, at: FloatArray, tip: Tip, spacing: float, cluster_size: int
 ) -> tuple[PokeSetup, Layers]:
     """The layers around a place (2,) or (3,), so spaced that the tip spans a whole number of cells, ready to be poked.
-
-    spacing: wished for [m]
-    """
+    spacing: wished for [m]"""
     cells = max(1, round(tip.width / spacing))
     fine = tip.width / cells
     centre = np.asarray(at)[:2] + (0.5 * fine if cells % 2 else 0.0)

@@ -48,10 +48,8 @@ class SlipFit:
 def fit_slip(
     across_m: FloatArray, across_n: FloatArray, dent_m: FloatArray, force_n: FloatArray, force_sd_n: float
 ) -> SlipFit:
-    """Slip of a touch until its retract.
-
-    across_m, across_n: (n, 2) place and force in the surface's plane, the force without its offset
-    """
+    """Slip of a touch until its retract. across_m, across_n: (n, 2) place and force in the surface's plane, the force
+    without its offset"""
     peak = float(force_n.max())
     loaded = slice(int(np.argmax(force_n > LOADED * peak)), None)
     kernel = np.full(SMOOTHED, 1.0 / SMOOTHED)

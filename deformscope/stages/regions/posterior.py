@@ -856,10 +856,8 @@ def _linear(
 def _solved(
     products: Sequence[FloatArray], pull: Sequence[FloatArray], prior_precision: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean (..., c), covariance (..., c, c) and its log determinant (...,) of c levels.
-
-    products: lower triangle of their precision, row by row; prior_precision: (c, c) added to it; pull: (c) their pull
-    """
+    """Mean (..., c), covariance (..., c, c) and its log determinant (...,) of c levels. products: lower triangle of
+    their precision, row by row; prior_precision: (c, c) added to it; pull: (c) their pull"""
     size = len(pull)
     lower: dict[tuple[int, int], FloatArray] = {}
     inverse: dict[tuple[int, int], FloatArray] = {}

@@ -47,11 +47,8 @@ class Alignment:
 
 
 def as_seen(robot: PosedRobot, points: FloatArray, above_m: float) -> PosedRobot:
-    """The robot at its pose in the image, if it is to be aligned and its solids determine the pose.
-
-    points: (n, 3) points of all of the picture [m]; above_m: height above which there are only the robot and objects
-    far from it
-    """
+    """The robot at its pose in the image, if it is to be aligned and its solids determine the pose. points: (n, 3)
+    points of all of the picture [m]; above_m: height above which there are only the robot and objects far from it"""
     if not robot.aligns or (found := align(points[points[:, 2] > above_m], robot.solids)) is None:
         return robot
     T = found.T_seen_reported

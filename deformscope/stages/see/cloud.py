@@ -53,10 +53,8 @@ class Perceived:
 
 
 def back_project(depth_m: FloatArray, camera: Intrinsics, T_world_camera: FloatArray) -> FloatArray:
-    """Points (n, 3) [m] of a depth image (H, W) [m], row by row; pixels of 0 or NaN saw nothing.
-
-    depth: along the camera's axis, not along the ray; T_world_camera: (4, 4), p_world = T_world_camera @ p_camera
-    """
+    """Points (n, 3) [m] of a depth image (H, W) [m], row by row; pixels of 0 or NaN saw nothing. depth: along the
+    camera's axis, not along the ray; T_world_camera: (4, 4), p_world = T_world_camera @ p_camera"""
     depth = np.asarray(depth_m, dtype=np.float64)
     transform = np.asarray(T_world_camera, dtype=np.float64)
     if depth.ndim != 2:

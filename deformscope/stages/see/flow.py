@@ -30,9 +30,8 @@ Image = npt.NDArray[Any]
 class FlowField:
     """Displacement of every pixel of the first image towards the second.
 
-    flow_px: (H, W, 2) float32, (x, y) [px]; x to the right, y down
-    noise_px: (H, W) float32, one standard deviation of each coordinate [px] as image noise and texture let expect;
-    None where the method does not say
+    flow_px: (H, W, 2) float32, (x, y) [px]; x to the right, y down; noise_px: (H, W) float32, one standard deviation of
+    each coordinate [px] as image noise and texture let expect; None where the method does not say
     misfit: (H, W) float32, 0 to 1, share of the contrast around a pixel that the flow leaves unexplained beyond the
     usual noise: near 1 the pixel is not visible at its new place; None for methods without it
     """

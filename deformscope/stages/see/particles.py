@@ -125,10 +125,8 @@ def clean_mask(image: npt.NDArray[Any]) -> BoolArray:
 
 
 def outlined(mask: npt.NDArray[Any] | None, outline: Sequence[float], size: tuple[int, int]) -> npt.NDArray[Any]:
-    """A mask that is black outside a polygon.
-
-    mask: (H, W[, 3]) mask of the thing alone, None = white; outline: x, y of each corner in turn [px]; size: H, W [px]
-    """
+    """A mask that is black outside a polygon. mask: (H, W[, 3]) mask of the thing alone, None = white; outline: x, y of
+    each corner in turn [px]; size: H, W [px]"""
     if mask is not None and mask.shape[:2] != size:
         raise InputError(f"a mask of the image's size {size}", f"{mask.shape[:2]} (rows, columns)")
     kept = np.full(size, 255, dtype=np.uint8) if mask is None else mask.copy()

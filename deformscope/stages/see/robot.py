@@ -115,11 +115,8 @@ def at_jumps(depth_m: FloatArray) -> BoolArray:
 
 
 def standing(points: FloatArray, mixed: BoolArray) -> BoolArray:
-    """(n,) points that do not hang in the air.
-
-    mixed: (n,) possibly of mixed depth; these count if they are at most `HOVER_M` above the mean of the others around
-    them, as seen from above, or have none around them
-    """
+    """(n,) points that do not hang in the air. mixed: (n,) possibly of mixed depth; these count if they are at most
+    `HOVER_M` above the mean of the others around them, as seen from above, or have none around them"""
     stands = np.ones(len(points), dtype=bool)
     if not mixed.any() or mixed.all():
         return stands

@@ -157,9 +157,7 @@ def _moments(points: FloatArray, target: IntArray, classes: int) -> tuple[IntArr
 
 def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
     """(d, d) within classes, shrunk to a multiple of the unit matrix as in Ledoit and Wolf 2004, lemma 3.1 to 3.4.
-
-    about: (n, d) points about the mean of their class; free: n less the number of classes
-    """
+    about: (n, d) points about the mean of their class; free: n less the number of classes"""
     count, size = about.shape
     if not size:
         return np.zeros((0, 0))

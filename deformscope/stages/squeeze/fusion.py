@@ -58,9 +58,7 @@ def fit_pool(
     logs: FloatArray, present: BoolArray, target: IntArray, centre: float = 1.0, near: Pool | None = None
 ) -> Pool:
     """The most probable weights and offsets for (M, n, C) logarithms of posteriors of points left out, (n,) classes.
-
-    centre: centre of the weights before any data; near: where the search begins, default there
-    """
+    centre: centre of the weights before any data; near: where the search begins, default there"""
     modalities, count, classes = logs.shape
     shown = np.where(present[..., None], logs, 0.0)
     row = np.arange(count)

@@ -135,10 +135,8 @@ def fit_model(
     provenance: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> ContentModel:
-    """A model trained on all trials, with the modalities that are fused and the method of the evaluation.
-
-    by_group: groups are left out together when posteriors are calibrated and modalities weighed
-    """
+    """A model trained on all trials, with the modalities that are fused and the method of the evaluation. by_group:
+    groups are left out together when posteriors are calibrated and modalities weighed"""
     series = {name: held_values(values) for name, values in table.series.items()}
     table = table.of(table.fused[0])
     group = np.unique(table.group, return_inverse=True)[1].reshape(-1) if by_group and table.group is not None else None

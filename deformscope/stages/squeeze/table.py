@@ -28,9 +28,8 @@ class LabelledTable:
 
     label: (N,) content; group: (N,) label that may not be on both sides of a split, such as the container or the
     session, or None; modalities: (N, p) features by name; NaN = not measured, a row of NaN = the modality is missing in
-    that trial
-    kind: (N,) kinds, such as the container's type, between which transfer is evaluated, or None; trial: (N,) names for
-    messages, or None; series: (N, T, p) features over the squeeze by name, NaN after the end of a trial
+    that trial; kind: (N,) kinds, such as the container's type, between which transfer is evaluated, or None; trial:
+    (N,) names for messages, or None; series: (N, T, p) features over the squeeze by name, NaN after the end of a trial
     step_s: time between two of the T steps [s]; settings: settings with which the features were computed, stored in a
     model. Raises InputError for sizes that do not fit together.
     """

@@ -66,9 +66,8 @@ class TrackedContainer:
     visible edges in the image; since_s: time since the first contact [s], below 0 = before it, NaN = it was not known
     then; directions: (6, 6) directions of `observed`, a direction each row, container frame: translation, then rotation
     times half the container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the
-    normal matrix
-    lag_s: age of the image at the time of the result [s], NaN = it was computed after the hand had opened, None = the
-    same, in the median of several images; skipped: images before it that were left out to keep up
+    normal matrix; lag_s: age of the image at the time of the result [s], NaN = it was computed after the hand had
+    opened, None = the same, in the median of several images; skipped: images before it that were left out to keep up
     """
 
     index: int = field(metadata=reported())
@@ -123,10 +122,9 @@ class ContainerChange:
 class SqueezeFeatures:
     """The features of one squeeze, float64.
 
-    tactile: (72,) cells at F_steady [counts]
-    vision: (61, 61) depth change data minus model at F_steady [m], NaN where nothing was measured; vision_small: (11,
-    11) means of its blocks; None without an image. missing: share of NaN in vision; noise_m: deviation of one of its
-    pixels; reason: why there is none
+    tactile: (72,) cells at F_steady [counts]; vision: (61, 61) depth change data minus model at F_steady [m], NaN where
+    nothing was measured; vision_small: (11, 11) means of its blocks; None without an image. missing: share of NaN in
+    vision; noise_m: deviation of one of its pixels; reason: why there is none
     patch_px: (2,) column and row of its middle; patch_width_m: width of the patch on the container's surface
     physical: (n,) in the order of `PHYSICAL`, NaN where it could not be measured
     series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then

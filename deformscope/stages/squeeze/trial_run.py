@@ -180,10 +180,8 @@ def run_split(
 def late_fusion(
     fitted: Sequence[tuple[Sides, Fitted, FloatArray]], target: IntArray, classes: int, split: Split
 ) -> FloatArray:
-    """(m, C) fused posteriors of the split's test side; weights are learned from training points left out.
-
-    fitted: for each modality its sides, its expert, and its posteriors on the test side
-    """
+    """(m, C) fused posteriors of the split's test side; weights are learned from training points left out. fitted: for
+    each modality its sides, its expert, and its posteriors on the test side"""
     shape = len(fitted), len(split.train)
     inside, known = np.zeros((*shape, classes)), np.zeros(shape, dtype=bool)
     outside = np.zeros((len(fitted), len(split.test), classes))

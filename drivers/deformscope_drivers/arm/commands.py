@@ -64,9 +64,7 @@ class CartesianVelocity:
         cls, linear_m_s: npt.ArrayLike, angular_rad_s: npt.ArrayLike, T_base_end_effector: npt.ArrayLike
     ) -> CartesianVelocity:
         """The same for a velocity (3,) and an angular velocity (3,) that are both in the base frame.
-
-        T_base_end_effector: (4, 4) present pose of the end effector: convert again when it turns
-        """
+        T_base_end_effector: (4, 4) present pose of the end effector: convert again when it turns"""
         rotation = np.asarray(T_base_end_effector, dtype=float)[:3, :3]
         x, y, z = (float(value) for value in np.asarray(linear_m_s, dtype=float))
         about_x, about_y, about_z = (float(value) for value in rotation.T @ np.asarray(angular_rad_s, dtype=float))

@@ -23,8 +23,7 @@ class Joint:
 
     xyz_m, rpy_rad: the joint's frame in its parent's at angle 0, as in a URDF (fixed-axis roll, pitch, yaw)
     lower_deg, upper_deg: the range, both None where the joint turns without end
-    velocity_deg_s, effort_nm: the greatest speed and torque
-    mass_kg: mass of the link that the joint carries
+    velocity_deg_s, effort_nm: the greatest speed and torque; mass_kg: mass of the link that the joint carries
     """
 
     xyz_m: tuple[float, float, float]

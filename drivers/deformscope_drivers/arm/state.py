@@ -19,9 +19,8 @@ class ArmState:
     joints_deg: (n,) joint angles as the arm counts them, beyond 360 for joints that turn without end
     rates_deg_s: (n,) joint rates; torques_nm: (n,) joint torques without those of gravity, empty where not known
     position_m: (3,) position of the end effector in the base frame
-    theta_rad: (3,) its rotation about x, the new y, the new z
-    wrench: (6,) force [N] and torque [Nm] at the end effector as the arm estimates them, in the base frame; nan = not
-    known
+    theta_rad: (3,) its rotation about x, the new y, the new z; wrench: (6,) force [N] and torque [Nm] at the end
+    effector as the arm estimates them, in the base frame; nan = not known
     fingers: fingers of a gripper, as its driver says; fifo_count: points that wait in the arm
     currents: (n,) currents of the joints' motors, in the units of the arm's controller, empty where not known
     """

@@ -40,10 +40,8 @@ class TriangulatingSensor:
     def measure(
         self, depth_m: NDArray[np.floating], lens_px: float, random: np.random.Generator
     ) -> NDArray[np.float64]:
-        """(H, W) measured depths of exact ones (H, W) [m], 0 where nothing is measured, as in exact ones.
-
-        lens_px: focal length of the picture [px]
-        """
+        """(H, W) measured depths of exact ones (H, W) [m], 0 where nothing is measured, as in exact ones. lens_px:
+        focal length of the picture [px]"""
         exact = np.nan_to_num(np.asarray(depth_m, np.float64), nan=0.0, posinf=0.0)
         seen = exact > 0.0
         strength = self.focal_px * self.baseline_m

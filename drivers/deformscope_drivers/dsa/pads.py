@@ -52,10 +52,8 @@ class Pad:
 
 
 def thesis_feature(pads: Sequence[TexelValues], fingers: tuple[int, int] = FEATURE_FINGERS) -> npt.NDArray[np.float64]:
-    """(72,) the first 36 texels, row by row, of the distal pads of two fingers (thesis ch. 2).
-
-    pads: (rows, columns) layout of each matrix in the controller's order, in counts or Pa
-    """
+    """(72,) the first 36 texels, row by row, of the distal pads of two fingers (thesis ch. 2). pads: (rows, columns)
+    layout of each matrix in the controller's order, in counts or Pa"""
     return np.concatenate([_first_cells(pads, Pad(finger, Part.DISTAL)) for finger in fingers])
 
 

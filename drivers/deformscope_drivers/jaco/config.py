@@ -70,9 +70,8 @@ class JacoConfig:
     joint_limit_deg_s: greatest speed of any joint that a command may ask for; a joint's own limit holds besides
     workspace: box that commands must keep the end effector in; None = no box
     protection_zones: boxes in the base frame that the arm's firmware excludes for the hand: set when it is opened, in
-    place of its stored ones (`zones`); None = unchanged
-    command_deadline_s: default duration of a velocity command, and largest delay of the driver's own cycle before it
-    stops the arm
+    place of its stored ones (`zones`); None = unchanged; command_deadline_s: default duration of a velocity command,
+    and largest delay of the driver's own cycle before it stops the arm
     state_hz: rate of reading the joint angles; lower if the arm's link is too slow
     initialize_fingers: let the fingers open fully when the arm is opened (they move), so that their positions are known
     require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)

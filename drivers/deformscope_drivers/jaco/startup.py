@@ -62,9 +62,7 @@ class JacoIdentity:
 
 def bring_up(functions: Functions, config: JacoConfig, pause: Callable[[float], None]) -> JacoIdentity:
     """Initialise the library, choose the arm, and take control of it; nothing moves without a command to the fingers.
-
-    pause: function that waits for this number of seconds. Raises the named exception of any error.
-    """
+    pause: function that waits for this number of seconds. Raises the named exception of any error."""
     version = api_version(functions)
     device = _find(functions, config, pause)
     call(functions, "SetActiveDevice", device)

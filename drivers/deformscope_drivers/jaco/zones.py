@@ -44,10 +44,8 @@ def boxes_of(zones: ZoneList) -> tuple[Workspace, ...]:
 
 
 def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[[], None]) -> None:
-    """Have the arm keep exactly these, and read them back. If the arm has them already, nothing is written.
-
-    pause: waits between two writes to the arm's configuration. Raises SettingsRefused where it says otherwise after.
-    """
+    """Have the arm keep exactly these, and read them back. If the arm has them already, nothing is written. pause:
+    waits between two writes to the arm's configuration. Raises SettingsRefused where it says otherwise after."""
     if _alike(boxes, read(functions, "GetProtectionZone", ZoneList)):
         return
     call(functions, "EraseAllProtectionZones")

@@ -15,8 +15,7 @@ class KukaConfig:
 
     address, port: address and port of this computer, where the controller sends to (IP_NUMBER and PORT of RSI's
     ethernet configuration); controller: the only address that is answered, empty = whoever speaks first
-    model: the arm; sen_type: SENTYPE of the configuration
-    cycle_s: cycle of RSI: 0.012 (#IPO) or 0.004 (#IPO_FAST)
+    model: the arm; sen_type: SENTYPE of the configuration; cycle_s: cycle of RSI: 0.012 (#IPO) or 0.004 (#IPO_FAST)
     linear_limit_m_s, angular_limit_rad_s: greatest speed of the flange that a command may ask for
     joint_limit_deg_s: greatest speed of any axis that a command may ask for
     command_deadline_s: default duration of a velocity

@@ -18,8 +18,7 @@ class OptoforceConfig:
     of the DAQ's packets and of the host's
     rate_hz: 1000, 333, 100, 30, 10, or 0 = it sends nothing; filter_hz: 500, 150, 50, 15, 5, 1.5, or 0 = no filter
     sensitivity: the sensor's sensitivity report, one for each channel of a 4-channel DAQ; without it, readings are in
-    counts
-    serial: refuse any other; asks for an answer that only some firmware gives
+    counts; serial: refuse any other; asks for an answer that only some firmware gives
     zero_at_start: take the load at opening for zero
     reconnect: None = a lost link ends the session; stuck_after_s: None = readings may stay the same for ever.
 

@@ -10,8 +10,7 @@ class Command:
     """A message of the host.
 
     name: the ASCII protocol's name, lower case; also for binary requests, whose code it stands for
-    values: values to set; none = a query
-    axis: 0 to 6 for a command to one axis; None = all
+    values: values to set; none = a query; axis: 0 to 6 for a command to one axis; None = all
     """
 
     name: str

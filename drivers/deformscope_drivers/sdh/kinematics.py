@@ -61,10 +61,8 @@ FINGERS: Final = (
 
 
 def finger_points(position_deg: FloatArray | tuple[float, ...], finger: int) -> FloatArray:
-    """Proximal joint, distal joint and tip of finger 0, 1 (the thumb) or 2 in the hand frame: (3, 3) [m].
-
-    position_deg: (7,) angles by axis. At 0 a finger is upright; positive angles lean it over the palm.
-    """
+    """Proximal joint, distal joint and tip of finger 0, 1 (the thumb) or 2 in the hand frame: (3, 3) [m]. position_deg:
+    (7,) angles by axis. At 0 a finger is upright; positive angles lean it over the palm."""
     angles = np.radians(np.asarray(position_deg, dtype=np.float64))
     if angles.shape != (len(AXIS_NAMES),):
         raise ValueError(f"position_deg must be ({len(AXIS_NAMES)},), not {angles.shape}")
