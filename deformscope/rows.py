@@ -291,7 +291,10 @@ def _field(name: str, hint: Any) -> CodecField:
 
 
 def _is_array(kind: object) -> bool:
-    return get_origin(kind) is np.ndarray
+    """Whether a type hint is of a NumPy array."""
+    return (
+        get_origin(getattr(kind, "__value__", kind)) is np.ndarray
+    )  # from NumPy 2.5 on, NDArray is an alias with a value
 
 
 def _is_enum(kind: object) -> bool:

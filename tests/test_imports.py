@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -333,6 +334,30 @@ heavy = "open3d sklearn scipy.stats matplotlib can mcap rosbags ray".split()
 print(sorted(set(heavy) & set(sys.modules)))
 """
     _prints(script, "[]\n")
+
+
+def test_the_small_installation_records_verifies_and_exports(tmp_path: Path) -> None:
+    """With all dependencies but those that docs/howto/install.md leaves out."""
+    page = (ROOT / "docs" / "howto" / "install.md").read_text(encoding="utf-8")
+    lines = re.findall(r"(?m)^pip install ([rp].*)", page)
+    typed = {word.strip("'").split("==")[0] for line in lines for word in line.split()}
+    built = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    absent = {re.split(r"[=>]", one)[0] for one in built} - typed - {"numpy"}  # which others bring
+    assert absent == {"open3d", "scikit-learn", "scikit-fem", "matplotlib"}
+    script = f"""
+import contextlib, io, sys
+sys.modules |= dict.fromkeys(["open3d", "sklearn", "skfem", "matplotlib"])
+from deformscope.cli import main
+made = "{tmp_path}/made.rrd"
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    ended = [
+        main(["record", "lab:bench", "--seconds", "0.5", "--record", made]) in (0, 3),  # 3: lost readings
+        main(["verify", "{ROOT}/recordings/rig.rrd"]) == 0,
+        main(["export", "{ROOT}/recordings/rig.rrd", "--to", "csv", "--out", "{tmp_path}/csv"]) == 0,
+    ]
+print(ended)
+"""
+    _prints(script, "[True, True, True]\n")
 
 
 def test_version_is_declared_once_and_cited() -> None:

@@ -8,19 +8,22 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from typing_extensions import TypeAliasType
 
 from deformscope.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from deformscope.frames import Stream
 from deformscope.images import encode_png
 from deformscope.results.declared import LATER
-from deformscope.rows import from_components, from_json, to_columns, to_components, to_json
+from deformscope.rows import field_of, from_components, from_json, to_columns, to_components, to_json
 from tests.log import synthetic_rig as rig
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 class Grip(enum.Enum):
@@ -170,3 +173,12 @@ def test_images_are_read_from_their_encoded_bytes() -> None:
 def test_what_is_known_of_a_device_is_json() -> None:
     streams = [*rig.STREAMS, Stream("a", "arm", "jaco", urdf=Path("/x/y.urdf"))]
     assert [from_json(Stream, to_json(one)) for one in streams] == streams
+
+
+def test_an_alias_of_an_array_is_an_array() -> None:
+    """NumPy 2.5 has such an alias for NDArray. Read as a value, it ended exports of recordings."""
+    named = TypeAliasType("named", np.ndarray[Any, np.dtype[Number]], type_params=(Number,))  # type: ignore[misc,valid-type]
+    aliased = dataclasses.make_dataclass("Aliased", [("numbers", named[np.float64])])
+    of = field_of(aliased, "numbers")
+    assert of is not None
+    assert of.form == "array"

@@ -21,6 +21,8 @@ FEWEST_CORNERS = 6
 FEWEST_VIEWS = 6
 BENDING = cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
 """Only k1 and k2 of the lens are fitted: a dozen views of a board do not determine the others."""
+LEAST_TILT_DEG = 4.0
+"""Smallest tilt of the board over the views [degrees, RMS]: 15 degrees each way have 5 or more, one way up to 3.4."""
 WIDEST = 0.1
 """Largest half interval of a focal length, as a share of it: if all views show the board from the front, they do not
 separate distance and focal length."""
@@ -101,14 +103,18 @@ def lens(views: Sequence[SeenBoard], size_px: tuple[int, int], board: CharucoSpe
     objects = [board.corners_m[view.number].astype(np.float32) for view in views]
     images = [view.px.astype(np.float32).reshape(-1, 1, 2) for view in views]
     found = cv2.calibrateCameraExtended(objects, images, size_px, None, None, flags=BENDING)  # type: ignore[call-overload]
-    left_over, camera, distortion, _, _, sd = found[:6]
+    left_over, camera, distortion, turns, _, sd = found[:6]
     count = sum(2 * len(view.px) for view in views) - 6 * len(views) - 6
     half = half_widths(np.diag(np.asarray(sd, np.float64).reshape(-1)[:4] ** 2), count, LEVEL)
     matrix = np.asarray(camera, np.float64)
     focal = matrix[[0, 1], [0, 1]]
     unknown, share = float((half[:2] / focal).max()), focal / size_px[0]
-    if unknown > WIDEST or (share < LENSES[0]).any() or (share > LENSES[1]).any():
-        came = f"views that determine the focal length ({focal[0]:.0f} px, within {half[0]:.0f} px)"
+    # Along the direction in which the board's normals vary least. The standard deviations leave out what nothing
+    # determines: they are 2 px for focal lengths that are nine times too long.
+    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    tilt_deg = np.degrees(np.linalg.svd(normals - normals.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(normals)))
+    if tilt_deg < LEAST_TILT_DEG or unknown > WIDEST or (share < LENSES[0]).any() or (share > LENSES[1]).any():
+        came = f"tilts of {tilt_deg:.1f} degrees (RMS), and a focal length of {focal[0]:.0f} px within {half[0]:.0f} px"
         raise InputError("views of the board that is tilted by 20 degrees and more", came, "tilt it each way")
     bent = np.asarray(distortion, np.float64).reshape(-1)[:5]
     return LensEstimate(focal, matrix[:2, 2], bent, half, float(left_over))

@@ -61,8 +61,9 @@ def test_the_intervals_of_the_lens_hold_it_in_about_nine_of_ten() -> None:
     assert (hits >= 29).all(), hits
 
 
-def test_a_board_that_is_not_tilted_is_refused() -> None:
-    random = np.random.default_rng(2)
+@pytest.mark.parametrize("seed", range(2, 10))
+def test_a_board_that_is_not_tilted_is_refused(seed: int) -> None:
+    random = np.random.default_rng(seed)
 
     with pytest.raises(InputError, match=r"tilted by 20 degrees.*tilt it each way"):
         lens([projected(held(random, 1.0), 0.2, random) for _ in range(8)], SIZE_PX, BOARD)
