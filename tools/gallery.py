@@ -1,7 +1,7 @@
 """Pictures of every view and short films, of the recordings that ship: python tools/gallery.py [--out build/gallery]
 
-Opens each recording of `recordings/` in a headless viewer (Vulkan, as tools/screenshot.py), saves every view, a film of
-the window over the session, and the figures of `deformscope report`; `index.html` shows all of it on dark and light.
+Opens each recording of `recordings/` in a dark and in a light headless viewer (Vulkan, as tools/screenshot.py). Saves
+every view, a film of the window over the session, and the figures of `deformscope report`, all shown by `index.html`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import html
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from PIL import Image
-from screenshot import headless_viewer, shoot
+from screenshot import Theme, headless_viewer, shoot
 
 import deformscope as ds
 
@@ -51,9 +51,10 @@ def main() -> int:
     for name in arguments.names:
         recording, out = ROOT / "recordings" / f"{name}.rrd", arguments.out / name
         out.mkdir(parents=True, exist_ok=True)
-        with headless_viewer() as viewer:
-            complaints += shoot(viewer, recording, out, **MOMENTS[name])  # type: ignore[arg-type]
-            film(viewer, recording, out / "film.webp")
+        for theme in get_args(Theme):
+            with headless_viewer(theme=theme) as viewer:
+                complaints += shoot(viewer, recording, out, prefix=f"{theme}_", **MOMENTS[name])  # type: ignore[arg-type]
+                film(viewer, recording, out / f"{theme}_film.webp")
         for number, figure in enumerate(ds.report(recording).figures(), start=1):
             (out / f"report-{number}.png").write_bytes(figure.png)
         print(f"{name}: {len(list(out.glob('*.*')))} pictures in {out}")

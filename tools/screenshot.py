@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -18,7 +19,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from deformscope.page.server.viewer_files import viewer_environment, viewer_executable
 from deformscope.recording.live import Viewer, wait_for_viewer
@@ -26,9 +27,15 @@ from deformscope.recording.live import Viewer, wait_for_viewer
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
+Theme = Literal["dark", "light"]
 LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
 LOAD_TIMEOUT_S = 30.0
 NOTICES_S = 5.0
+PRESS = [
+    {"name": "click", "args": {"role": "Button", "label_contains": "Light"}},
+    {"name": "hover", "args": {"pos": {"x": -99.0, "y": -99.0}}},  # else the pointer is in the pictures
+]
+"""What makes the viewer light, in its settings."""
 
 
 def main() -> int:
@@ -39,9 +46,10 @@ def main() -> int:
     parser.add_argument("--session", type=float, metavar="S", help="a moment of the session [s] instead of a frame")
     parser.add_argument("--touch", type=int, help="a touch of an exploration instead of a frame")
     parser.add_argument("--prefix", default="")
+    parser.add_argument("--theme", choices=get_args(Theme), default="dark")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    with headless_viewer() as viewer:
+    with headless_viewer(theme=arguments.theme) as viewer:
         complaints = shoot(
             viewer, arguments.recording, arguments.out, arguments.frame, arguments.prefix, arguments.session,
             arguments.touch,
@@ -53,8 +61,9 @@ def main() -> int:
 
 
 @contextlib.contextmanager
-def headless_viewer(size: str = "1920x1080") -> Iterator[ViewerClient]:
-    """A viewer without a window, on loopback alone; ended at exit. Raises ConnectionError where it cannot start."""
+def headless_viewer(size: str = "1920x1080", theme: Theme = "dark") -> Iterator[ViewerClient]:
+    """A viewer without a window, on loopback alone; ended at exit. Raises ConnectionError where it cannot start, or has
+    no light theme."""
     from rerun.experimental import ViewerClient
 
     command = [str(viewer_executable()), "--headless", "--bind", "127.0.0.1", "--port", "0"]
@@ -69,11 +78,36 @@ def headless_viewer(size: str = "1920x1080") -> Iterator[ViewerClient]:
         try:
             viewer = Viewer(process.pid, messages.fileno())
             wait_for_viewer(viewer, threading.Event())
-            yield ViewerClient.connect(viewer.url)
+            client = ViewerClient.connect(viewer.url)
+            if theme == "light":
+                make_light(client)
+            yield client
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait(10)
+
+
+def make_light(viewer: ViewerClient) -> None:
+    """Press the button of the light theme: no option, command or blueprint of the viewer has it, only its settings.
+    Raises ConnectionError where that fails."""
+    viewer.run_command("ui.open_settings")
+    initialize = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "shots", "version": "1"}}
+    requests: list[dict[str, object]] = [
+        {"id": 0, "method": "initialize", "params": initialize},
+        {"method": "notifications/initialized"},
+        {"id": 1, "method": "tools/call", "params": {"name": "batch", "arguments": {"actions": PRESS}}},
+    ]
+    ended = subprocess.run(
+        [str(viewer_executable()), "viewer-mcp", "--endpoint", viewer.url.replace("rerun+", "").removesuffix("/proxy")],
+        env=viewer_environment(),
+        input="".join(json.dumps({"jsonrpc": "2.0"} | request) + "\n" for request in requests),
+        capture_output=True,
+        text=True,
+        timeout=LOAD_TIMEOUT_S,
+    )
+    if '"isError":false' not in ended.stdout:
+        raise ConnectionError(f"no light theme in the viewer's settings: {(ended.stdout or ended.stderr)[-300:]}")
 
 
 def shoot(

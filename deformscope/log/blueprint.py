@@ -82,9 +82,8 @@ def _last_view(canvas: Canvas, body: str) -> rrb.View | rrb.Container:
 
 def _flat_view(what: str, canvas: Canvas, name: str = "") -> rrb.View:
     contents = [*([f"+ /{canvas.image}"] if canvas.image else []), f"+ /{what}/**"]
-    background = None if canvas.image else PAPER
     return rrb.Spatial2DView(
-        name=name or NAMES[what], contents=contents, visual_bounds=_bounds(canvas), background=background
+        name=name or NAMES[what], contents=contents, visual_bounds=_bounds(canvas), background=PAPER
     )
 
 

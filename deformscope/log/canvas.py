@@ -12,6 +12,9 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.pictures.palette import Rgb, colors, readable
 
 TEXT: Rgb = (225, 225, 225)
+"""Text on a dark background."""
+LABEL: Rgb = (30, 33, 38)
+"""Text on paper: the viewer's themes put grey or white behind it. On a black background dark text could not be read."""
 
 SIDE_LEGEND_FROM = 3.5
 """Height over width from which the legend is at the picture's side, not below it."""
@@ -118,7 +121,7 @@ def log_labels(rec: rr.RecordingStream, path: str, canvas: Canvas, labels: Seque
         rr.Points2D(
             [(x, y) for x, y, _ in labels],
             radii=canvas.mark * 0.2,
-            colors=TEXT,
+            colors=LABEL,
             labels=[label for _, _, label in labels],
             show_labels=True,
             draw_order=60.0,
@@ -163,7 +166,7 @@ def log_deep_legend(
         rr.Points3D(
             [point for point, _ in named],
             radii=0.001 * size,
-            colors=TEXT,
+            colors=LABEL,
             labels=[label for _, label in named],
             show_labels=True,
         ),

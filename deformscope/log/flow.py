@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from deformscope.arrays import FloatArray
-from deformscope.log.canvas import TEXT, Canvas, log_color_bar, log_legend
+from deformscope.log.canvas import LABEL, Canvas, log_color_bar, log_legend
 from deformscope.pictures.palette import colors, round_up
 from deformscope.stages.see.flow import FlowField
 
@@ -35,7 +35,7 @@ def log_flow(rec: rr.RecordingStream, flow: FlowField, canvas: Canvas, path: str
     )
     log_color_bar(rec, f"{path}/legend", canvas, end_px, "px")
     note = "arrows at true length" if times == 1 else f"arrows drawn {times:g} times their length"
-    log_legend(rec, f"{path}/legend/note", canvas, [(2.0, note, TEXT)], row=1)
+    log_legend(rec, f"{path}/legend/note", canvas, [(2.0, note, LABEL)], row=1)
 
 
 def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray, float]:

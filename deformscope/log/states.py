@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deformscope.log.blueprint import PAPER
-from deformscope.log.canvas import TEXT
+from deformscope.log.canvas import LABEL
 from deformscope.log.rig.blueprint import blueprint_of
 from deformscope.pictures.palette import HELD, JOINTS, REST, SIMULATED
 from deformscope.stages.msm.state_sweep import StateSweep, StateSweeps
@@ -67,7 +67,7 @@ def _log_sweep(rec: rr.RecordingStream, sweep: StateSweep) -> None:
     rec.send_columns(f"plot/{path}", times, rr.Scalars.columns(scalars=sweep.measure))
     words = [f"{sweep.over} {value:.2f}" for value in sweep.value]
     at = (float(sweep.rest[..., 0].mean()), float(corner[1]) - UNIT_M)
-    rec.log(f"{path}/label", rr.Points2D.from_fields(colors=TEXT, radii=0.02 * spacing, show_labels=True), static=True)
+    rec.log(f"{path}/label", rr.Points2D.from_fields(colors=LABEL, radii=0.02 * spacing, show_labels=True), static=True)
     rec.send_columns(f"{path}/label", times, rr.Points2D.columns(positions=[at] * count, labels=words))
 
 

@@ -29,7 +29,7 @@ from tests.log import synthetic, synthetic_exploration, synthetic_rig
 from tests.patience import PATIENCE_S
 from tests.pictures.test_closeup import poked
 from tools import screenshot
-from tools.screenshot import LAVAPIPE, headless_viewer, shoot
+from tools.screenshot import LAVAPIPE, headless_viewer, make_light, shoot
 
 pytestmark = pytest.mark.viewer
 
@@ -73,6 +73,18 @@ def test_calibration_of_images(tmp_path: Path, viewer: ViewerClient) -> None:
     # No view is left empty.
     for name, picture in pictures.items():
         assert picture.std() > 10, name
+
+
+@pytest.mark.slow
+def test_labels_on_light(tmp_path: Path, viewer: ViewerClient) -> None:
+    with Recorder(tmp_path / "run.rrd") as made:
+        run(synthetic.frames(3), synthetic.calibration((8.0, 8.0, 48.0, 32.0), (5, 7)), made)
+    make_light(viewer)
+    assert shoot(viewer, tmp_path / "run.rrd", tmp_path) == []
+    picture = cv2.imread(str(tmp_path / "Particles.png")).astype(int)
+    legend = picture[round(0.8 * len(picture)) :]
+    assert np.median(legend) > 200
+    assert (legend < 90).all(axis=2).sum() > 100
 
 
 def test_two_recordings_in_one_viewer(tmp_path: Path, viewer: ViewerClient) -> None:
