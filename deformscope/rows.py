@@ -291,10 +291,8 @@ def _field(name: str, hint: Any) -> CodecField:
 
 
 def _is_array(kind: object) -> bool:
-    """Whether a type hint is of a NumPy array."""
-    return (
-        get_origin(getattr(kind, "__value__", kind)) is np.ndarray
-    )  # from NumPy 2.5 on, NDArray is an alias with a value
+    """Whether a type hint is of a NumPy array: from NumPy 2.5 on, NDArray is an alias with a value."""
+    return get_origin(getattr(kind, "__value__", kind)) is np.ndarray
 
 
 def _is_enum(kind: object) -> bool:
