@@ -307,7 +307,7 @@ class CompletionConfig(CommandOptions):
     shell: Annotated[Literal["bash", "zsh", "fish"], Positional]
     """The shell."""
     line: Annotated[str | None, flags.one_word("TEXT", str), flags.unset] = None
-    """Print the possible next words of this command line instead, one a line; the shell calls this."""
+    """Print the possible next words of this command line, one on each line; the shell calls this."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ class MovingSearch(Search):
         self.rows = np.arange(len(self.seen))
 
     def only(self, rows: IntArray, weight: FloatArray) -> Search:
-        """As `Search.only`. rows: (n,) frames; weight: (n,) weight of each"""
+        """As `Search.only`. rows: (n,) frames; weight: (n,) weight of each observation"""
         some = super().only(rows, weight)
         assert isinstance(some, MovingSearch)
         some.rows = self.rows[rows]

@@ -22,8 +22,8 @@ from deformscope.stages.see.pixel_labels import PixelMasks
 class TrainedField:
     """Training data of a field of beta.
 
-    kernel: the likeliest, where several are averaged over; noise: standard deviation of a value in addition to its own
-    place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
+    kernel: the likeliest one, if several are averaged; noise: standard deviation of a value in addition to its own
+    place_m: (n, 2) [m]; value: (n,) beta at these places; weight: (n,) 1 / variance of each
     """
 
     kernel: Kernel
@@ -48,7 +48,7 @@ class TouchSurface:
 
 @dataclass(frozen=True, slots=True)
 class LookPerception:
-    """Input of the surface before any touch. masks: None of a robot that gives points, not images
+    """Input of the surface before any touch. masks: None for a robot that gives points, not images
     learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None
