@@ -270,7 +270,7 @@ class Spoiled:
         self._last: dict[str, bytes] = {}
 
     def function(self, name: str) -> Callable[..., int]:
-        """As `JacoDouble.function`."""
+        """See `JacoDouble.function`."""
         asked = self._arm.function(name)
 
         def called(*arguments: object) -> int:

@@ -63,7 +63,7 @@ def size_note(rest: FloatArray) -> str | None:
 
 def check_poke(surface: FloatArray, thickness: float, depth: float, tip: float) -> None:
     """Refuses a poke [m] that does not fit the material: as deep as it is thick, or with a tip wider than all of it.
-    surface: (n, d) points; thickness: along the poke; depth: depth of the poke; tip: its smallest side"""
+    surface: (n, d) points; thickness: thickness along the poke; depth: depth of the poke; tip: tip's smallest side"""
     size = size_of(surface)
     if thickness > THICKEST * size:
         raise InputError(
