@@ -89,7 +89,7 @@ def calibrate_theta(
 
     source: see `CalibrationSource`; several pairs are fitted to one value
     cluster_size: default None, one cluster of all particles; beta: fixed; bounds: range in which theta is searched
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.ThetaConfig`.
+    progress: see `calibrate_beta`; options: fields of `deformscope.config.ThetaConfig`.
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ThetaConfig
@@ -128,7 +128,7 @@ def calibrate_both(
     """Find beta and theta of pairs together, with their joint posterior: one result for each pair.
 
     sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.BothConfig`.
+    progress: see `calibrate_beta`; options: fields of `deformscope.config.BothConfig`.
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import BothConfig
@@ -145,7 +145,7 @@ def calibrate_axes(
 ) -> MaterialResult:
     """Find a beta along each axis of a material, from images, a recording, or pair files in one fit.
 
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
+    progress: see `calibrate_beta`; options: fields of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import AxesConfig
@@ -158,7 +158,7 @@ def calibrate_field(
 ) -> MaterialResult:
     """Find the stiffness of each place of a body relative to the others, from images, a recording, or one pair file.
 
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.FieldConfig`: frame, force_n...
+    progress: see `calibrate_beta`; options: fields of `deformscope.config.FieldConfig`: frame, force_n...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import FieldConfig
@@ -171,7 +171,7 @@ def calibrate_yield(
 ) -> MaterialResult:
     """Find the strain at which a body yields, from images, a recording, or a motion file (`sample:press`).
 
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.YieldConfig`: beta, creep, at, force...
+    progress: see `calibrate_beta`; options: fields of `deformscope.config.YieldConfig`: beta, creep, at, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import YieldConfig
@@ -185,7 +185,7 @@ def calibrate_viscous(
     """Find the share of a modulus that relaxes, the relaxation time, and the permanent share, from images, a recording,
     or a motion file.
 
-    progress, options: as in `calibrate_beta`, out of `deformscope.config.ViscousConfig`: at, released, force...
+    progress: see `calibrate_beta`; options: fields of `deformscope.config.ViscousConfig`: at, released, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ViscousConfig

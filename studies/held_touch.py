@@ -1,6 +1,6 @@
 """A controller's record of a tip that comes down on foam with a memory, holds its force and retracts.
 
-As `deformscope.lab.touching`: no wires, no control loop.
+It resembles `deformscope.lab.touching`: no wires, no control loop.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ SCENES = (
 """Layouts of the laboratory, each as often; homogeneous ones as often as two regions, roughly."""
 
 TOUCHES = 8
-"""As `explore` makes by default."""
+"""Number of touches that `explore` makes by default."""
 CELL_M = 0.01
 BLUR_M = (0.006, 0.009)
 """Blur of a contact; the estimator assumes 0.0075."""

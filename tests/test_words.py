@@ -69,6 +69,7 @@ def test_every_private_word_has_a_replacement() -> None:
     ("sentence", "headless"),
     [
         ("Of the surface.", True),
+        ("As `Recorder.write`.", True),
         ("weight: (n,) of each", True),
         ("shift: as of `SeenSurface.shift`", True),
         ("weight: (n,) weight of each", False),

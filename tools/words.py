@@ -49,7 +49,9 @@ PRIVATE = {
     r"what (?:it|they|he|one) (?:meets|met|feels|says|said|gave|gives|knows|found|sees|saw|does|did)": "name it",
 }
 """Patterns of whole words, and what to write instead."""
-HEADLESS = re.compile(r"(\w+(, \w+)*( \([^()]*\))?: (\([^()]*\),? |\[[^\]]*\],? )*)?[Oo]f\b(?!:)|.*\bas of (?!now)")
+HEADLESS = re.compile(
+    r"(\w+(, \w+)*( \([^()]*\))?: (\([^()]*\),? |\[[^\]]*\],? )*)?[Oo]f\b(?!:)|As `|.*\bas of (?!now)"
+)
 """Beginnings of docstrings, and of what they have about a field, that lack their noun."""
 EXCEPT = "|".join(
     (
@@ -163,9 +165,9 @@ def private(sentence: str) -> list[str]:
 
 
 def headless(at: Text, sentence: str) -> list[str]:
-    """A sentence of a docstring that begins with "Of", or refers with "as of"."""
+    """A sentence of a docstring that begins with "Of" or "As `", or refers with "as of"."""
     found = at.kind in ("docstring", "help") and HEADLESS.match(sentence)
-    return [f"{found[0]!r}: write the noun that it is of, or 'as in'"] if found else []
+    return [f"{found[0]!r}: write the noun that it is of, 'See `X`', or 'as in'"] if found else []
 
 
 def _whole(word: str) -> str:

@@ -35,7 +35,7 @@ class BenchBody:
         return len(self.rest)
 
     def clusters(self, size: int) -> Clusters:
-        """All windows of `size` particles a side."""
+        """Clusters of all windows with `size` particles along a side."""
         return lattice(self.rest, self.shape, np.arange(self.particles), size)
 
 

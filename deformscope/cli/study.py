@@ -180,7 +180,7 @@ def _numbers(one: Any) -> object:
 
 
 def _array(kind: Any, one: Any) -> object:
-    """As `_numbers` has left it. kind: as its type hint says"""
+    """Restore a value that `_numbers` converted. kind: its type hint"""
     if (typing.get_origin(kind) or kind) is not np.ndarray:
         return one
     dtype, shape, values = one
@@ -188,7 +188,7 @@ def _array(kind: Any, one: Any) -> object:
 
 
 def _outcome(try_one: Callable[..., object], kind: str, value: object) -> object:
-    """As `try_one` returns it. kind: the name of its class, where there are several"""
+    """Restore a result of `try_one`. kind: name of its class, if there are several classes"""
     returned = typing.get_type_hints(try_one)["return"]
     several = [one for one in typing.get_args(returned) if getattr(one, "__name__", "") == kind]
     return msgspec.convert(value, type=several[0] if several else returned, dec_hook=_array)

@@ -89,7 +89,7 @@ class Flags:
         return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
 
     def made(self) -> tuple[tuple[str, Path], ...]:
-        """The flags of output files and folders, with the path of each output after the command."""
+        """Outputs that the command has written: the flag and path of each file or folder."""
         folders = ((flag, value) for flag, value, _ in self._marked(flags.Makes) if value.is_dir())
         return (*((one.flag, one.path) for one in self.writes() if one.path.is_file()), *folders)
 

@@ -113,8 +113,8 @@ class Table41Config(RecordedOptions):
     """Use the observed thickness and curvature of the foam, or a level foam of the stated thickness (finite elements
     only)."""
     pace: Annotated[str, arg(metavar="NAME,NAME...")] = "careful"
-    """As in `deformscope explore`: careful, quick; robot seconds are the time of the planned motions, computed step by
-    step. The first is compared with the others."""
+    """Paces of `deformscope explore`: careful, quick; robot seconds are the time of the planned motions, computed step
+    by step. The first pace is compared with the others."""
     resume: bool = False
     """Read the results of an earlier command from runs.jsonl, and continue; the version must be the same."""
     workers: flags.SomeFlag = None

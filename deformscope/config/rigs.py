@@ -307,7 +307,7 @@ class CompletionConfig(CommandOptions):
     shell: Annotated[Literal["bash", "zsh", "fish"], Positional]
     """The shell."""
     line: Annotated[str | None, flags.one_word("TEXT", str), flags.unset] = None
-    """Print the possible next words of this command line instead, one a line; the shell calls this."""
+    """Print the possible next words of this command line, one on each line; the shell calls this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +318,7 @@ class DemoConfig(RecordedOptions):
     images: bool = False
     """Measure the included images instead: a specimen under tension, filmed."""
     detail: Detail = "full"
-    """As in `deformscope explore`."""
+    """Same meaning as in `deformscope explore`."""
 
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
@@ -330,7 +330,7 @@ class ReplayConfig(RecordedOptions):
     recording: flags.RecordingFlag
     """The recording."""
     pace: Literal["fast", "real", "step"] = "fast"
-    """As fast as possible, at the recorded rate, or frame by frame at each Enter."""
+    """Replay as fast as possible, at the recorded rate, or frame by frame at each Enter."""
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
     """Change a setting of an exploration: the new result is printed with the recorded one, and not compared to the bit.
     Several: --set beta_model=none --set threshold=0.1"""

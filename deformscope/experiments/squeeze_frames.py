@@ -218,7 +218,7 @@ class ObservedRecorder:
         self._recorder, self._observer = recorder, observer
 
     def write(self, items: object) -> None:
-        """As `Recorder.write`."""
+        """See `Recorder.write`."""
         self._recorder.write(items)
         if isinstance(items, Sequence):
             tracked = self._observer.tracked()

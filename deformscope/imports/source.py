@@ -216,7 +216,7 @@ class _Stream(Counted):
         return round(ns) + self.stream.offset_ns
 
     def _stamp_ns(self, message: Message, at: int) -> int | float:
-        """As the source has it [ns]."""
+        """Time in the source [ns]."""
         stream = self.stream
         if self._is_table:
             name = "host_ns" if self._builder.own else stream.time

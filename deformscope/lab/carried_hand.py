@@ -158,7 +158,7 @@ class StandingContainer(SqueezedContainer):
     def reach_deg(
         self, position_deg: Sequence[float], wanted_deg: Sequence[float], current_a: Sequence[float], step_s: float
     ) -> Sequence[float]:
-        """As in `SqueezedContainer`, around the container at the hand; nothing is pressed elsewhere."""
+        """Like `SqueezedContainer`, around the container at the hand; nothing is pressed elsewhere."""
         hand = self.T_table_hand
         away = np.linalg.inv(hand) @ self.T_table_container
         middle = np.array(finger_capsules(np.array(position_deg))[1].end_m)

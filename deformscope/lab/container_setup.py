@@ -177,7 +177,7 @@ def _drawn(content: str, container: str, kind: str, seed: int) -> tuple[str, str
 
 
 def _session_number(session: str) -> int:
-    """As its name says, or one of its own."""
+    """Number at the end of the session's name; without one, a number made from the name."""
     digits = session.rpartition("-")[2]
     return int(digits) if digits.isdecimal() else zlib.crc32(session.encode())
 

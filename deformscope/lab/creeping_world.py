@@ -81,7 +81,7 @@ class CreepingWorld(SlabWorld):
             self._now_s = time_s
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """As `SlabWorld.press`, center_m: (3,) [m]; the dent recovers when the tip has left the foam."""
+        """Like `SlabWorld.press`, center_m: (3,) [m]; the dent recovers when the tip has left the foam."""
         contact = super().press(tip, center_m)
         if contact.mesh_m is None and self._memory is not None:
             patch = self._memory.patch

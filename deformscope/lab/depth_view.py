@@ -104,8 +104,8 @@ class DepthView(RayCamera):
         return Rendered(depth, np.zeros((*depth.shape, 3), np.uint8), seen, facing)
 
     def _dented(self, displaced: FloatArray) -> Rendered:
-        """As `_all` with the surface moved by displacements (n, 3) [m], but cast again only where it has moved, unless
-        that is at its edge."""
+        """Like `_all` with the surface moved by displacements (n, 3) [m], but rays are cast again only where it moved,
+        unless that is at its edge."""
         moved = (np.abs(displaced).max(axis=1) > STILL_M).reshape(self._grid)
         if not moved.any():
             return self._still

@@ -36,7 +36,7 @@ class PlateauWorld(SlabWorld):
     """A scene in which some foams yield (`Piece.plateau_exponent`)."""
 
     def press(self, tip: RigidTip, center_m: FloatArray) -> Contact:
-        """As `SlabWorld.press`, for a ball with its middle at (3,) [m]."""
+        """Like `SlabWorld.press`, for a ball with its middle at (3,) [m]."""
         contact = super().press(tip, center_m)
         label = int(self.scene.label(contact.center_m[:2]))
         plateau_exponent = self.scene.pieces[label].plateau_exponent if label >= 0 else 0

@@ -45,7 +45,7 @@ class TouchLab:
 
     arm, force, camera: the real drivers' devices, which `open` opens; body: body of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
-    arm_late_s: the arm's driver runs only this often, as on a busy host
+    arm_late_s: time between two runs of the arm's driver, long on a busy host
     """
 
     def __init__(
@@ -270,7 +270,7 @@ class Spoiled:
         self._last: dict[str, bytes] = {}
 
     def function(self, name: str) -> Callable[..., int]:
-        """As `JacoDouble.function`."""
+        """See `JacoDouble.function`."""
         asked = self._arm.function(name)
 
         def called(*arguments: object) -> int:

@@ -90,7 +90,7 @@ class WatchedDevices:
         self._phase = ""
 
     def write(self, items: object) -> None:
-        """As `Recorder.write`."""
+        """See `Recorder.write`."""
         self._recorder.write(items)
         if isinstance(items, Step):
             for result in items.results:

@@ -52,7 +52,7 @@ class FitPanel:
                 fit.on_picture(image)
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.handle`."""
+        """See `PageRun.handle`."""
         fit = self._fit
         if isinstance(command, OpenFit):
             return self._open(command)

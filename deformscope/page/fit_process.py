@@ -73,7 +73,7 @@ class FitProcess:
         self._pass_picture()
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.handle`."""
+        """See `PageRun.handle`."""
         if isinstance(command, FitDrawn):
             self.drawn_ms.append(command.after_ms)
             return "done", ""

@@ -78,7 +78,7 @@ class PairSubject:
         self.size_px = float(width), float(height)
 
     def observe(self, config: BetaConfig | ThetaConfig) -> tuple[Observation, Mapping[str, object]]:
-        """As `ImagesSubject.observe`."""
+        """See `ImagesSubject.observe`."""
         return self._seen, {}
 
     def in_picture(self, position: FloatArray) -> FloatArray:
@@ -197,7 +197,7 @@ def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads:
 
 
 def _eight_bits(image: ImageArray, low: float, high: float) -> ImageArray:
-    """As a browser shows it: 16 bits are spread over 8."""
+    """The image with 8 bits, for a browser: `low` to `high` are spread over them."""
     if image.dtype == np.uint8:
         return image
     return ((image.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))).clip(0, 255).astype(np.uint8)

@@ -241,7 +241,7 @@ class PageRecorder:
         self._fit.bind(self._watch.page, self._streams, self._found)
 
     def write(self, items: object) -> None:
-        """As `Recorder.write`."""
+        """See `Recorder.write`."""
         self._watch.write(items)
         with self._lock:
             if isinstance(items, Sequence):
@@ -260,7 +260,7 @@ class PageRecorder:
                 self._show_file()
 
     def stopped_because(self, reason: str) -> None:
-        """As `Recorder.stopped_because`."""
+        """See `Recorder.stopped_because`."""
         self._watch.stopped_because(reason)
         with self._lock:
             if self._take is not None:
@@ -299,7 +299,7 @@ class PageRecorder:
     # As a page's run -------------------------------------------------------------------------------------------------
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.handle`."""
+        """See `PageRun.handle`."""
         with self._lock:
             match command:
                 case StopRun():

@@ -53,7 +53,7 @@ class RobotPage(ABC):
             self._shown(doing)
 
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        """As `PageRun.handle`; a stop is handled first, and waits for no lock."""
+        """See `PageRun.handle`; a stop is handled first, and waits for no lock."""
         if isinstance(command, StopRun):
             self._ended.by = "from the page"
             self._ended.set()

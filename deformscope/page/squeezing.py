@@ -19,14 +19,14 @@ class PageSqueezing(RobotPage):
     robot, button = "hand", "Squeeze"
 
     def wait_for(self, what: str) -> None:
-        """As `RobotPage.wait_for`."""
+        """See `RobotPage.wait_for`."""
         with self._lock:
             self._what, self._agreed, self._by_hand = what, False, False
         phase: Phase = "idle" if self.session.state.phase == "idle" else "paused"
         self.session.enter(phase, f"waits for Squeeze: {what}", commands=("stop", "squeeze"))
 
     def go_on(self) -> None:
-        """As `RobotPage.go_on`."""
+        """See `RobotPage.go_on`."""
         with self._lock:
             self._by_hand = self._agreed
         self.session.enter("squeezing", commands=("stop",), pending=None)

@@ -81,7 +81,7 @@ class PageSteering(RobotPage):
     # Before it moves -------------------------------------------------------------------------------------------------
 
     def wait_for(self, what: str) -> None:
-        """As `RobotPage.wait_for`. what: number of touches, and their force"""
+        """See `RobotPage.wait_for`. what: number of touches, and their force"""
         self._what = f"{self._arm} continues: {what}"
         self.session.enter("idle", "press Explore: the arm begins once you confirm it", commands=("stop", "explore"))
 
@@ -93,7 +93,7 @@ class PageSteering(RobotPage):
     # As `Steering`, from the loop ------------------------------------------------------------------------------------
 
     def choose(self, plan: PlannedTouch | None, touches: int) -> Future[NextMove]:
-        """As `Steering.choose`."""
+        """See `Steering.choose`."""
         with self._lock:
             self._by_hand = False
             self._plan, self._touches = plan, touches
@@ -111,7 +111,7 @@ class PageSteering(RobotPage):
             return choice
 
     def confirm(self, forecast: TouchForecast) -> Future[bool]:
-        """As `Steering.confirm`."""
+        """See `Steering.confirm`."""
         with self._lock:
             confirm: Future[bool] = Future()
             self._confirm = confirm
@@ -123,11 +123,11 @@ class PageSteering(RobotPage):
             return confirm
 
     def refuse(self, reason: str) -> None:
-        """As `Steering.refuse`."""
+        """See `Steering.refuse`."""
         self.session.remark(f"no touch there: {reason}", bad=True)
 
     def look(self) -> None:
-        """As `Steering.look`."""
+        """See `Steering.look`."""
         if not self._ended.is_set():
             return
         with self._lock:

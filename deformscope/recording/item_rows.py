@@ -94,7 +94,8 @@ def read_rows(
 
 
 class Starts:
-    """The earliest time of each portion that is not read yet. coming: (earliest time [ns], id) coming of each"""
+    """The earliest time of each portion that is not read yet. coming: earliest time [ns] and id of each portion that is
+    not read yet"""
 
     def __init__(self, coming: Iterable[tuple[int, str]]) -> None:
         self._coming = list(coming)

@@ -115,12 +115,12 @@ class WatchedRecorder:
             raise self._failure
 
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
-        """As `Recorder.start`."""
+        """See `Recorder.start`."""
         for one in (self._watch, self._kept):
             one.start(layout, start_ns, lossless)
 
     def write(self, items: object) -> None:
-        """As `Recorder.write`."""
+        """See `Recorder.write`."""
         self._watch.write(items)
         if self._failure is None:
             try:
@@ -132,7 +132,7 @@ class WatchedRecorder:
                 self._ending.start()
 
     def stopped_because(self, reason: str) -> None:
-        """As `Recorder.stopped_because`."""
+        """See `Recorder.stopped_because`."""
         for one in (self._watch, self._kept):
             one.stopped_because(reason)
 
@@ -160,18 +160,18 @@ class LastRecorder(WatchedRecorder):
             self._watch.__exit__(kind, *raised)
 
     def start(self, layout: RecordingLayout, start_ns: int, lossless: Collection[str] = ()) -> None:
-        """As `Recorder.start`."""
+        """See `Recorder.start`."""
         self._streams, self._lossless = layout.streams, lossless
         self._watch.start(layout, start_ns, lossless)
 
     def write(self, items: object) -> None:
-        """As `Recorder.write`."""
+        """See `Recorder.write`."""
         self._watch.write(items)
         if isinstance(items, Sequence):
             self._recent.add(items)
 
     def stopped_because(self, reason: str) -> None:
-        """As `Recorder.stopped_because`."""
+        """See `Recorder.stopped_because`."""
         self._watch.stopped_because(reason)
         self._kept.stopped_because(f"{reason}; of it the last {self._recent.held_s:.1f} s")
 

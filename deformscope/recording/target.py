@@ -83,7 +83,7 @@ class RecordingTarget:
         return self.part
 
     def _keep(self, whole: Path) -> None:
-        """As the unfinished file, with a ledger of its bytes; a disk that is full may have no room for that."""
+        """Keep the recording as the unfinished file, with a ledger of its bytes if the disk has room for that."""
         if whole != self.part:
             whole.replace(self.part)
             with suppress(OSError):

@@ -59,8 +59,7 @@ HOLDS: tuple[Hold, ...] = get_args(Hold)
 process surface."""
 
 CLUSTER_SIZES: tuple[int | None, ...] = (2, 3, 4, 5, None)
-"""Particles along a cluster's side; None: no clusters, one that deforms quadratically (Thesis figure 4.5 (b), note
-5)."""
+"""Particles along a cluster's side; None: one cluster that deforms quadratically (Thesis figure 4.5 (b), note 5)."""
 
 SCENARIOS: dict[str, tuple[int, int]] = {
     "homogeneous-60": (3, 1),

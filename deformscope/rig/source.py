@@ -188,7 +188,7 @@ class RigSource:
 
 
 def _stuck_after_s(device: Device[Any]) -> float | None:
-    """As its configuration has it; None = its readings may stay the same."""
+    """The stated value of its configuration; None = its readings may stay the same."""
     found: float | None = getattr(getattr(device, "config", None), "stuck_after_s", None)
     return found
 

@@ -1,7 +1,7 @@
 """Devices for an exploration, not yet opened: an arm, a force sensor at its end and a depth camera, real ones or
 doubles.
 
-`rig_setup` makes one from a rig file; a laboratory hands its own in (`deformscope.lab.scene_lab`).
+`rig_setup` makes a `Setup` from a rig file; a laboratory makes its own (`deformscope.lab.scene_lab`).
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ LONGEST_M = 1000.0
 damaged."""
 SIDES = 24
 """Number of sides of the prisms that replace cylinders: they are inside of the cylinder by less than 1 % of its radius.
-Fewer leave more of a cylinder in the picture; more are recorded with every session."""
+With fewer sides more of a cylinder stays in the image; every side is recorded with each session."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

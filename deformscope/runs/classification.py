@@ -157,7 +157,7 @@ def format_accuracy(score: ClassificationScore) -> str:
 
 
 def format_told(found: Evaluation, score: ClassificationScore) -> str:
-    """As `format_accuracy`; without groups the interval for another container comes first."""
+    """See `format_accuracy`; without groups the interval for another container comes first."""
     if found.protocol == "group":
         return format_accuracy(score)
     low, high = found.elsewhere(score)

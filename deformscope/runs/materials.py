@@ -219,7 +219,7 @@ def run_material_images(
     *,
     progress: Progress | None = None,
 ) -> MaterialResult:
-    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body"""
+    """Fit the material to one sequence of files, a sample or a recording. mask: (H, W) [px], 0 = not the body"""
     assert job.particles is not None
     used = {**settings, "material": dataclasses.asdict(job)}
     unloading = UnloadingOptions(job.released, job.at, force)

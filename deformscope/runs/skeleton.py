@@ -95,7 +95,7 @@ def open_run(devices: AbstractContextManager[RigSource], recorder: SessionRecord
 
 @contextlib.contextmanager
 def open_rig_run(devices: AbstractContextManager[RigSource], recorder: Recorder) -> Iterator[OpenRun]:
-    """As `open_run`, with a recording like that of a rig's devices."""
+    """Like `open_run`, with a recording like that of a rig's devices."""
     with open_run(devices, recorder) as run:
         recorder.start(RigLayout(tuple(run.source.streams)), run.source.start_ns)
         yield run
@@ -234,7 +234,7 @@ def agree(
 def leave_arm(
     stop: ExplorationStop | None, touched: int, asked: Interruption, recording: Path | None, *, arm_stopped: bool = True
 ) -> NoReturn:
-    """As `leave`, after a number of touches."""
+    """Like `leave`, after a number of touches."""
     from deformscope.robot.supervisor import Fault
 
     stands = "the arm is stopped" if arm_stopped else "THE ARM COULD NOT BE STOPPED: check it, use its emergency stop"

@@ -144,7 +144,7 @@ class Continuity:
     # Within ----------------------------------------------------------------------------------------------------------
 
     def _rate_hz(self) -> float:
-        """As observed, or as the device was set until enough is observed; 0 = not known."""
+        """The observed rate; until enough is observed, the rate that was set; 0 = not known."""
         return self._seen / self._seen_s if self._seen_s >= RATE_FROM_S else self._set_hz or 0.0
 
     def _limit_s(self) -> float:

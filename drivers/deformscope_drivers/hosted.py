@@ -170,7 +170,7 @@ def hosted_environment() -> dict[str, str]:
 
 def ask_hosted(ask: Callable[..., None], *settings: object, timeout_s: float) -> Any:
     """Report of `ask(channel, *settings)`, in a process that is ended after it; None if the process crashes or does not
-    answer in time. Raises the DeviceError that it raises there."""
+    answer in time. Raises the DeviceError that `ask` raises."""
     process = HostedProcess("an answer", ask.__module__, None)
     try:
         process.start(ask, *settings, quiet=True)

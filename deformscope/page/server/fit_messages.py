@@ -52,8 +52,8 @@ class FitState(msgspec.Struct, frozen=True):
     """A fit that is set on the page.
 
     kind: kind of its subject; parameter: name of the fitted parameter; size_px: size of the picture [px]; pictures:
-    file names, rest and deformed; settings: the shown settings; number: number of the `SetFit` that brought them, 0 =
-    none yet; command: gives the same numbers
+    file names, rest and deformed; settings: the shown settings; number: number of their `SetFit`, 0 = none yet;
+    command: command that gives the same numbers
     problem: why the settings cannot be simulated, as text; the other fields then belong to the earlier settings
     grid: rows, columns; spacing_px: distance between neighbours [px]
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured; held:

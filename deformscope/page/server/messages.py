@@ -97,8 +97,7 @@ class ConfirmMove(FromPage, frozen=True, tag="confirm"):
 
 
 class SeeMove(FromPage, frozen=True, tag="seen"):
-    """The page has drawn the request for a confirmation: its time counts from now on. number: number of the
-    `PendingMove`"""
+    """The page has drawn the request for a confirmation: its time counts from now. number: the `PendingMove`'s"""
 
     number: Number
 
@@ -156,16 +155,14 @@ class CloseFit(FromPage, frozen=True, tag="close-fit"):
 
 
 class SetFit(FromPage, frozen=True, tag="set-fit"):
-    """Show the model with these settings. number: counts the settings; earlier ones that are not shown yet are
-    skipped"""
+    """Show the model with these settings. number: counts the settings; earlier ones not yet shown are skipped"""
 
     number: Number
     settings: FitSettings
 
 
 class RunFit(FromPage, frozen=True, tag="run-fit"):
-    """Fit the parameter, with its interval, with the settings. Run the whole fit; a later change of a setting ends
-    it."""
+    """Fit the parameter, with its interval, with the settings. A later change of a setting ends it."""
 
 
 class TakeRest(FromPage, frozen=True, tag="take-rest"):
@@ -225,8 +222,7 @@ class ToPage(msgspec.Struct, frozen=True, tag_field="kind"):
 
 
 class CommandReply(ToPage, frozen=True, tag="reply"):
-    """Reply to the command with this id. begun: the outcome will be in the remarks of a later state; words: text for
-    people"""
+    """Reply to the command with this id. begun: a later state's remarks will have the outcome; words: for people"""
 
     id: int
     outcome: Outcome

@@ -30,7 +30,7 @@ class ExportedStream(msgspec.Struct, frozen=True):
 
 
 class Manifest(msgspec.Struct, frozen=True):
-    """The contents of an export; a new manifest belongs to no export. devices: devices by name, without the name
+    """The contents of an export; a new manifest belongs to no export. devices: description of each device, by its name;
     topics, device_topics: topics and device topics of an MCAP, of entities and of devices"""
 
     session_starts_ns: int | None = None

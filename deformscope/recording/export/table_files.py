@@ -1,4 +1,5 @@
-"""Streams as CSV, Parquet and NumPy files, one a stream; written as they come, so that memory stays bounded."""
+"""Streams as CSV, Parquet and NumPy files, one for each stream; rows are written when they come, so that memory stays
+bounded."""
 
 from __future__ import annotations
 

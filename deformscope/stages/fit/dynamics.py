@@ -69,7 +69,7 @@ class MovingSearch(Search):
         self.rows = np.arange(len(self.seen))
 
     def only(self, rows: IntArray, weight: FloatArray) -> Search:
-        """As `Search.only`. rows: (n,) frames; weight: (n,) weight of each"""
+        """See `Search.only`. rows: (n,) frames; weight: (n,) weight of each observation"""
         some = super().only(rows, weight)
         assert isinstance(some, MovingSearch)
         some.rows = self.rows[rows]
@@ -78,7 +78,7 @@ class MovingSearch(Search):
     def states(
         self, parameter: FloatArray, start: Sequence[FloatArray] | None, progress: Callable[[int, int], None] | None
     ) -> list[Relaxed]:
-        """As `Search.states`: parameter (B,); each state (B, K, d), stepped through time from rest."""
+        """See `Search.states`: parameter (B,); each state (B, K, d), stepped through time from rest."""
         body = self.bodies[0]
         beta, theta = self.values(parameter)
         held = np.stack([one.deformed[one.held] for one in self.every])

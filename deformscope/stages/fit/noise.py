@@ -56,7 +56,7 @@ SHARED_MOST = 1e8
 difference between neighbours, and there may be almost no white noise besides."""
 
 MISFIT_MOST_UNKNOWN = 100.0
-"""As `FIELD_SIZES`, if no noise was stated: beyond it, the smallest residuals would determine the white noise."""
+"""Like `FIELD_SIZES`, if no noise was stated: beyond it, the smallest residuals would determine the white noise."""
 
 MISFIT_ROUGH = 0.05
 """Share of a misfit's variance that no field describes: a model's errors are not as smooth as a random field, and if

@@ -3,9 +3,9 @@
 They hardly change the value of the lowest average error (a mean of distances resembles a median), but they change a
 likelihood of Gaussian errors. Therefore each particle is compared with its neighbours at that value. Residuals of a
 fit, noise apart, are smooth, for a model's misfit, a shared error or a beta that has not converged. A particle whose
-residual lies far outside theirs is left out as if it were unseen, the fit is repeated, and so on until none changes.
-The more there are, the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data
-hardly an observation loses a particle. Smaller outliers stay in, where they count as noise.
+residual is far from theirs is left out like an unseen one, and the fit is repeated until no particle changes. The more
+there are, the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data hardly an
+observation loses a particle. Smaller outliers stay in, where they count as noise.
 """
 
 from __future__ import annotations
@@ -22,24 +22,25 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.model import Observation
 
 FALSE_ALARMS = 0.05
-"""Share of right ones among those that are left out of white noise, and chance that clean noise loses one, were its
-scale known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies. At 0.01, 0.05 and 0.2, 58, 64 and
-69 % of lost tracks were found, and 0.01, 0.07 and 0.4 % of the others left out."""
+"""Share of right particles among those left out with white noise, and the probability that clean noise loses one, if
+its scale is known. Compared with 0.01 and 0.2 on tuning seeds (`studies.seeds`), 240 bodies. At 0.01, 0.05 and 0.2, 58,
+64 and 69 % of lost tracks were found, and 0.01, 0.07 and 0.4 % of the others left out."""
 
 SCALE_MARGIN = 1.25
 """The bound's factor for the scale's uncertainty: it comes from few particles, and neighbours are noisy too."""
 
 NEIGHBOURS = {2: 8, 3: 12}
-"""Nearest particles that one is compared with, by dimension; their median bears up to half of them wrong."""
+"""Number of nearest particles with which one is compared, by dimension; up to half of them may be wrong, as their
+median is used."""
 
 PARTICLES_LEAST = 12
-"""Fewer free particles than this do not show which of them is wrong."""
+"""Least number of free particles: fewer do not show which of them is wrong."""
 
 SHARE_MOST = 0.45
 """Largest share of outliers: if more particles look wrong, the model is wrong, and no particle is left out."""
 
 LEAST = 1e-3
-"""Deviation in spacings that residuals are taken to have at least: smaller outliers are not worth leaving out."""
+"""Least assumed deviation of residuals, in spacings: smaller outliers have no effect."""
 
 ROUNDS = 5
 
@@ -54,9 +55,9 @@ for wrong tracks and for white or shared noise did not change."""
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Particles of one observation that were left out. lost: stayed behind on the way that the model expects; wrong:
-    anywhere else; held: prescribed ones that are not where they are said to be (`prescribed_offset`). (m,) indices of
-    the observation's particles"""
+    """Particles of one observation that were left out. lost: it stayed behind on its expected way; wrong: it is
+    anywhere else; held: prescribed particles whose stated position is wrong (`prescribed_offset`). (m,) indices of the
+    observation's particles"""
 
     lost: IntArray
     wrong: IntArray
@@ -83,7 +84,8 @@ Fitted = Callable[[Sequence[Observation]], Sequence[FloatArray]]
 def without_outliers(
     every: Sequence[Observation], spacing: Sequence[float], fitted: Fitted
 ) -> tuple[list[Observation], tuple[LeftOut, ...]]:
-    """The observations without their outliers, and those by name. spacing: spacing of each one's particles [unit]"""
+    """The observations without their outliers, and the outliers by name. spacing: spacing of each one's particles
+    [unit]"""
     off = [np.zeros(len(one.rest), dtype=bool) for one in every]
     seen = list(every)
     positions = fitted(seen)
@@ -118,7 +120,7 @@ def outlying(
     known: BoolArray | None = None,
     way: FloatArray | None = None,
 ) -> BoolArray:
-    """(n,) which residuals (n, d) of particles at rest (n, d) lie far outside those of their neighbours.
+    """(n,) which residuals (n, d) of particles at rest (n, d) are far from those of their neighbours.
 
     noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation; known: (n,) outliers that are
     known already, with which no other particle is compared; way: (n, d) displacement that the model expects, on which

@@ -15,10 +15,10 @@ LARGEST_M, LARGE_M = 5.0, 1.0
 """No body that is handled is larger than the first [m]; one larger than the second is worth a note."""
 
 FARTHEST = 1.0
-"""Most that particles move beyond a rigid motion (root mean square), as a share of the size of the body."""
+"""Largest motion of particles beyond a rigid one (root mean square), as a share of the body's size."""
 
 THICKEST = 10.0
-"""Most that the material below a surface is thicker than the surface is wide."""
+"""Largest thickness of the material below a surface, over the surface's width."""
 
 
 def size_of(points: FloatArray) -> float:
@@ -63,7 +63,7 @@ def size_note(rest: FloatArray) -> str | None:
 
 def check_poke(surface: FloatArray, thickness: float, depth: float, tip: float) -> None:
     """Refuses a poke [m] that does not fit the material: as deep as it is thick, or with a tip wider than all of it.
-    surface: (n, d) points; thickness: along the poke; depth: depth of the poke; tip: its smallest side"""
+    surface: (n, d) points; thickness: thickness along the poke; depth: depth of the poke; tip: tip's smallest side"""
     size = size_of(surface)
     if thickness > THICKEST * size:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Prescribed particles that are not where they are said to be.
+"""Prescribed particles whose stated position is wrong.
 
 A simulation follows its held particles, so that a wrong one has no residual, but displaces the free particles around
 it. Therefore each held particle gets a displacement as an unknown, in addition to the parameter and the other
@@ -49,7 +49,7 @@ EFFECT = 0.02
 
 
 def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, ...]:
-    """Find the held particles that are off, put them where the free ones show them to be, and search again.
+    """Find the wrong held particles, place them where the free particles show them to be, and search again.
 
     Gives their indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed.
     """
@@ -148,7 +148,7 @@ def _few_hypotheses(errors: ErrorModel) -> IntArray:
 
 
 def held_off(seen: Sequence[Observation], stated: Sequence[Observation]) -> Iterator[Doubt]:
-    """Names the held particles that were found to be off, by what was stated of each observation."""
+    """Names the held particles that were found to be wrong."""
     for one, given in zip(seen, stated, strict=True):
         for particle in () if one.loose is None else one.loose:
             far = float(np.linalg.norm(one.deformed[particle] - given.deformed[particle]))

@@ -10,10 +10,10 @@ from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.estimate import Doubt
 
 RAMP_STEPS = 60
-"""Steps of an approach over which its force is summed."""
+"""Number of steps of an approach over which its force is summed."""
 KEPT_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 DOUBTED = 0.5
-"""Probability of an unseen relaxed state from which that is a reason."""
+"""Probability of an unseen relaxed state from which it is reported as a reason."""
 OPEN = 0.15
 """Probability of unseen relaxation from which intervals are open at that end. At .25 a quarter of the intervals of
 power laws without a reason stay closed; at .1 half of those of two branches are open (`studies.creep`, seeds 3000 to
@@ -96,9 +96,9 @@ def kept_of(
 class RelaxationSeen:
     """The part of relaxation that a record shows.
 
-    reasons: reasons to doubt its end; short_record, no_plateau: probabilities that a branch outlasts it, and that
-    nothing ends; open: whether these together exceed `OPEN`; within: (d,) draws that relax completely within the
-    record; share: (d,) share of the modulus that relaxes, of endless creep within the record
+    reasons: reasons to doubt its end; short_record, no_plateau: probabilities that a branch lasts longer than the
+    record, and that relaxation never ends; open: whether these together exceed `OPEN`; within: (d,) draws that relax
+    completely within the record; share: (d,) share of the modulus that relaxes, of endless creep within the record
     """
 
     reasons: tuple[Doubt, ...]
@@ -109,7 +109,7 @@ class RelaxationSeen:
     share: FloatArray
 
     def bounded(self, middle: float, interval: tuple[float, float], top: float) -> tuple[float, tuple[float, float]]:
-        """A value, with a reason its lower bound; and its interval, as far as `top` where that is open."""
+        """A value, or its lower bound if there is a reason; and its interval, up to `top` if it is open."""
         low, high = interval
         return low if self.reasons else middle, (low, top if self.reasons or self.open else high)
 

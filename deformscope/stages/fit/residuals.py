@@ -23,10 +23,10 @@ STEP, STEP_TOLERANCE = 3e-3, 1e-3
 """Step of a held coordinate, in spacings, by which its effect is found, and how well, as a share of the step."""
 
 AT_ONCE = 64
-"""Steps of held positions that are simulated side by side."""
+"""Number of steps of held positions that are simulated together."""
 
 DROP = 14.0
-"""Values whose log density is this far below the highest do not count."""
+"""Difference from the highest log density at which a value no longer counts."""
 
 WEIGHT_LEAST, WEIGHT_LEAST_OF_SOME = 1e-3, 2e-2
 """Hypotheses of less weight than this are left out once the data have been seen."""
@@ -39,7 +39,8 @@ posterior: Miller and Dunson 2019). Compared with 0.1 and 1 on tuning seeds, 90 
 held 0.83 to 0.84 for errors shared over 3 and 6 cells, at 0.3 0.87 to 0.88, at 0.1 0.90."""
 
 SYSTEMATIC_LEAST = 0.1
-"""Deviations of the noise that an error of tool or camera must make along a direction, or it is left out."""
+"""Least effect of an error of tool or camera along a direction, in deviations of the noise; smaller ones are left
+out."""
 
 RESOLVED = 1e-14
 """Share of the mean variance of projections below which a variance is a rounding error."""
@@ -121,7 +122,7 @@ class Residuals:
         return np.asarray(self.observed - position[..., self.judged, :])
 
     def choose(self, position: FloatArray, response: FloatArray) -> None:
-        """Keep the hypotheses that may matter, by states (g, K, d) of values good and bad."""
+        """Keep the hypotheses that may matter, judged by states (g, K, d) of good and bad values."""
         residual, errors = self.left(position), self.errors
         if self._some is not None:
             errors = ErrorModel(self.measured.some(self._some))

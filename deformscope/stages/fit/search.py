@@ -1,4 +1,4 @@
-"""The search for the parameter of the lowest error: simulate candidates, all at once, and close in on the best.
+"""The search for the parameter of the lowest error: simulate candidates together, and narrow the range around the best.
 
 The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
 """
@@ -19,7 +19,7 @@ from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.solver import Msm, Relaxed
 
 Progress = Callable[[str, int, int], None]
-"""Called with the present step, its progress, and its total."""
+"""A function that is called with the present step, its progress, and its total."""
 
 
 @dataclass
@@ -250,7 +250,7 @@ class Search:
         return float(-np.log1p(-parameter)) if self.model.parameter == "beta" else float(parameter)
 
     def shrink(self, stretched: FloatArray | float) -> FloatArray:
-        """The parameter (n,) of stretched values, -log(1 - beta) for beta and theta itself, within its bounds."""
+        """The parameter (n,) from stretched values (-log(1 - beta) for beta, theta unchanged), within its bounds."""
         value = np.asarray(stretched, dtype=np.float64)
         return beta_of(value, self.bounds) if self.model.parameter == "beta" else np.clip(value, *self.bounds)
 

@@ -1,4 +1,4 @@
-"""The frames of one motion as one set of observations: how much information they hold together.
+"""The frames of one motion as one set of observations: the information that they hold together.
 
 Frames are not independent. Advected particles carry their errors along, and the model's misfit is much the same in
 neighbouring frames. Adding up the frames' log likelihoods as independent ones would shrink the interval as
@@ -36,7 +36,7 @@ PATCH = 3.0
 """Side of a patch of particles whose errors count as one [spacings]."""
 
 PATCHES_LEAST = 4
-"""Fewer patches than this do not show whether frames share their errors."""
+"""Least number of patches: fewer do not show whether frames share their errors."""
 
 RHO_MOST = 0.999
 RHO_LEVEL = 0.9
@@ -46,7 +46,7 @@ STEP = 0.05
 """Share of the (stretched) range by which the parameter is changed to measure a frame's information."""
 
 FRAMES_IN_POSTERIOR = 8
-"""Frames that the posterior is taken from, spread over the informative ones: more would add little."""
+"""Number of frames for the posterior, spread over the informative ones: more would add little."""
 
 WEIGHT_LEAST = 0.02
 """Frames of less weight than this share of the largest are left out of the posterior."""
@@ -71,7 +71,7 @@ class Shared:
         return np.where(lag == 0, 1.0, self.far + (1.0 - self.far) * self.near ** np.maximum(lag, 1))
 
     def bound(self, rows: IntArray) -> FloatArray:
-        """(n, n) correlation C of frames (n,), as much larger as its mean may be."""
+        """(n, n) upper bound of the correlation C of frames (n,)."""
         likely = self.matrix(rows)
         return np.asarray(likely + (self.most - self.mean) / (1.0 - self.mean) * (1.0 - likely))
 
@@ -94,7 +94,7 @@ class Together:
 
     @property
     def worth(self) -> float:
-        """Number of best frames with the information of all frames together; 1 where errors are fully shared."""
+        """Number of best frames with the information of all frames together; 1 if errors are fully shared."""
         each = self.information
         return float(self.weight @ each**2 / np.max(each) ** 2) if each.any() else 1.0
 
@@ -154,7 +154,7 @@ def shared_part(score: FloatArray, rng: np.random.Generator) -> Shared:
 
 
 def weights(information: FloatArray, rows: IntArray, shared: Shared) -> FloatArray:
-    """Weights of the frames `rows`, which alone hold (F,) standard deviations of information each."""
+    """Weights of the frames `rows`, each of which alone has (F,) standard deviations of information."""
     weight = np.zeros(len(information))
     kept = np.flatnonzero(information > 0.0)
     if kept.size == 0:
@@ -168,7 +168,7 @@ def weights(information: FloatArray, rows: IntArray, shared: Shared) -> FloatArr
 
 
 def for_posterior(found: Together) -> tuple[IntArray, FloatArray]:
-    """Indices (n,) of the frames that the posterior is taken from, and their weights (n,) among themselves."""
+    """Indices (n,) of the frames for the posterior, and their relative weights (n,)."""
     rows = np.flatnonzero(found.weight >= WEIGHT_LEAST * found.weight.max())
     if rows.size > FRAMES_IN_POSTERIOR:
         rows = rows[np.linspace(0, rows.size - 1, FRAMES_IN_POSTERIOR).round().astype(int)]

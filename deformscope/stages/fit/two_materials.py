@@ -58,7 +58,7 @@ DIFFERENCE = 1e-2
 
 @dataclass(frozen=True, slots=True)
 class BodySplit:
-    """A way to take a body as two. first: (C,) clusters of the first part; names: where the parts are"""
+    """A way to divide a body into two parts. first: (C,) clusters of the first part; names: where the parts are"""
 
     names: tuple[str, str]
     first: BoolArray
@@ -116,7 +116,7 @@ class Local:
 
 
 def gains(local: Sequence[Local]) -> FloatArray:
-    """(s,) by how much twice the log likelihood rises with a difference between the parts of each split."""
+    """(s,) gain of twice the log likelihood by a difference between the parts of each split."""
     every = [np.concatenate([one.residual[None], one.fitted, one.apart]) for one in local]
     products = [
         one.part.errors.products(some, one.response, one.part.kept) for one, some in zip(local, every, strict=True)
@@ -195,7 +195,7 @@ def _peak(stencil: FloatArray, value: FloatArray) -> FloatArray:
 class FittedBody:
     """One observation at its fit, with the values for changing the beta of each cluster.
 
-    part: its particles and error model; grouped: its clusters; position: (K, d) simulated at the fit
+    part: its particles and error model; grouped: its clusters; position: (K, d) simulated positions at the fit
     response: (n, d, m) there, to held positions; others: (q, n, d) derivatives by parameters besides beta
     states: positions (B, K, d) for -log(1 - beta) of each cluster (B, C); weight: weight of the observation
     whole: if the observation is one frame of a history, all observed numbers of it (n,), and their derivatives for (B,
@@ -230,8 +230,8 @@ class FittedBody:
 def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: float = np.inf) -> Iterator[Doubt]:
     """Whether two betas explain data that one, fitted to all bodies, does not.
 
-    beta: the single beta of the fit; top: the highest that is searched; rival: squared error [unit^2] of another
-    explanation, which two betas have to leave less than
+    beta: the single beta of the fit; top: the highest beta that is searched; rival: squared error [unit^2] of another
+    explanation, which two betas have to undercut
     """
     every = [{way.names: way for way in splits(body.part.seen, body.grouped)} for body in bodies]
     names = [name for name in every[0] if all(name in one for one in every)]

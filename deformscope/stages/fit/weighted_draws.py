@@ -11,7 +11,7 @@ import scipy  # its parts are imported as they are first used: who only reads re
 from deformscope.arrays import FloatArray, IntArray
 
 DRAWS = 2000
-"""Weighted draws from a heavier-tailed proposal."""
+"""Number of weighted draws from a proposal with heavier tails."""
 PROPOSAL_FREEDOM = 5.0
 FEWEST_EFFECTIVE = 40.0
 """If the effective number of weighted draws is smaller, unweighted draws about the best fit are used."""

@@ -35,7 +35,7 @@ CENTRE_CELL_M = 0.02
 
 
 class UnseenInclusions:
-    """Inclusions of one radius that may be there unseen, after the touches.
+    """Undetected inclusions of one radius, after the touches.
 
     probability: probability that there is one; weight: (c,) probability of each centre, 1 in total
     """

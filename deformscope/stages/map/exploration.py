@@ -20,7 +20,7 @@ from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.touches import FIRST_REGIONS
 
 NOT_ASKED = "not asked for"
-"""A verdict on beta that need not be shown."""
+"""Verdict of a touch whose beta was not requested."""
 DISPLAY = "display"
 """The stage that shows results."""
 
@@ -48,7 +48,7 @@ class TouchEstimate:
 
     number: its number, from 1; xyz_m: (3,) contact; normal: (3,) unit, out of the surface
     approach_m, approach_n: (n,) displacement of the tip along the normal since the first reading [m], force on it [N]
-    fitted_n: (n,) the fitted force at each [N]; contact_m: where contact began, on the same axis
+    fitted_n: (n,) fitted force at each displacement [N]; contact_m: where contact began, on the same axis
     stiffness_n_per_mm, stiffness_interval: apparent, at the set force; rigid: a lower bound
     modulus_pa, modulus_interval_pa: corrected for the tip and the layer, None = rigid, or thickness not known
     depth_m, peak_force_n: depth and peak force of the dent; peak_rate_n_per_s, peak_rate_interval_n_per_s: greatest
@@ -238,9 +238,9 @@ class MapEstimate:
     its 90 %, a lower bound for rigid parts; None with an unknown thickness
     levelled_m: thickness of the level layer to which all stiffness is converted [m], None = apparent stiffness
     loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
-    level_loss: (region_count,) loss of each region, level_loss_interval: (region_count, 2) of 90 %; all four None
-    unless the regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the touches,
-    the levels its means, none of them a bound
+    level_loss: (region_count,) loss of each region, level_loss_interval: (region_count, 2) its 90 % interval; all four
+    None unless the regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the
+    touches, the levels its means, none of them a bound
     isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
     `probability` is then that of as many regions by stiffness; None = the regions are of stiffness, or of the loss
     truth_labels: where it is known; iou, boundary_m: agreement with the truth; boundary_m is None if either has no
@@ -355,13 +355,13 @@ class DetectionLimit:
 class InclusionsResult:
     """Posterior of inclusions below a homogeneous surface, by the touches so far (`stages.map.inclusion_posterior`).
 
-    centre_m: (k, 2) middles of those that were found; within_m: (k,) distance from it within which each lies in 90 %
-    radius_m: (k,), radius_interval_m: (k, 2) of 90 % [m]; stiff: (k,) whether each is stiffer than the foam, not
-    softer; probability: (k,) probability of each
+    centre_m: (k, 2) middles of the found inclusions; within_m: (k,) distance from it within which each lies in 90 %
+    radius_m: (k,) their radii, radius_interval_m: (k, 2) 90 % intervals [m]; stiff: (k,) whether each is stiffer than
+    the foam, not softer; probability: (k,) probability of each
     depth: depth of each `shallow` (the uppermost point at most `deep_m` down), `deep`, or empty if it is not identified
     covered: (rows, columns) probability that a cell lies above an inclusion, found or not; cell_m: cell size of that
     map; size_m: (n,) radii, rising [m]; missed: (n,) probability of an inclusion of each that is not among those found,
-    were inclusions of this radius alone there; missed_smallest: the largest of these from the radius `smallest_m` on
+    were inclusions of this radius alone there; missed_smallest: the largest of these for radii of `smallest_m` and more
     prior, contrast, deepest_m: assumptions. Before any touch an inclusion exists with probability `prior`. An inclusion
     is at least `contrast` times as stiff or as soft as the foam. Its uppermost point is at most `deepest_m` down [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
@@ -451,8 +451,8 @@ class PlannedTouch:
 
     target_m: (2,) place, None = no further touch; excluded: cells that may not be touched
     gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: unit of
-    `gain`, as in `plan.TouchChoice`
-    reason: in words; stop_reason: why none follows; missed: detection limit of the touches so far, None if not computed
+    `gain`, as in `plan.TouchChoice`; reason: in words; stop_reason: why no touch follows; missed: detection limit of
+    the touches so far, None if not computed
     """
 
     target_m: FloatArray | None
@@ -469,9 +469,9 @@ class PlannedTouch:
 class TouchForecast:
     """The plan of a touch that a person requests, and its forecast.
 
-    xyz_m: (3,) estimated place of the surface; normal: (3,) along which it is touched; way_m: (k, 3) way of the tip's
-    lowest point, down to it [m]; set_force_n: pressed with
-    stiffness_n_per_mm, stiffness_interval: apparent, at the set force, as one touch is expected to measure it in 90 %
+    xyz_m: (3,) estimated place of the surface; normal: (3,) direction of the touch, outwards; way_m: (k, 3) way of the
+    tip's lowest point, down to it [m]; set_force_n: force of the touch
+    stiffness_n_per_mm, stiffness_interval: apparent stiffness at the set force, and the interval of 90 % of touches
     force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) depth, lower end and upper end of the dent at each, and
     its interval [m]; touches: touches of the estimate
     """
@@ -527,7 +527,7 @@ class StageFailure:
 
 @dataclass(frozen=True, slots=True)
 class PhaseStart:
-    """The robot began something. name: look, travel, tare, approach, press, dwell, retreat, plan, paused,
+    """The robot began a phase. name: look, travel, tare, approach, press, dwell, retreat, plan, paused,
     "stopped: ..." """
 
     name: str

@@ -28,7 +28,7 @@ from deformscope.stages.regions.touch_error import SCATTER_MEDIAN
 from deformscope.stages.regions.touches import MapGrid
 
 FREEDOM = 3.0
-"""Hyper-parameters lie within this many deviations of their priors."""
+"""Number of deviations from their priors within which hyper-parameters are searched."""
 
 BEYOND = 1.4
 """Hyper-parameters are averaged over points this many deviations (times the root of their number) from the likeliest.
@@ -36,7 +36,7 @@ With 1.1, the usual choice, 89 % of values drawn from the priors lay in the 90 %
 250 seeds)."""
 
 STEP = 1e-3
-"""Step in logarithms over which the curvature of the posterior is taken."""
+"""Step in logarithms over which the posterior's curvature is computed."""
 
 LEAST_CURVATURE, LEAST_SHARE = 0.5, 1e-4
 """Curvature is at least this share of the priors' own; points of a smaller share of the mass are dropped."""
@@ -118,9 +118,9 @@ class Field:
     """A field given its touches.
 
     places_m: (n, 2) [m]; value, sd: (n,) value and standard deviation of the touches; level: the constant that the mean
-    varies around
-    kernel, nugget: likeliest; log_likelihood: marginal log likelihood at these; at_bound: which of "sigma_e", "length",
-    "nugget" are at an end of their range; states: hyper-parameters of the average, one alone if they are fixed
+    varies around; kernel, nugget: the likeliest ones; log_likelihood: marginal log likelihood at these; at_bound: which
+    of "sigma_e", "length", "nugget" are at an end of their range; states: hyper-parameters of the average; a single set
+    if they are fixed
     """
 
     places_m: FloatArray

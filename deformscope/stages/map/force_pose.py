@@ -18,7 +18,7 @@ class ForcePose:
     host_ns: (n,) when each force arrived, on the host's clock; values: (n, 9) force on the tip [N], position of its
     middle [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated
     between the arm's states before and after: the force comes more often. Before the first state and after the last one
-    they are as there.
+    they are those of that state.
     """
 
     host_ns: IntArray

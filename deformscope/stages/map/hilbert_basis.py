@@ -73,12 +73,12 @@ class HilbertBasis:
 
     @staticmethod
     def size(half: FloatArray, shortest: float, longest: float) -> float:
-        """About how many sines a basis has. half: (2,) half sizes of the region; shortest, longest: correlation lengths
-        [m]"""
+        """Approximate number of sines of a basis. half: (2,) half sizes of the region; shortest, longest: correlation
+        lengths [m]"""
         return float(np.pi / 4.0 * np.prod(2.0 * (half + EDGE * longest) / np.pi * HIGHEST / shortest))
 
     def weigh(self, places: FloatArray, value: FloatArray, noise: FloatArray) -> WeightedBasis:
-        """Sums up points (n, 2) with values (n,) and noise (n,), a deviation."""
+        """Sums over points (n, 2) with values (n,) and deviations of the noise (n,)."""
         weight = 1.0 / noise**2
         angle = 0.5 * np.pi * (places - self.middle + self.wall) / self.wall
         most = self.number.max(axis=0)

@@ -23,7 +23,7 @@ from deformscope.stages.regions.touches import MapGrid
 FELT = 0.6
 """Probability of an inclusion from which the next touch is chosen to identify it."""
 FEWEST = 3
-"""Touches before it stops."""
+"""Least number of touches before the search ends."""
 AT_ONCE = 64
 """Number of places that are evaluated at once, with some 50 000 inclusions each: it bounds the memory."""
 LEAST_VARIANCE = 2e-5

@@ -7,7 +7,7 @@ variation of the foam. The latter is a Gaussian field with unknown deviation, le
 inclusion is one of a grid of
 hypotheses: its middle, its radius, its depth and its contrast, each with equal probability before any touch; the level
 has a flat prior, and backgrounds are summed over. An inclusion counts as found when the touches determine that there is
-one, and its place. The next is sought in the remaining readings, with the uncertainty of the first.
+one, and its place. The next one is searched for in the remaining readings, with the uncertainty of the first.
 
 Assumptions, reported with every result: before any touch an inclusion has probability .5. Inclusions are balls 4 times
 as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, entirely within the field. Weaker
@@ -37,7 +37,8 @@ from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 EXISTS = 0.5
-"""Probability before any touch that there is an inclusion: as likely as not. The same of a further one."""
+"""Probability before any touch that there is an inclusion: as likely as not. Probability of one more inclusion after
+one was found."""
 RADII_M = (0.01, 0.015, 0.02, 0.025, 0.03, 0.04)
 DEPTHS_M = (0.005, 0.01, 0.015, 0.02)
 """Depths of the uppermost points."""
@@ -84,7 +85,7 @@ class Background:
     """Variation of foam without inclusions: a Gaussian field of log stiffness.
 
     scatter: its deviation; length_m: length over which it changes (squared exponential); apart: share of its variance
-    that is each touch's own
+    that touches do not share
     """
 
     scatter: float
@@ -97,7 +98,7 @@ class Background:
         return self.length_m, self.apart
 
     def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
-        """(n, m) correlation of touches at places (n, 2) and (m, 2), without each one's own part."""
+        """(n, m) correlation of touches at places (n, 2) and (m, 2), without the part that they do not share."""
         apart = cdist(first_m, second_m, "sqeuclidean")
         return np.asarray((1.0 - self.apart) * np.exp(-0.5 * apart / self.length_m**2))
 
@@ -126,7 +127,7 @@ class InclusionPrior:
             raise InputError("inclusions of a radius from 0.5 to 10 cm", f"{100 * self.smallest_m:g} cm")
 
     def radii_m(self, size_m: tuple[float, float]) -> tuple[float, ...]:
-        """(r,) of inclusions that are thought of, rising: those that fit on the surface."""
+        """(r,) rising radii of the considered inclusions: those that fit on the surface."""
         every = sorted({*RADII_M, self.smallest_m, 1.5 * self.smallest_m})
         fitting = tuple(one for one in every if 2.0 * one + CENTRE_CELL_M <= min(size_m))
         if self.smallest_m not in fitting:
@@ -175,7 +176,7 @@ class InclusionHypotheses:
         return len(self.weight)
 
     def shifts(self, places_m: FloatArray, contact_m: float) -> InclusionShifts:
-        """Effect of each on touches at places (p, 2)."""
+        """Effect of each inclusion on touches at places (p, 2)."""
         to_log, to_exponent = law_response()
         log, exponent = (np.empty((len(places_m), len(self))) for _ in range(2))
         for radius_m in np.unique(self.radius_m):
@@ -217,7 +218,7 @@ class FoundInclusion:
 
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: its
     radius and the 90 % interval [m]; stiff: it is stiffer than the foam, not softer; probability: probability that
-    there is one; deep: probability that it is (DEEP_M); log_shift: its effect on log stiffness right above it
+    there is one; deep: probability that it is deep (DEEP_M); log_shift: its effect on log stiffness right above it
     posterior: (j,) probability of each hypothesis
     """
 
@@ -301,8 +302,8 @@ class LeftOver:
 class InclusionState:
     """Posterior after the found inclusions: whether there is one more.
 
-    odds_log: (j,) logarithm of each hypothesis's likelihood over that without an inclusion; open: (j,) guesses that
-    stay apart from all that were found; posterior: (j,) posterior of kind and place of one more inclusion, 1 in total;
+    odds_log: (j,) logarithm of each hypothesis's likelihood over that without an inclusion; open: (j,) hypotheses that
+    do not overlap the found inclusions; posterior: (j,) posterior of kind and place of one more inclusion, 1 in total;
     exists: probability that there is one more, of any radius; backgrounds: (b,) posterior of `BACKGROUNDS`
     """
 
@@ -338,11 +339,12 @@ class InclusionState:
 
     @property
     def background(self) -> Background:
-        """The most probable one."""
+        """The most probable background."""
         return BACKGROUNDS[int(self.backgrounds.argmax())]
 
     def missed(self, some: BoolArray) -> float:
-        """Probability that there is one more of some of the guesses (j,), were these all that there can be."""
+        """Probability that there is one more inclusion among some of the hypotheses (j,), if only these are
+        possible."""
         weight = np.where(self.open & some, self._hypotheses.weight, 0.0)
         if not weight.sum() > 0.0:
             return 0.0
@@ -371,12 +373,12 @@ class InclusionPosterior:
 
     @property
     def places_m(self) -> FloatArray:
-        """(t, 2) of the touches."""
+        """Places (t, 2) of the touches."""
         return np.array([touch.xy_m for touch in self.touches]).reshape(-1, 2)
 
     @cached_property
     def contact_m(self) -> float:
-        """Radius of the contact, of foam like that of most touches; of none before any."""
+        """Radius of the contact on foam like that of most touches."""
         if not self.touches:
             return 0.8 * self.prior.tip_radius_m
         level = float(np.median([touch.log_stiffness for touch in self.touches]))
@@ -385,7 +387,7 @@ class InclusionPosterior:
 
     @cached_property
     def felt(self) -> InclusionShifts:
-        """Effect of each guess on the touches."""
+        """Effect of each hypothesis on the touches."""
         return self.hypotheses.shifts(self.places_m, self.contact_m)
 
     @cached_property

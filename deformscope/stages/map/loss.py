@@ -1,4 +1,4 @@
-"""Maps by the share of its energy that a touch loses, in place of stiffness: foams that are equally stiff may differ.
+"""Maps of the share of energy that a touch loses, instead of stiffness: equally stiff foams may differ in it.
 
 The share is used by its logarithm, as stiffness is, in which regions differ and touches have relative errors. Shares
 below LEAST_LOSS count as LEAST_LOSS, so that elastic and rigid parts are one material. The loss depends on the touch's
@@ -30,7 +30,7 @@ RIGID_LOSS_SD = 0.25
 def loss_sample(xy_m: FloatArray, creep: CreepFit | None, *, rigid: bool) -> StiffnessSample:
     """The sample of the loss by a touch at a place (2,) [m], with its logarithm in place of that of stiffness.
 
-    Raises InputError where its way back does not say it.
+    Raises InputError if its way back does not determine the loss.
     """
     if rigid:
         return StiffnessSample(xy_m, float(np.log(LEAST_LOSS)), RIGID_LOSS_SD)

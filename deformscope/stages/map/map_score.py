@@ -20,8 +20,8 @@ class TrueMap:
     """True map of a scene, for touches far from every border.
 
     labels: (rows, columns) region of each cell, None where stiffness changes gradually
-    level: (k,) log apparent stiffness [N/mm] of each label; rigid: (k,) labels for which there is a lower bound alone
-    log_stiffness: (rows, columns) the same at each cell, by the material right there: not blurred by a contact
+    level: (k,) log apparent stiffness [N/mm] of each label; rigid: (k,) labels with only a lower bound
+    log_stiffness: (rows, columns) that of the material of each cell, without the averaging of a contact
     """
 
     labels: IntArray | None
@@ -46,9 +46,9 @@ class TrueMap:
 class MapScore:
     """A map against the truth. A score without a truth is None; shares are from 0 to 1.
 
-    region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are; iou: `match_regions`;
-    least_iou: IoU of the smallest true region with its match; boundary_m: `boundary_distance`
-    ordered: the matched regions' levels have the true order; rigid_found: most of the rigid area is reported so
+    region_count: 0 where the verdict is "gradual"; right: verdict and number of regions are right; iou:
+    `match_regions`; least_iou: IoU of the smallest true region with its match; boundary_m: `boundary_distance`
+    ordered: the matched regions' levels have the true order; rigid_found: most of the rigid area is reported as rigid
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
     to; None with a wrong number of regions; wrong, wrong_claimed: share of the surface whose label is not that of its
     matched region, and the map's expectation of it; field_rms: root mean square of log stiffness; field_covered: share
@@ -146,8 +146,8 @@ def match_regions(found: IntArray, truth: IntArray) -> tuple[float, list[tuple[i
 
 
 def boundary_distance(found: IntArray, truth: IntArray, cell_m: float) -> float | None:
-    """Mean distance between the boundaries of two label maps (rows, columns), in both directions [m]; None where
-    one has none."""
+    """Mean distance between the boundaries of two label maps (rows, columns), in both directions [m]; None if either
+    has none."""
     edges = [_boundary(labels) for labels in (found, truth)]
     if not all(edge.any() for edge in edges):
         return None

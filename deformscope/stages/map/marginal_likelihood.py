@@ -21,13 +21,13 @@ from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, Liste
 from deformscope.stages.map.perception import Hyperparameters
 
 FLOOR_M = 1e-6
-"""Heights are not distinguished below this [m]: constant ones still have a scale."""
+"""Smallest scale of heights [m], for constant ones too."""
 
 LONGEST = 3.0
-"""The length is at most this many times the longer side of the data."""
+"""Largest length, as a multiple of the data's longer side."""
 
 COARSE = 1.7
-"""Ratio of lengths in the rough look."""
+"""Ratio of successive lengths in the first, rough search."""
 
 LESS_NOISE = float(np.log(4.0))
 """How much less noise (in logs) is tried there too."""
@@ -45,7 +45,7 @@ NEAR_BOUND = 2e-3
 """Distance from a bound (in logs) below which a value counts as at the bound."""
 
 SETTLED = 1e-3
-"""Log likelihood that another step need not gain."""
+"""Gain of log likelihood below which the search ends."""
 
 PRIOR_SPREAD = 1.5
 """Deviation of the priors of log sigma_e, log length and log noise scale, around the data's scales."""
@@ -56,12 +56,12 @@ FREEDOM = np.log(1e4)
 NEIGHBOURS = 8
 
 HOPELESS = 1e9
-"""Stands for the log likelihood where equations cannot be solved (a sigma_e a million times the noise)."""
+"""Value of the log likelihood if equations cannot be solved (a sigma_e a million times the noise)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """places: (n, 2) [m]; value: (n,) above the mean [m]; noise: (n,) its deviation [m]"""
+    """places: (n, 2) [m]; value: (n,) heights above the mean [m]; noise: (n,) its deviation [m]"""
 
     places: FloatArray
     value: FloatArray
@@ -87,8 +87,8 @@ def learn(
     noise is known.
 
     start: estimates from nearly the same points, if any; otherwise a few lengths are tried first. If all
-    hyper-parameters are given, none is fitted, and the likelihood is NaN. Raises InputError where a given sigma_w is
-    too short for the others to be learned.
+    hyper-parameters are given, none is fitted, and the likelihood is NaN. Raises InputError if a given sigma_w is too
+    short for the others to be learned.
     """
     if not len(free.value):
         given = dataclasses.replace(given, noise_scale=1.0)

@@ -1,4 +1,4 @@
-"""Measurements of a robot on a surface, and the recorded frames that they are computed from.
+"""Measurements of a robot on a surface, and the recorded frames from which they are computed.
 
 A frame is named by its device and the time at which it came, on the host's clock [ns]: no device gives two at once.
 """
@@ -17,7 +17,7 @@ from deformscope.stages.see.pixel_labels import SeenPixels
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasurement:
     """Measurement of the camera. points_m: (n, 3) points of the surface, robot and outliers taken away, surface frame
-    [m]; noise_m: (n,) deviation of each height [m]; table: around it, None = not visible, or not sought
+    [m]; noise_m: (n,) deviation of each height [m]; table: the table around it, None = not visible, or not searched for
     pixels: number of pixels of the points, None = not requested, or no images"""
 
     points_m: FloatArray
@@ -84,7 +84,7 @@ class TouchFrames:
 
     xy_m: (2,) planned place; normal: (3,) direction of the touch, outwards; reached: the set force was reached
     arm, arm_ns (n,): states from the approach until the force was reached
-    wrench, wrench_ns, wrench_ticks (m,): usable readings; pose_ns (m,): the newest state of the arm then
+    wrench, wrench_ns, wrench_ticks (m,): usable readings; pose_ns (m,): time of the arm's newest state at each
     tare_n: (3,) reading in free air before the touch [N]
     camera, depth_ns (k,): images of the dent; depth_arm_ns: (k,) the arm's state in each
     seen_ns: last time at which the tip pressed without moving; end_ns: the arm's state after it

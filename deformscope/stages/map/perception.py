@@ -19,7 +19,7 @@ COARSE_GRID_M = 0.01
 """The grid around a touch of recordings without one."""
 
 DENTED = 0.1
-"""Share of the deepest by which a place has sunk that counts as dented."""
+"""Share of the greatest depth from which a place counts as dented."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class SeenDent:
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal, of all points
+    """kernel; noise_scale: factor of the free points' noise; log_likelihood: marginal log likelihood of all points
     at_bound: those of "sigma_e", "length", "noise_scale" that ended at a bound of the search
     trials: how often the likelihood was computed"""
 
@@ -65,8 +65,8 @@ class Hyperparameters:
 class TrainedField:
     """Training data of a field of beta.
 
-    kernel: the likeliest, where several are averaged over; noise: standard deviation of a value in addition to its own
-    place_m: (n, 2) [m]; value: (n,) beta there; weight: (n,) 1 / variance of each
+    kernel: the likeliest one, if several are averaged; noise: standard deviation of a value in addition to its own
+    place_m: (n, 2) [m]; value: (n,) beta at these places; weight: (n,) 1 / variance of each
     """
 
     kernel: Kernel
@@ -91,7 +91,7 @@ class TouchSurface:
 
 @dataclass(frozen=True, slots=True)
 class LookPerception:
-    """Input of the surface before any touch. masks: None of a robot that gives points, not images
+    """Input of the surface before any touch. masks: None for a robot that gives points, not images
     learned: hyper-parameters of its process, from this number of points without outliers"""
 
     masks: PixelMasks | None

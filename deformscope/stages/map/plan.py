@@ -1,7 +1,7 @@
 """The next touch, and its reason: the expected information of each place, the cost of travel, and excluded places.
 
-`random-above`: any place whose field variance is above a threshold (Thesis 4.2). `thesis`: the same of the thesis's
-field of beta, whose variance alone ends it (`thesis_field`). `max-variance`: the largest variance.
+`random-above`: any place whose field variance is above a threshold (Thesis 4.2). `thesis`: that rule with the thesis's
+field of beta, whose variance alone ends the touches (`thesis_field`). `max-variance`: the largest variance.
 `integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996). `regions`, the default:
 touches that fill the space first, then those that are expected to correct most of the map's labels. They show the
 course of borders, or an inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. All of these
@@ -37,7 +37,7 @@ OUTCOMES = 16
 """Bins of a touch's possible readings, over which information is counted; half of them for labels."""
 
 CONTENDERS = 100
-"""Places, those most informative about the map per second, for which the gain in labels is worked out."""
+"""Number of places, the most informative about the map per second, for which the gain in labels is computed."""
 
 INCLUSION_M = 0.06
 """Default radius of the smallest inclusions that are sought."""
@@ -67,7 +67,7 @@ class FieldKernel:
     noise_sd: float = field(default_factory=lambda: TouchErrorModel().touch_sd)
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """(n, m) between places (n, 2) and (m, 2) [m]."""
+        """Covariance (n, m) between places (n, 2) and (m, 2) [m]."""
         apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
         return cast(FloatArray, self.sd**2 * np.exp(-0.5 * apart / self.length_m**2))
 
@@ -80,9 +80,9 @@ class PlanOptions:
     threshold: threshold of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: most touches
-    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected one below which
-    the search for them ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`); missed:
-    where inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)
+    inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected inclusion below
+    which the search ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`); missed: where
+    inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)
     version: version of the expected readings of touches: 1 (older recordings) shares scatter with earlier touches only
     at the same places, 2 also near them
     """
@@ -115,8 +115,8 @@ class TouchChoice:
     """The next touch. Maps are (rows, columns) of `grid`, whose cells are the places considered.
 
     target_m: (2,) the best place [m], None if there is none; stop: why no further touch is useful, None to continue
-    gain: expected of each place, nan where excluded; unit: unit of gain ("label": share of cells that get the right
-    label); missed: detection limit of the touches so far
+    gain: expected gain of each place, nan where excluded; unit: unit of gain ("label": share of cells that get the
+    right label); missed: detection limit of the touches so far
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
     reason: reason in words
     """
@@ -146,7 +146,7 @@ def plan_touch(
     """The next touch.
 
     tip_m: (2,) present place of the tip, default the last touch, else the surface's corner [m]
-    left_out_m: (n, 2) touches that gave nothing: they count for the budget, and are not made again at their places
+    left_out_m: (n, 2) places of touches without a result: they count for the budget, and are not repeated
     reachable: (rows, columns) cells of `posterior.grid` that the tip reaches; thesis: the field of the planner
     "thesis"; seed: seed of random planners
     """
@@ -212,7 +212,7 @@ def information(hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches,
 def label_gain(
     hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, cells_m: FloatArray, blur_m: float
 ) -> FloatArray:
-    """(p,) by how much each of some touches is expected to raise the share of cells (c, 2) with the right label.
+    """(p,) expected increase, by each of some touches, of the share of cells (c, 2) with the right label.
 
     A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
     is that of the best labels after the touch, over all its outcomes.
@@ -242,8 +242,8 @@ def label_gain(
 def level_information(
     hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float, known_sd: float
 ) -> FloatArray:
-    """(p,) information of touches about the levels, were the map known [nat]; a level that is known to `known_sd` is
-    worth little more."""
+    """(p,) information of touches about the levels, if the map is known [nat]; more precision than `known_sd` adds
+    little."""
     _, variance, _, weight = touches.expected(hypotheses, blur_m)
     return cast(FloatArray, 0.5 * weight @ np.log1p(variance / known_sd**2))
 
@@ -272,7 +272,7 @@ def _bin_edges(mean: FloatArray, sd: FloatArray, weight: FloatArray, count: int)
 def exclusions(
     places: FloatArray, touched: FloatArray, cells: MapGrid, reachable: BoolArray | None, options: PlanOptions
 ) -> IntArray:
-    """(p,) codes of places (p, 2): where a touch may be made, and why not elsewhere. touched: (n, 2) places of earlier
+    """(p,) codes of places (p, 2): a touch is possible, or why it is not. touched: (n, 2) places of earlier
     touches; cells: grid of `reachable`"""
     excluded = np.full(len(places), ALLOWED)
     if len(touched):

@@ -17,13 +17,13 @@ SPACING = 0.45
 """Distance of inducing points in lengths of the kernel: between them the prior's variance is short by 1e-8."""
 
 BEYOND = 2
-"""Inducing points beyond the box on each side: at the edge the variance is then as good as inside."""
+"""Number of inducing points beyond the box on each side: the variance at the edge is then as accurate as inside."""
 
 LEAST_EIGENVALUE = 1e-11
 """Directions of less prior variance than this share of the largest are left out."""
 
 CHUNK = 2048
-"""Places taken at once: bounds the memory."""
+"""Number of places that are computed at once: it bounds the memory."""
 
 
 class Axis:

@@ -1,4 +1,4 @@
-"""The field of beta as in the thesis: of all places that touches dented, each with its touch's beta (4.1 to 4.4).
+"""The field of beta as in the thesis: a process through all dented places, each with its touch's beta (4.1 to 4.4).
 
     field = ThesisField().with_touch(dented_m, beta)
     found = field.on(grid)                     # mean and deviation (eq. 4.3, 4.4)
@@ -42,8 +42,8 @@ APART = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ThesisField:
-    """places_m: (n, 2) dented ones of all touches [m]; beta: (n,) beta of their touches
-    touches: beta of each touch; dented: number of its places; width_m: sigma_w of the kernel"""
+    """places_m: (n, 2) dented places of all touches [m]; beta: (n,) beta of their touches
+    touches: beta of each touch; dented: number of places dented by each touch; width_m: sigma_w of the kernel"""
 
     places_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     beta: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -52,7 +52,7 @@ class ThesisField:
     width_m: float = SIGMA_W_M
 
     def with_touch(self, dented_m: FloatArray, beta: float) -> ThesisField:
-        """After a touch that dented places (m, 2) [m]."""
+        """The field after a touch that dented places (m, 2) [m]."""
         return dataclasses.replace(
             self,
             places_m=np.concatenate([self.places_m, dented_m]),
@@ -97,7 +97,7 @@ class Contoured:
 
 
 def contoured(found: FieldMap, isopleths: FloatArray) -> Contoured:
-    """The regions between isopleths (k,), rising; those that no cell lies in are left out."""
+    """The regions between rising isopleths (k,); regions without a cell are left out."""
     band = np.searchsorted(isopleths, found.mean)
     ends = np.concatenate([[-np.inf], isopleths, [np.inf]])
     sd = np.maximum(found.deviation, 1e-12)

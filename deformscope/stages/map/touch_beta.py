@@ -1,9 +1,9 @@
-"""The local *beta* of one touch: the shape parameter of the model that dents as the surface around the tip did.
+"""The local *beta* of one touch: the shape parameter of the model whose dent fits that of the surface around the tip.
 
     found = fit_touch(world, after_m, touch, thickness_m=0.05)      # layers below the surface: the default
     found = thesis_beta(dent_of(world, touched, place_m))           # one layer, as in Thesis 4.3
 
-`fit_touch` goes through `deformscope.stages.poke.poke_fit`, as a poke of a pair file does. The data are the raw points
+`fit_touch` uses `deformscope.stages.poke.poke_fit`, like a poke of a pair file. The data are the raw points
 that the camera saw while the tip pressed, never a smooth surface through them: a Gaussian process widens shallow dents,
 and beta would follow the depth. On linear foam the dent's shape does not depend on how firm the foam is, and beta ends
 at its bound for every modulus: the verdict `at-bound` is the normal answer.
@@ -43,7 +43,7 @@ RINGS, SPOKES = 4, 12
 """Points at which the contact patch is described."""
 
 FEWEST = 20
-"""Points near a touch at least."""
+"""Least number of points near a touch."""
 
 THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
 """Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
@@ -91,7 +91,8 @@ class BallContact:
 class TouchBeta:
     """beta of a touch, with interval and verdict, and the fit that it comes from.
 
-    points: raw ones it rests on; simulated_m: (p, 3) particles of the model's top layer under the ball, at beta
+    points: number of raw points of the fit; simulated_m: (p, 3) particles of the model's top layer under the ball, at
+    beta
     """
 
     estimate: Estimate
@@ -225,7 +226,7 @@ class ThesisBeta:
     """beta of a lattice with fixed edges and one held particle (Thesis 4.3).
 
     curve: error over beta (eq. 4.6) [m]; depth_m: depth of the particle held; simulated_m: (p, 3) the particles of the
-    surface at beta; converged: the state at beta settled; dent: the fitted one; note: remark on its trend
+    surface at beta; converged: the state at beta settled; dent: the fitted dent; note: remark on its trend
     """
 
     beta: float
@@ -256,8 +257,8 @@ def thesis_beta(
     cluster")
     step: step of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any
     beta: on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents.
-    With one held particle of a volume lattice, beta depends on firmness: 0.55 to 0.14 there. Raises InputError where
-    the lowest point is at the square's edge.
+    With one held particle of a volume lattice, beta depends on firmness: 0.55 to 0.14 there. Raises InputError if the
+    lowest point is at the square's edge.
     """
     before, after, shape = dent.before, dent.after, dent.shape
     lowest = int(np.argmax(dent.sunk_m))

@@ -1,4 +1,5 @@
-"""beta along each axis of a material, from pairs of rest and deformed positions; and whether one beta would do."""
+"""beta along each axis of a material, from pairs of rest and deformed positions; and whether a single beta is
+sufficient."""
 
 from __future__ import annotations
 
@@ -30,10 +31,10 @@ DIFFERENCE = 2e-3
 """Change of -log(1 - beta), for derivatives."""
 
 HELD_REPEATS = 48
-"""Draws of the prescribed positions' noise."""
+"""Number of draws of the prescribed positions' noise."""
 
 SURE = 0.99
-"""Level at which one beta for all axes is given up."""
+"""Level at which a single beta for all axes is rejected."""
 
 
 def fit_axes(

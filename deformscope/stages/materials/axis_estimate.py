@@ -1,4 +1,4 @@
-"""A material's axes from pairs: a beta along each, and whether one would do."""
+"""A material's axes from pairs: a beta along each, and whether a single one is sufficient."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A stiffness per place from one deformation: smooth or of a few materials, whichever predicts particles left out.
+"""A stiffness for each place from one deformation: smooth or of a few materials, whichever predicts left-out particles
+better.
 
 The ratio of stiffness between the places of a body determines a given motion; only a force determines the absolute
 stiffness. The ratio is that of bilinear finite elements on the particles' lattice (`cell_model`), with Poisson's ratio
@@ -76,10 +77,10 @@ BORDER_ROUNDS = 6
 """Rounds of fitting levels and moving borders."""
 
 BORDER_COST = 0.4
-"""Cost of a border for each pair of cells that it parts, in natural logarithms of a probability."""
+"""Cost of a border for each pair of cells that it separates, in natural logarithms of a probability."""
 
 PLAUSIBLE = 0.05
-"""Least probability of a description that intervals hold."""
+"""Least probability of a description that intervals include."""
 
 SHOWN, DIRECTIONS_SHOWN = 1e-4, 1e-3
 """Probability of one material below which places differ, and of a plain one among these below which directions do. With

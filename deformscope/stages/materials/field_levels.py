@@ -77,7 +77,7 @@ def sharpened(
 
 
 def split(label: IntArray, value: FloatArray, weight: FloatArray) -> list[IntArray]:
-    """Labels (C,) with one of the materials divided by its log stiffness, each in turn."""
+    """For each material that can be divided by its log stiffness, labels (C,) in which it is two materials."""
     found = []
     for k in range(int(label.max()) + 1):
         some = np.flatnonzero(label == k)

@@ -48,13 +48,13 @@ YIELDS, BETAS, CREEPS = 14, 6, 8
 ZOOMS = 2
 
 STARTS = 3
-"""Valleys of the first search that are gone down: yield strain and creep can roughly trade places."""
+"""Number of valleys of the first search that are followed: yield strain and creep can partly replace each other."""
 
 LEAST_SHARE = 0.02
 """Smallest yield strain tried, as a share of the largest strain that the motion would give without yielding."""
 
 PROFILE = 41
-"""Yield strains whose error makes the curve and the interval."""
+"""Number of yield strains whose errors give the curve and the interval."""
 
 DIFFERENCE = 0.01
 """Change of log yield, log creep and -log(1 - beta), for derivatives: clusters yield one after the other, so not too
@@ -67,7 +67,7 @@ SETTLED = 3e-3
 """Share of the yield strain below which flow counts as over."""
 
 SURE = 0.99
-"""Level at which it is given up that nothing yielded."""
+"""Level at which a body without yielding is rejected."""
 
 
 @dataclass(frozen=True, slots=True)

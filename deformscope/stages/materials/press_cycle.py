@@ -27,7 +27,7 @@ ROUNDS, CAUCHY = 20, 2.0
 """Rounds of the weights, and of them the scale: medians of how far particles are off."""
 
 FEWEST = 6
-"""Particles that must be seen throughout."""
+"""Least number of particles that must be seen throughout."""
 
 RECORD = "record until the tool is off and the thing rests, or name both frames with --at LOADED,UNLOADED"
 
@@ -42,11 +42,11 @@ class PressForce:
     zero_sd_n: float
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """(T,) [N] at moments of the motion."""
+        """Forces (T,) [N] at times of the motion."""
         return np.asarray(np.interp(time_s, self.time_s, self.force_n))
 
     def off_n(self) -> float:
-        """Largest reading of a tool that is off [N]."""
+        """Largest reading without contact [N]."""
         return max(OFF_N, OFF_SHARE * float(self.force_n.max()), OFF_SDS * self.zero_sd_n)
 
 
@@ -54,7 +54,7 @@ class PressForce:
 class PressCycle(ReportedResult):
     """A push and its end.
 
-    loaded: last frame at the deepest; unloaded: first frame without a load, and at which by displacement it rests
+    loaded: last frame at the deepest; unloaded: first frame without a load, at rest by displacement
     course: (T,) displacement of the pressed particles along the push [unit of the positions]
     kept: share of that way that is left at the unloaded frame; source: source of the unloaded frame
     """

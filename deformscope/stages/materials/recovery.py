@@ -51,7 +51,7 @@ NOTICED = 0.03
 """Relaxing, or permanent, share from which a body counts as viscous, or plastic."""
 SURE = 0.95
 LEAST_SD = 2e-3
-"""Deviation of a frame's share at the least: one shape does not hold closer [chosen on tuning seeds]."""
+"""Least deviation of a frame's share, as the displacement has one shape only approximately [chosen on tuning seeds]."""
 OFFSET_SD = 4e-3
 """Standard deviation of an error that all frames after the release share, as in flow that has followed a push and its
 end [chosen on tuning seeds]."""
@@ -60,7 +60,7 @@ FORCE_SD = 0.01
 BETWEEN_SD = 0.5
 """Deviation of the time of release between its two frames, about their middle: it may be anywhere between them."""
 LEAST_AFTER = 4
-"""Frames after the release that a recovery is fitted to."""
+"""Least number of frames after the release for fitting a recovery."""
 CANDIDATES = 12
 """Frames that are tried as the last one in contact, where no force shows it."""
 
@@ -82,7 +82,7 @@ def fit_recovery(
 
     time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
     the frame from which the law holds without a force; force_n: (T,) force of the tool [N], and the deviation of one
-    sample; largest: displacement of the pressed particles then; version: see `NEWEST_RELAXATION`.
+    sample; largest: largest displacement of the pressed particles; version: see `NEWEST_RELAXATION`.
 
     Raises InputError if too little was recorded after the release, and no force before it.
     """

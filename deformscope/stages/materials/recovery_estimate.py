@@ -37,8 +37,8 @@ class RecoveryEstimate(ReportedResult):
     particles, immediate and relaxed [N per unit]; None without a force
     verdict: "viscous" if more than 3 % relaxes, "plastic" if more is permanent, both, neither (elastic), or unknown
     reasons: reasons to doubt it; explained: share of the motion after the release (squares) that one shape explains
-    held_s: time from the push to the release; watched_s: after it; released: first frame after it
-    time: (T,) [s]; observed, simulated: (T,) share of the largest displacement, simulated from the release on
+    held_s: time from the push to the release; watched_s: time after the release; released: first frame after the
+    release; time: (T,) [s]; observed, simulated: (T,) share of the largest displacement, simulated from the release on
     unit, metres_per_unit: unit and scale of the displacements
     """
 

@@ -19,8 +19,8 @@ direction flatter than this does not determine the fit, so that it is left out (
 class Clusters:
     """Overlapping clusters in compressed rows: cluster c holds `members[offsets[c]:offsets[c + 1]]`.
 
-    members: (M,) int32 particle indices; offsets: (C + 1,) int32; particle_count: K
-    Every particle belongs to at least one cluster.
+    members: (M,) int32 particle indices; offsets: (C + 1,) int32; particle_count: K. Every particle belongs to at least
+    one cluster.
     """
 
     def __init__(self, rows: Sequence[IntArray], particle_count: int) -> None:

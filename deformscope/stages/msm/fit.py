@@ -1,4 +1,4 @@
-"""beta of one deformed shape, or beta and theta, by derivatives of its error, with the static state followed along."""
+"""beta of one deformed shape, or beta and theta, by derivatives of its error, while the static state is followed."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def fit_beta_theta(
 
     Each step linearizes the static state in -log(1 - beta) and theta, by its derivatives, and minimises the error over
     both. The step limit grows where the prediction held and shrinks where it did not (the error has long curved
-    valleys: less beta needs more theta). Downhill from `start`, as in `fit_beta`.
+    valleys: less beta needs more theta). The search goes downhill from `start`, as in `fit_beta`.
 
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]
     start: beta, theta; tolerance: smallest decrease of the error worth a step, as a share of it

@@ -30,7 +30,7 @@ PART_BLOCKS, MOST_PARTS = {"cpu": 256, "cuda": 1024}, {"cpu": 256, "cuda": 512}
 """Lanes per part, until this number of parts: on a GPU some blocks for each multiprocessor."""
 
 ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
-"""Residual that is but rounding, as a share of the displacements (or of a spacing)."""
+"""Residual that is only rounding, as a share of the displacements (or of a spacing)."""
 
 STRETCH = 0.05
 """Share of a preconditioned body's longest side that no particle goes beyond in one Newton step: such steps bend it
@@ -57,7 +57,7 @@ class Ended:
     """How the candidates ended, (B,) each; norm and error in particle spacings.
 
     smoothed: evaluations in the preconditioner's finest level; unaided: continued without it
-    out_of_time: still ran when the time was over
+    out_of_time: candidates that still ran at the time limit
     """
 
     state: IntArray
@@ -171,7 +171,7 @@ class Iteration:
         self._graphs.clear()
 
     def replay(self, launches: Callable[..., None], *given: Any) -> None:
-        """Launches that are recorded the first time, and replayed ever after."""
+        """Launches that are recorded the first time, and replayed afterwards."""
         key = (launches, *given)
         if key in self._graphs:
             wp.capture_launch(self._graphs[key])
@@ -532,6 +532,6 @@ def set_first(array: Any, value: float) -> None:
 
 
 def halves(pair: Field) -> tuple[Field, Field]:
-    """The two fields of a field of twice the rows."""
+    """The two halves of a field with twice the rows."""
     rows = pair.shape[0] // 2
     return pair[:rows], pair[rows:]

@@ -134,7 +134,7 @@ class PlasticMsm:
     ) -> FloatArray:
         """goals(x) - x at positions (K, d) or (B, K, d), (B, K, d).
 
-        plastic: S^p (C, d, d) or (B, C, d, d), default its own.
+        plastic: S^p (C, d, d) or (B, C, d, d); default: this model's S^p.
         Its negative, times particle mass and cluster count, is the force on each particle per unit of stiffness.
         """
         body = self.body

@@ -62,7 +62,7 @@ KEPT_LEAST = 0.06
 """Permanent share of a dent from which a foam counts as plastic: below, the law's error may look the same."""
 SURE = 0.95
 SEVERAL = 0.8
-"""Probability of more than one branch from which a foam may have faster ones than the approach."""
+"""If several branches have a greater probability, the foam may also relax faster than the approach was."""
 REFERENCE_SPEED_M_S = 0.01
 """Stiffness is converted to that of an approach at this speed, so that touches compare."""
 RAMP_STEPS = 60

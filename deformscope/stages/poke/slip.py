@@ -27,7 +27,7 @@ PIECES = 40
 STICK_OFF = 0.1
 """Error of that law, as a share of the force across."""
 START_SD = 0.02
-"""Share of the largest force: lateral force before a twentieth of it, where the lateral motion is not followed."""
+"""Standard deviation of the lateral force before the first part that is compared, as a share of the largest force."""
 SMOOTHED = 9
 """Samples over which the way across is averaged."""
 SLID_M = 5e-4
@@ -36,8 +36,8 @@ SLID_M = 5e-4
 
 @dataclass(frozen=True, slots=True)
 class SlipFit:
-    """probability: probability that the tip slid by SLID_M or more; slid_m: how far, if it did; friction: the force
-    across over that along it there; ratio: the largest measured one"""
+    """probability: probability that the tip slid by SLID_M or more; slid_m: distance, if it slid; friction:
+    lateral force by normal force where it slid; ratio: largest measured ratio of these forces"""
 
     probability: float
     slid_m: float

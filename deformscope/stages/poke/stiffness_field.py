@@ -95,7 +95,7 @@ class _Mixture:
 class StiffnessField:
     """Stiffness [N/m] over places (n, 2) [m].
 
-    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; contact_m: deviation of their contact weight [m] One
+    places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; contact_m: deviation of their contact weight [m]. One
     poke alone gives the whole surface its value.
     """
 

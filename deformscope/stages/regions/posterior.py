@@ -251,7 +251,7 @@ class RelatedTouches:
     def expected(
         self, hypotheses: RegionHypotheses, blur_m: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """As in `Repeats`: the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
+        """See `Repeats`: the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
         3.4.2)."""
         made, places = self.readings, np.concatenate([self.at_m, self.readings.xy_m])
         new, measured, shared = len(self.at_m), made.value + made.centre, self.prior.error.shared(self.at_m, made.xy_m)

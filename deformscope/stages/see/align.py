@@ -1,4 +1,5 @@
-"""Pose of the robot in the camera's image, relative to the pose by arm and calibration, by the robot's own points.
+"""Difference of the robot's pose in the camera's image from that given by arm and calibration, found from the robot's
+points.
 
 High above the sample all points belong to the robot. They are registered to the robot's solids, point to plane, with
 the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the surface
@@ -38,7 +39,8 @@ median (seeds 1000 to 1005: `studies.seeds`)."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """T_seen_reported: (4, 4) transform from the robot's reported to its seen pose; points: laid onto it
+    """T_seen_reported: (4, 4) transform from the robot's reported to its seen pose; points: number of points that were
+    aligned
     rms_m: root mean square of the points' distances"""
 
     T_seen_reported: FloatArray

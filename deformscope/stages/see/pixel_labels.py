@@ -66,7 +66,7 @@ class SeenPixels:
     point: IntArray
 
     def masks(self, fits: BoolArray | None = None) -> PixelMasks:
-        """As runs. fits: (m,) points that were not taken as outliers of the surface's process, None = all"""
+        """Labels as runs of equal ones. fits: (m,) points that are no outliers of the surface's process, None = all"""
         label, (_, rows, columns) = self.label.copy(), self.label.shape
         if fits is not None:
             label[label == PixelLabel.USED] = np.where(fits[self.point], PixelLabel.USED, PixelLabel.MISFIT)

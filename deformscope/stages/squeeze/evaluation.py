@@ -133,8 +133,7 @@ class Evaluation:
 
     @property
     def best(self) -> ClassificationScore:
-        """The score of the model that is saved: late fusion of several modalities, or the pooled classifiers of the
-        only one."""
+        """The score of the model that is saved: late fusion of modalities, or the only one's pooled classifiers."""
         return self.score(*best_key(self.table))
 
     @property

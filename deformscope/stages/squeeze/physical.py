@@ -1,7 +1,6 @@
 """Physical quantities of a squeeze: contact, force, indentation, stiffness of the wall, relaxation.
 
-These features complement the raw features of the thesis, and have the same meaning on another hand and another
-container.
+These features complement the thesis's raw features, and mean the same on another hand and another container.
 """
 
 from __future__ import annotations

@@ -35,8 +35,7 @@ EDGE_EVERY_PX = 3
 """Distance of the outline's sampled points."""
 EDGE_REACH_PX = 12
 EDGE_RUN_PX = 3
-"""Number of successive pixels of the container, and then of others, at an edge, so that a single missing pixel is no
-edge."""
+"""Number of successive pixels of the container, then of others, at an edge: a single missing pixel is no edge."""
 JUMP_M = 0.025
 """Least jump of depth at the outline, so that a table under the container does not count."""
 COARSE_M = 0.0015

@@ -76,7 +76,7 @@ class HostedArm(Arm[ArmState]):
         return known
 
     def set_velocity(self, velocity: Velocity, valid_for_s: float | None = None) -> None:
-        """As the arm's `set_velocity`; an error of one velocity is raised with the next one."""
+        """Call the arm's `set_velocity`; an error of one velocity is raised with the next one."""
         refused, self._refused = self._refused, None
         if refused is not None:
             raise refused
@@ -98,7 +98,7 @@ class HostedArm(Arm[ArmState]):
         self.ask("halt", self._stopped)
 
     def close(self) -> None:
-        """As the arm's `close`. The arm is halted immediately, while this device's thread may still wait for a
+        """Call the arm's `close`. The arm is halted immediately, while this device's thread may still wait for a
         state."""
         words = "it is being closed"
         with self._commanded:
@@ -120,7 +120,7 @@ class HostedArm(Arm[ArmState]):
         super().acknowledge_stop()
 
     def home(self, timeout_s: float = 60.0) -> ArmState:
-        """As the arm's `home`; the arm is also stopped if this process is stopped or ends meanwhile."""
+        """Call the arm's `home`; the arm is also stopped if this process is stopped or ends meanwhile."""
         try:
             state: ArmState = self.ask("home", timeout_s, timeout_s=timeout_s + ANSWER_S)
         except BaseException:

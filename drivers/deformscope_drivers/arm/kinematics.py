@@ -209,7 +209,7 @@ class Chain:
         rotation_tolerance_rad: float = 1e-4,
         margin_deg: float = 0.0,
     ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """As `inverse`, with one start each for many poses (k, 4, 4) at once: joint angles (k, n), and whether they
+        """Like `inverse`, with one start each for many poses (k, 4, 4) at once: joint angles (k, n), and whether they
         converged (k,). start_deg: (n,), or (k, n) for each its own"""
         tolerances = position_tolerance_m, rotation_tolerance_rad
         start = np.broadcast_to(self.clip(start_deg, margin_deg), (len(T_base_end_effectors), self.joint_count))
@@ -377,8 +377,8 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
 
 
 def _half_turn(rotation: FloatArray) -> FloatArray:
-    """As `rotation_vector` (3,), of one (3, 3) by so nearly half a turn that its skew part vanishes: the axis is then
-    the greatest column of R + 1."""
+    """`rotation_vector` (3,) of a rotation (3, 3) so near half a turn that its skew part vanishes: the axis is then the
+    greatest column of R + 1."""
     twice_sine = np.array(
         [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     )

@@ -1,5 +1,4 @@
-"""A depth camera that a vendor's library reads in a separate process: a hang or crash of that process is a lost link
-here."""
+"""A depth camera that a vendor's library reads in a separate process: a hang or crash there is a lost link here."""
 
 from __future__ import annotations
 
@@ -66,8 +65,7 @@ class HostedCamera(Device[DepthImage]):
 
     @property
     def intrinsics(self) -> Intrinsics | None:
-        """Intrinsics of the depth pictures as the camera reports them, once it was opened; None where it reports
-        none."""
+        """Intrinsics of the depth pictures as the opened camera reports them; None where it reports none."""
         return self._intrinsics
 
     @property
@@ -87,8 +85,7 @@ class HostedCamera(Device[DepthImage]):
 
     @abstractmethod
     def _projection(self) -> Intrinsics | None:
-        """Intrinsics of the depth pictures, from what the process reported at opening; None where it reports no
-        lens."""
+        """Intrinsics of the depth pictures, which the process reported at opening; None where it reports no lens."""
 
     def _rate_hz(self) -> float | None:
         """Expected pictures per second [Hz], as `_expect` takes it: 0 = unknown, None = no pictures without request."""

@@ -144,7 +144,7 @@ class DsaDouble:
                 self._acquisition = 0
 
     def _next_frame_ns(self) -> int | None:
-        """As soon as the line is free, but no more than 30 a second."""
+        """The next frame is sent as soon as the line is free, but no more than 30 a second."""
         return max(self._frame_ns, self._line.free_ns) if self._acquisition & messages.Acquisition.ON else None
 
     # Commands --------------------------------------------------------------------------------------------------------

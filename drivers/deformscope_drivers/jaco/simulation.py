@@ -35,7 +35,7 @@ class SimulatedArm:
     wrench: (6,) what pushes the end effector [N, Nm] in the base frame; torque_bias_nm: (n,) what the joints' torque
     sensors show too much; sag_deg: (n,) how far weight turns the joints beyond their commanded angles; grip: (3,)
     position of each finger on its object; cycles: number of cycles so far. All attributes may be set between cycles.
-    lag: rates that it will turn at, one a cycle: it follows its commands so late
+    lag: the next rates, one for each cycle, by which the arm follows its commands late
     acceleration_deg_s2: largest acceleration of each joint at the start and end of a motion
     link_push: a link, from 0, and the force on its far end (3,) [N] in the base frame, None = nothing pushes one
     closed: boxes (3,), (3,) in the base frame [m] that the hand does not enter by Cartesian motions; motions by joints

@@ -84,7 +84,7 @@ def encode_reply(event: Event, decimals: int = 2) -> bytes:
 
 
 def _shown(name: str, index: int, value: float, decimals: int) -> str:
-    """As in the examples that Schunk gives: M=4.51, SELGRIP=0.0,1, GRIP=0.42,0.1, POWER=0,0,0,0,0,0,0."""
+    """Settings from Schunk's examples: M=4.51, SELGRIP=0.0,1, GRIP=0.42,0.1, POWER=0,0,0,0,0,0,0."""
     if name in ("m", "get_duration", "grip") or (name == "selgrip" and index == 0):
         return str(round(value, 2))
     if name in INTEGER_COMMANDS or name in ("state", "power", "ref", "pos_save", "numaxis"):

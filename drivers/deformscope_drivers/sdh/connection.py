@@ -81,7 +81,7 @@ class SdhConnection(StreamDevice[HandReading]):
         return {"retries": self._retries}
 
     def _start(self) -> None:
-        """As Schunk's library begins: end a half command, drop what waits, ask for the release."""
+        """Begin like Schunk's library: end a half command, discard waiting data, ask for the release."""
         self._release = ()
         self._send(protocol.END_OF_COMMAND)
         dropped = self._transport.drain(OPEN_QUIET_S, OPEN_QUIET_S, OPEN_DROP_BYTES)
