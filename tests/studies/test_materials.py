@@ -35,7 +35,7 @@ def test_a_solid_that_was_held_for_long_recovers_by_its_share_in_its_retardation
     assert recovering(time_s, share, relax_s, 0.1)[-1] == pytest.approx(0.1, abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["axes", slow("yield"), "viscous"])
+@pytest.mark.parametrize("kind", ["axes", slow("yield"), "viscous", slow("slow")])
 def test_a_known_material_is_found_and_its_intervals_are_about_it(kind: MotionKind) -> None:
     found = try_motion((kind, 1001))
     again = try_motion((kind, 1001))

@@ -12,7 +12,8 @@ force is fitted by its recovery only, and one with force by its relaxation too, 
 
 Models with zero to three branches, and with a spectrum that reaches no plateau (`stages.fit.creep_spectra`), each with
 and without a set, are averaged by their evidence. A process that outlasts the record is a reason, and a bound; a
-smaller probability of it opens intervals.
+smaller probability of it opens intervals. Without a force, such a process resembles a set. One branch that outlasts the
+record is therefore a model of its own: draws about a faster one do not reach it.
 """
 
 from __future__ import annotations
@@ -34,7 +35,14 @@ from deformscope.stages.fit.creep_spectra import (
     Spectrum,
 )
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import NEWEST_RELAXATION, kept_of, mean_relaxation_s, relaxation_modes, seen_of
+from deformscope.stages.fit.relaxation import (
+    NEWEST_RELAXATION,
+    OPEN,
+    kept_of,
+    mean_relaxation_s,
+    relaxation_modes,
+    seen_of,
+)
 from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
 from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehaviour, RecoveryEstimate
 
@@ -42,7 +50,12 @@ SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""
 SLOWEST = 10.0
 """Retardation times range from the time between frames to this multiple of the record since the push."""
-MOST_BRANCHES = 3
+MOST_BRANCHES, MOST_WITH_SLOW = 3, 2
+OUTLASTS = 0.3
+"""Prior probability that one of the branches outlasts the record: the share of the log times that does [assumed]."""
+OPEN_RECOVERY = 0.13
+"""As `relaxation.OPEN`, of recoveries: at .15 intervals of the share hold .82 of slow branches, at .1 the median width
+of the time of two branches is 1.8 times as large (pushes of a Maxwell solid, seeds 3000 to 3099)."""
 PRESSED = 0.95
 """Share of the largest displacement at which the push has come to its end."""
 FORCE_DRAWS = 400
@@ -95,7 +108,7 @@ def fit_recovery(
         came = f"{last + 1 - released} of {last + 1}"
         hint = "record on after the tool is off: some times as long as the recovery takes"
         raise InputError(f"{LEAST_AFTER} frames or more after the release", came, hint)
-    law = _RecoveryLaw(time_s, amplitude, released, force_n, force_sd_n)
+    law = _RecoveryLaw(time_s, amplitude, released, force_n, force_sd_n, version)
     models = [(spectrum, kept) for spectrum in law.spectra for kept in (False, True)]
     law.widen(law.best(law.spectra[2], kept=True), law.spectra[2])
     draws = [
@@ -106,29 +119,33 @@ def fit_recovery(
         np.concatenate([getattr(one, name) for one in draws])
         for name in ("strength", "retarded_s", "mean_s", "kept", "stiffness", "endless")
     )
-    watched_s = float(time_s[-1] - time_s[min(released, last)])
-    pressed = int(np.argmax(amplitude >= PRESSED * amplitude.max()))
-    held_s = float(time_s[released - 1] - time_s[pressed])
-    record_s = max(watched_s, held_s if force_n is not None else 0.0)
-    seen = seen_of(every, retarded_s, endless, weight, record_s, version)
+    watched_s, record_s = law.watched_s, law.record_s
+    open_from = OPEN_RECOVERY if version > 2 else OPEN
+    seen = seen_of(every, retarded_s, endless, weight, record_s, version, open_from)
     share, creeps = seen.share, every.any(axis=1)
     judged = weight * (seen.within if not seen.reasons else 1.0)
+    # a closed interval is of what relaxes within the record
+    shared = judged if version > 2 and not seen.open else weight
     verdict = _verdict(share, kept, weight)
     mean_time = median_and_interval(mean_s[creeps], judged[creeps], level)
     if not seen.reasons and verdict not in ("elastic", "plastic") and mean_time[1][1] > record_s:
         seen = dataclasses.replace(seen, reasons=(_alike(mean_time, watched_s),))
     some = np.random.default_rng(seed).choice(len(weight), FORCE_DRAWS, p=weight / weight.sum())
-    ramp_s = float(time_s[pressed] - time_s[_begin(amplitude)])
+    ramp_s = float(time_s[law.pressed] - time_s[_begin(amplitude)])
     relaxed = _per_unit(stiffness * (1.0 - share), weight, largest, level)
     if seen.reasons or seen.open:
         relaxed = Number(relaxed.interval[1] if seen.reasons else relaxed.value, (0.0, relaxed.interval[1]))
+    stays, (least, most) = median_and_interval(kept, weight, level)
+    unseen = weight * ~seen.within
+    if version > 2 and (seen.reasons or seen.open) and unseen.any():  # a part of the set may be a slow recovery
+        least = min(least, median_and_interval(kept, unseen, level)[1][0])
     middle = int(np.argmax([one.log_evidence for one in draws]))
     simulated = np.full(len(time_s), np.nan)
     simulated[released:] = law.simulated(draws[middle].best[None], models[middle][0])[0][0]
     return RecoveryEstimate(
-        share=Number(*seen.bounded(*median_and_interval(share, weight, level), 1.0)),
+        share=Number(*seen.bounded(*median_and_interval(share, shared, level), 1.0)),
         time_s=Number(*seen.bounded(*mean_time, np.inf)),
-        set=Number(*median_and_interval(kept, weight, level)),
+        set=Number(stays, (least, most)),
         instant=_per_unit(stiffness, weight, largest, level) if force_n is not None else None,
         relaxed=relaxed if force_n is not None else None,
         verdict=verdict,
@@ -216,6 +233,16 @@ class _RecoveryDraws:
     endless: BoolArray
 
 
+class _RangedBranches(Branches):
+    """Branches with one choice of log times: nodes are the (b, 2) range of each, of four deviations."""
+
+    def priors(self) -> tuple[FloatArray, FloatArray]:
+        log_j = np.full(self.count, np.log(STRENGTH_MEDIAN))
+        first, last = self.nodes.T
+        mean = np.append(log_j, 0.5 * (first + last))
+        return mean[None], np.append(np.full(self.count, STRENGTH_SPREAD), 0.25 * (last - first))
+
+
 class _RecoveryLaw:
     """The law over one motion; parameters: those of a spectrum, the error that all frames after the release share, and
     the release's position between its two frames. Then log of the permanent share, and log of the stiffness, if these
@@ -228,16 +255,30 @@ class _RecoveryLaw:
         released: int,
         force_n: FloatArray | None = None,
         force_sd_n: float = 0.0,
+        version: int = 1,
     ) -> None:
         self._time, self._amplitude, self._released = time_s, amplitude, released
         self._most = np.maximum.accumulate(np.maximum(amplitude, 0.0))
         span = time_s[-1] - time_s[_begin(amplitude)]
         fast, slow = np.log(float(np.median(np.diff(time_s)))), np.log(SLOWEST * span)
-        self._log_time, self._time_spread = 0.5 * (fast + slow), 0.25 * (slow - fast)
         self._limits = fast - 2.0, slow + 2.0
-        nodes = np.array([fast, slow])
-        self.spectra: list[Spectrum] = [Branches(count, nodes, 0.5**count) for count in range(MOST_BRANCHES + 1)]
+        self.pressed = int(np.argmax(amplitude >= PRESSED * amplitude.max()))
+        self.watched_s = float(time_s[-1] - time_s[min(released, len(time_s) - 1)])
+        held_s = float(time_s[released - 1] - time_s[self.pressed])
+        self.record_s = max(self.watched_s, held_s if force_n is not None else 0.0)
+        outlasts = OUTLASTS if version > 2 and self.record_s > 0.0 else 0.0
+        every = np.array([[fast, slow]] * MOST_BRANCHES)
+        self.spectra: list[Spectrum] = [
+            _RangedBranches(count, every[:count], 0.5**count * (1.0 - (outlasts if count else 0.0)))
+            for count in range(MOST_BRANCHES + 1)
+        ]
         self.spectra.append(Endless.over(np.exp(fast), SLOWEST * span / ENDLESS_HOLDS, 1.0, 0.25))
+        if outlasts:
+            late = np.array([[np.log(self.record_s), slow]])
+            self.spectra += [
+                _RangedBranches(count, np.vstack([every[1:count], late]), 0.5**count * outlasts)
+                for count in range(1, MOST_WITH_SLOW + 1)
+            ]
         # neighbouring frames share no motion beyond a straight one
         bend = np.diff(amplitude[released:], 2)
         scatter = 1.4826 * float(np.median(np.abs(bend))) / np.sqrt(6.0) if len(bend) else 0.0
@@ -351,11 +392,7 @@ class _RecoveryLaw:
     def _priors(self, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
         """(k,) means and deviations of a spectrum's parameters: one Gaussian in place of a sum."""
         means, spread = spectrum.priors()
-        if spectrum.endless:
-            return means.mean(axis=0), np.hypot(spread, means.std(axis=0))
-        count = spectrum.most
-        middle = np.repeat([np.log(STRENGTH_MEDIAN), self._log_time], count)
-        return middle, np.repeat([STRENGTH_SPREAD, self._time_spread], count)
+        return means.mean(axis=0), np.hypot(spread, means.std(axis=0))
 
     def _size(self, spectrum: Spectrum) -> int:
         return len(self._priors(spectrum)[0])

@@ -29,9 +29,9 @@ class Number:
 class RecoveryEstimate(ReportedResult):
     """Results of a push and its recovery.
 
-    share: share of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share share
-    and time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded; their
-    intervals are open in that direction from a smaller probability of it on (`relaxation.OPEN`)
+    share: share of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share
+    share and time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded; their
+    intervals are open in that direction from a smaller probability of it on (`recovery.OPEN_RECOVERY`)
     force_kept: remaining share of the force at the end of the push, held there, for times within the record
     set: permanent share of the largest displacement; instant, relaxed: force over displacement of the pressed
     particles, immediate and relaxed [N per unit]; None without a force

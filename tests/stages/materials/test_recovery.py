@@ -110,13 +110,23 @@ def test_a_recovery_that_outlasts_the_record_is_named_and_bounded(share: float, 
 
 
 def test_an_end_that_may_be_unseen_opens_intervals_but_not_of_older_recordings() -> None:
-    now, then = (fitted([0.15, 0.15], [0.3, 2.0], 0.0, watch_s=3.0, **how) for how in ({}, {"version": 1}))
+    now, then = (fitted([0.15, 0.15], [0.3, 2.0], 0.0, watch_s=3.0, version=version) for version in (2, 1))
     assert (now.reasons, then.reasons) == ((), ())
     assert now.share == dataclasses.replace(then.share, interval=(then.share.interval[0], 1.0))
     assert now.time_s == dataclasses.replace(then.time_s, interval=(then.time_s.interval[0], np.inf))
     assert then.share.interval[1] < 0.5
     assert then.time_s.interval[1] < 3.0
     assert MaterialJob("viscous").relaxation_version == 1, "settings of before name none"
+
+
+def test_a_set_that_a_slow_branch_may_explain_leaves_share_and_time_open() -> None:
+    now, before = (fitted([0.2], [20.0], 0.1, **how) for how in ({}, {"version": 2}))
+    assert now.verdict == before.verdict == "plastic"
+    assert now.share.interval[0] < 0.2 < now.share.interval[1] == 1.0
+    assert now.time_s.interval == (now.time_s.interval[0], np.inf)
+    assert now.set.interval[0] < 0.1 < before.set.interval[0] < before.set.interval[1]
+    assert before.share.interval[1] < 0.2, "draws about one best fit did not reach the slow branch"
+    assert before.time_s.interval[1] < 20.0
 
 
 def test_a_record_that_saw_the_end_says_how_much_force_is_kept() -> None:
