@@ -1,6 +1,7 @@
 """`python -m studies field`: how well one deformation determines the stiffness of each place of a body.
 
-python -m studies field python -m studies field --kinds "two, stretch" "three, shear" --objects 20 --json field.json
+python -m studies field
+python -m studies field --kinds "two, stretch" "three, shear" --objects 20 --json field.json
 python -m studies field --independent --objects 20
 
 Plates and slabs whose stiffness differs from place to place, by the laboratory's finite elements (`field_bodies`); and

@@ -1,8 +1,8 @@
 """`python -m studies force`: how often the intervals of a predicted force hold the true one, on random slabs.
 
-python -m studies force python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume
-forces.jsonl --json force.json python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as
-given" "nu 0.45" "twice as deep"
+python -m studies force
+python -m studies force --full --kinds halves "stiff disc" --slabs 8 --jobs 16 --resume forces.jsonl --json force.json
+python -m studies force --full --slabs 4 --seed 2000 --scatter 0 0.03 --conditions "as given" "nu 0.45" "twice as deep"
 
 Random slabs, half of whose 24 pokes are fitted: do the intervals of the force hold at the other half?
 

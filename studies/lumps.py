@@ -1,6 +1,7 @@
 """`python -m studies lumps`: how many lumps in foam `explore --goal inclusions` finds, and how many it misses.
 
-python -m studies lumps --objects 40 --json lumps.json python -m studies lumps --foam 110 --lump rigid --errors
+python -m studies lumps --objects 40 --json lumps.json
+python -m studies lumps --foam 110 --lump rigid --errors
 
 Lumps in foam, sought with `explore --goal inclusions`: share found within numbers of touches, false alarms without a
 lump, and calibration of the miss probability.

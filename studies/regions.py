@@ -1,7 +1,8 @@
 """`python -m studies regions`: how often a map's levels and its number of regions are right, on known surfaces.
 
-python -m studies regions --objects 300 --jobs 8 --json - python -m studies regions --objects 50 --scatter 0.08 --only
-"scatter 8 %" python -m studies regions --objects 24 --touches 16 --only "4 materials"
+python -m studies regions --objects 300 --jobs 8 --json -
+python -m studies regions --objects 50 --scatter 0.08 --only "scatter 8 %"
+python -m studies regions --objects 24 --touches 16 --only "4 materials"
 
 Do a map's probabilities and intervals hold? Explorations of known surfaces, touched in closed form.
 

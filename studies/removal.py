@@ -1,6 +1,7 @@
 """`python -m studies removal`: how well the robot is taken out of the camera's picture, on simulated ones.
 
-python -m studies removal python -m studies removal --layouts 4 --picture removal.png --json removal.json
+python -m studies removal
+python -m studies removal --layouts 4 --picture removal.png --json removal.json
 
 Which points of foam stay, and which of the robot do.
 

@@ -1,6 +1,8 @@
 """`deformscope bench`: cost of MSM on this machine, as a table.
 
-deformscope bench deformscope bench --quick --only step,relax --json - deformscope bench --peers --json bench.json
+deformscope bench
+deformscope bench --quick --only step,relax --json -
+deformscope bench --peers --json bench.json
 """
 
 from __future__ import annotations

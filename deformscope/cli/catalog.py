@@ -1,7 +1,8 @@
 """`deformscope catalog`: the recordings of a folder, listed, filtered and compared.
 
-deformscope catalog runs/ --where 'stiffness < 0.5 and verdict == "regions"' --sort=-duration_s deformscope catalog
-runs/ --serve deformscope catalog compare first.rrd second.rrd
+deformscope catalog runs/ --where 'stiffness < 0.5 and verdict == "regions"' --sort=-duration_s
+deformscope catalog runs/ --serve
+deformscope catalog compare first.rrd second.rrd
 """
 
 from __future__ import annotations

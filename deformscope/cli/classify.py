@@ -1,8 +1,9 @@
 """`deformscope classify`: evaluates how well contents are classified, from tables and data sets; and saves a
 classifier.
 
-deformscope classify squeezes.npz --json - deformscope classify squeezes.csv --modalities tactile,vision --report report
---save contents.npz deformscope classify squeezes.npz --merge liquid=water,yogurt --merge granular=flour,rice --quick
+deformscope classify squeezes.npz --json -
+deformscope classify squeezes.csv --modalities tactile,vision --report report --save contents.npz
+deformscope classify squeezes.npz --merge liquid=water,yogurt --merge granular=flour,rice --quick
 deformscope classify more.npz --model contents.npz
 """
 

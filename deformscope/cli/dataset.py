@@ -1,7 +1,9 @@
 """`deformscope dataset`: list a data set of squeezes, correct it, and merge several.
 
-deformscope dataset list squeezes deformscope dataset relabel squeezes lab-0-box-07-00003 --content flour deformscope
-dataset discard squeezes lab-0-box-07-00003 --reason "it leaked" deformscope dataset merge all squeezes others/squeezes
+deformscope dataset list squeezes
+deformscope dataset relabel squeezes lab-0-box-07-00003 --content flour
+deformscope dataset discard squeezes lab-0-box-07-00003 --reason "it leaked"
+deformscope dataset merge all squeezes others/squeezes
 deformscope dataset repair squeezes
 """
 

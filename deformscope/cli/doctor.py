@@ -1,6 +1,7 @@
 """`deformscope doctor`: checks whether a rig would work, and names remedies.
 
-deformscope doctor rig.toml deformscope doctor --example > rig.toml
+deformscope doctor rig.toml
+deformscope doctor --example > rig.toml
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """`deformscope import`: makes a recording from bags and tables that other programs wrote.
 
-deformscope import --inspect bag.mcap > map.toml deformscope import bag.mcap --map map.toml --record run.rrd
+deformscope import --inspect bag.mcap > map.toml
+deformscope import bag.mcap --map map.toml --record run.rrd
 """
 
 from __future__ import annotations

@@ -1,9 +1,13 @@
 """`deformscope verify`, `recover` and `export`: check a recording, rescue a damaged one, and convert it to other
 formats.
 
-deformscope verify run.rrd deformscope verify run.rrd --stages deformscope verify run.rrd --privacy deformscope recover
-run.part.rrd --out saved.rrd deformscope export r.rrd --to parquet --out tables deformscope export r.rrd --to mcap --out
-bag --only wrench arm deformscope export r.rrd --images frames --camera front
+deformscope verify run.rrd
+deformscope verify run.rrd --stages
+deformscope verify run.rrd --privacy
+deformscope recover run.part.rrd --out saved.rrd
+deformscope export r.rrd --to parquet --out tables
+deformscope export r.rrd --to mcap --out bag --only wrench arm
+deformscope export r.rrd --images frames --camera front
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """`deformscope replay`: runs the same stages on the recorded inputs, and compares results with the recorded ones. For a
 rig, bytes are decoded again and compared with the frames.
 
-deformscope replay out.rrd deformscope replay out.rrd --viewer native --pace real deformscope replay out.rrd --record
-again.rrd --json -
+deformscope replay out.rrd
+deformscope replay out.rrd --viewer native --pace real
+deformscope replay out.rrd --record again.rrd --json -
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """`deformscope report`: the figures of a recording, as one HTML page.
 
-deformscope report run.rrd deformscope report run.rrd --out run.html
+deformscope report run.rrd
+deformscope report run.rrd --out run.html
 """
 
 from __future__ import annotations

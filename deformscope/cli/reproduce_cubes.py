@@ -1,7 +1,8 @@
 """`deformscope reproduce cubes`: the thesis's experiment 3.A, its figures and its table.
 
-deformscope reproduce cubes deformscope reproduce cubes --quick --out figures --json - deformscope reproduce cubes
---pairs cube_nu0.25.npz cube_nu0.4.npz
+deformscope reproduce cubes
+deformscope reproduce cubes --quick --out figures --json -
+deformscope reproduce cubes --pairs cube_nu0.25.npz cube_nu0.4.npz
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """`deformscope reproduce foams`: experiment 3.B of the thesis, with figure 3.14, on five virtual foams.
 
-deformscope reproduce foams deformscope reproduce foams --quick --json - deformscope reproduce foams --out runs/foams
---json foams.json --seed 1 --keep-images deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid
-7x15 --contact 330,50,150,50
+deformscope reproduce foams
+deformscope reproduce foams --quick --json -
+deformscope reproduce foams --out runs/foams --json foams.json --seed 1 --keep-images
+deformscope calibrate beta runs/foams/images/24-80 --roi 30,50,750,350 --grid 7x15 --contact 330,50,150,50
 """
 
 from __future__ import annotations
