@@ -378,7 +378,7 @@ def test_an_arm_that_cannot_be_watched_any_more_is_a_stop_with_its_reason(monkey
     def lost(**named: bool) -> object:
         raise LinkLost("the arm's port", "it is gone")
 
-    trial.at("travel", lambda: monkeypatch.setattr(trial.arm, "_robot", lost))
+    trial.at("approach", lambda: monkeypatch.setattr(trial.arm, "_robot", lost))
     found = trial.go()
     assert found.stop is not None
     assert "it is gone" in found.stop.reason
