@@ -342,6 +342,16 @@ def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, mo
     """Its port is free again, and whoever takes it then is connected to."""
     ended, got, taking = tmp_path / "ended", list[bytes](), list[socket.socket]()
     os.mkfifo(ended)
+    listen, running, listens = live.wait_for_viewer, live.check_running, threading.Event()
+
+    def wait(viewer: live.Viewer, give_up: threading.Event) -> None:
+        listen(viewer, give_up)
+        listens.set()
+
+    def check(viewer: live.Viewer) -> None:
+        if listens.is_set():  # however slowly a busy machine ends it: else the stream would wait for the other for ever
+            os.waitid(os.P_PID, viewer.pid, os.WEXITED | os.WNOWAIT)
+        running(viewer)
 
     def take() -> None:
         taking.append(foreign.accept()[0])
@@ -352,6 +362,8 @@ def test_no_data_follows_for_a_window_that_ended_as_it_opened(tmp_path: Path, mo
     with socket.create_server(("127.0.0.1", 0)) as foreign:
         script = f"echo rerun+http://127.0.0.1:{foreign.getsockname()[1]}/proxy >&2; read line < {ended}"
         monkeypatch.setattr(live, "viewer_executable", lambda: program(tmp_path, script))
+        monkeypatch.setattr(live, "wait_for_viewer", wait)
+        monkeypatch.setattr(live, "check_running", check)
         monkeypatch.setenv("DISPLAY", ":0")
         thread = threading.Thread(target=take)
         thread.start()
