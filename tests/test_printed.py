@@ -22,7 +22,7 @@ from tools import printed
 ROOT = printed.ROOT
 README = ROOT / "README.md"
 EVERY = [one for page in printed.PAGES for one in printed.printed(page)]
-LONG = ("make demo", "deformscope explore")
+LONG = ("make demo", "deformscope explore", "deformscope calibrate beta sample:tension")
 """What takes longer than some seconds begins so."""
 ILLUSTRATIONS = {
     "docs/developers/architecture.md": 2,

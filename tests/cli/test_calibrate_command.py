@@ -287,6 +287,7 @@ def test_demo_leaves_a_recording_each_time(
     assert estimate.verdict in ("identified", "weak", "at-bound", "unidentified")
 
 
+@pytest.mark.slow
 def test_committed_recordings_are_what_their_manifest_says(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -238,6 +238,7 @@ def test_what_cannot_be_listed_is_said_in_one_line(
     assert sum("error" in line for line in said) == 1
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_what_a_catalog_selects(folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "found.json"
     flags = ["--where", 'kind == "exploration"', "--out", str(tmp_path / "out"), "--json", str(target)]

@@ -88,6 +88,7 @@ def test_doctor_lists_what_a_rig_lacks_for_it(tmp_path: Path) -> None:
     assert doctor._placing(load_rig(file)) == []
 
 
+@pytest.mark.slow
 def test_a_real_arm_is_asked_for_and_everything_is_looked_at_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

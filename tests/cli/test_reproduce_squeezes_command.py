@@ -12,6 +12,7 @@ from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.reproduce import squeeze_truth
 
 
+@pytest.mark.slow
 def test_errors_a_data_set_and_a_figure_are_left_and_taken_up_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,7 @@ def squeeze(tmp_path: Path, *more: str) -> tuple[int, dict[str, Any]]:
     return status, json.loads(target.read_text()) if target.exists() else {}
 
 
+@pytest.mark.slow
 def test_tactile_frames_have_their_results_where_devices_fail_to_close(
     tmp_path: Path, toy: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

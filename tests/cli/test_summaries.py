@@ -106,6 +106,7 @@ def test_images_show_the_last_frame(tmp_path: Path) -> None:
     assert "lost" in page.words
 
 
+@pytest.mark.slow
 def test_pokes_have_their_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pokes = []
     axes = np.meshgrid(np.linspace(0.02, 0.1, 9), np.linspace(0.02, 0.1, 9), indexing="ij")

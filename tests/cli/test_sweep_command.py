@@ -154,6 +154,7 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
     assert list((out / "files").iterdir()) == [written]
 
 
+@pytest.mark.slow
 def test_what_decides_a_result_beside_the_file_makes_another_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

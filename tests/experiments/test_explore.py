@@ -213,6 +213,7 @@ def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
     assert known_m[1] == pytest.approx(known_m[0] + 0.004, abs=5e-4)
 
 
+@pytest.mark.slow
 def test_results_of_a_touch_say_which_and_when_its_dent_was_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     use_coarse_maps(monkeypatch)
 

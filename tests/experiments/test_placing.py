@@ -137,6 +137,7 @@ def test_without_a_container_or_an_image_nothing_moves() -> None:
         assert "travel" not in trial.phases
 
 
+@pytest.mark.slow
 def test_out_of_reach_every_grasp_has_its_reason() -> None:
     trial = PlacedTrial("kuka")
     trial.lab.simulated.shift(0.3, 0.35)

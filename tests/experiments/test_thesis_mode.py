@@ -79,6 +79,7 @@ def test_a_simulated_scene_leaves_the_tangent_free_where_it_is_asked_for(
     assert opened.options.tangential == is_now
 
 
+@pytest.mark.slow
 def test_a_touch_is_swept_on_that_grid_in_those_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The dent that the sweep is given, and the step, for each way to hold the model."""
     given = []

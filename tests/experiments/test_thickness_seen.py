@@ -54,6 +54,7 @@ def test_thickness_is_taken_from_the_table_beside_the_foam(name: str) -> None:
     assert 0.0 < surface.layer_sd_m < 3e-3
 
 
+@pytest.mark.slow
 def test_where_no_table_is_seen_there_is_a_stiffness_but_no_modulus_and_no_beta_of_layers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -255,6 +255,7 @@ def test_what_pads_sent_gives_their_frames(tmp_path: Path) -> None:
     assert main(["replay", str(path)]) == 0
 
 
+@pytest.mark.slow
 def test_images_that_are_imported_are_calibrated_as_their_files_are(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

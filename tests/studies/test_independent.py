@@ -54,6 +54,7 @@ def test_a_tool_that_is_off_moves_what_is_said_of_it_alone() -> None:
     assert not moved[np.setdiff1d(np.arange(len(moved)), off.tool)].any()
 
 
+@pytest.mark.slow
 def test_kinds_of_errors_and_data_of_other_solvers_are_tried() -> None:
     name = OTHER + next(iter(OTHER_SOLVER))
     assert try_disturbed(DisturbedCase(name, 0, seed=1000)).outcome.condition == name

@@ -48,6 +48,7 @@ def test_a_known_material_is_found_and_its_intervals_are_about_it(kind: MotionKi
         assert RELAXES[0] <= found.truth[0] <= RELAXES[1]
 
 
+@pytest.mark.slow
 def test_rows_count_what_intervals_hold(capsys: pytest.CaptureFixture[str]) -> None:
     main(["materials", "--kinds", "viscous", "--objects", "3", "--jobs", "1", "--json", "-"])
     found = json.loads(capsys.readouterr().out)
