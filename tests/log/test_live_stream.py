@@ -97,7 +97,9 @@ def test_pictures_are_the_newest_and_small(second: list[Item]) -> None:
     assert depth.depth.shape == (240, DEPTH_WIDTH)
     np.testing.assert_array_equal(depth.depth, newest.depth[::2, ::2])  # distances are never mixed
     small = rig.color(3, size=(40, 60))
-    assert thinned([small]) == [small]
+    (whole,) = thinned([small])
+    assert (whole.index, whole.stamp) == (small.index, small.stamp)
+    assert whole.image is small.image
 
 
 def test_no_peak_is_left_out_and_order_is_kept() -> None:

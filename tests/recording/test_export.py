@@ -596,6 +596,7 @@ def test_cameras_of_any_name_have_images_of_their_own_within_the_folder(to: str,
 
 LIMITED = """
 import resource, sys
+sys.dont_write_bytecode = True  # else what is compiled now would stay cut short
 resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
 from deformscope.cli import main
 sys.exit(main(sys.argv[1:]))
