@@ -20,7 +20,7 @@ power laws without a reason stay closed; at .1 half of those of two branches are
 3059)."""
 NEWEST_RELAXATION = 3
 """How intervals of relaxation end. 1, as in older recordings: open with a reason. 2: open from the probability `OPEN`
-on. 3: of a recovery, branches that outlast the record are a model of their own; of a touch, as 2."""
+on. 3: branches of a recovery that outlast the record are a model of their own; a touch is as in 2."""
 SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
 """Strength of a branch that outlasts the record, and its share of all strengths, from which it matters: a fainter one
 may be a drift of the sensor."""

@@ -54,8 +54,8 @@ MOST_BRANCHES, MOST_WITH_SLOW = 3, 2
 OUTLASTS = 0.3
 """Prior probability that one of the branches outlasts the record: the share of the log times that does [assumed]."""
 OPEN_RECOVERY = 0.13
-"""As `relaxation.OPEN`, of recoveries: at .15 intervals of the share hold .82 of slow branches, at .1 the median width
-of the time of two branches is 1.8 times as large (pushes of a Maxwell solid, seeds 3000 to 3099)."""
+"""The same as `relaxation.OPEN` for recoveries. At .15 intervals of the share hold .82 of slow branches; at .1 the
+median width of the time of two branches is 1.8 times as large (pushes of a Maxwell solid, seeds 3000 to 3099)."""
 PRESSED = 0.95
 """Share of the largest displacement at which the push has come to its end."""
 FORCE_DRAWS = 400
