@@ -198,7 +198,7 @@ class MaterialsCoverageConfig(StudyOptions):
     """Count how often the intervals of `calibrate axes`, `yield` and `viscous` hold the truth: deformations and motions
     of known materials, under noise that neighbours share."""
 
-    kinds: Annotated[tuple[Literal["axes", "yield", "viscous", "slow"], ...], arg(metavar="NAME...")] = ()
+    kinds: Annotated[tuple[MotionKind, ...], arg(metavar="NAME...")] = ()
     """Kinds out of axes, yield, viscous and slow; default: all."""
     objects: flags.ManyFlag = 12
     """Motions of each kind, from seed SEED on; one to yield takes some 5 s, another less than one."""

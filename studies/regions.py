@@ -46,7 +46,7 @@ from deformscope.stages.regions.posterior import (
     RegionPrior,
 )
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
-from deformscope.stages.regions.touches import FIRST_REGIONS, MapGrid, StiffnessSample
+from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from studies.independent.random_maps import random_surface
 from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
 from studies.seeds import INDEPENDENT, reported
@@ -353,7 +353,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         scatter=shown.scatter,
         touches=len(posterior.touches),
         cells_held=float((np.abs(shown.field - truth.log_stiffness) <= Z_90 * shown.field_sd).mean()),
-        at_least=shown.region_count >= FIRST_REGIONS,
+        at_least=shown.more_possible,
         met=met,
     )
 

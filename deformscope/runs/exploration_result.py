@@ -226,10 +226,13 @@ class ExplorationResult(LibraryResult):
         beta's."""
         by_beta = self.regions_by == "beta"
         given = "" if by_beta else str(self.region_count or "gradual")
-        others = {count: share for count, share in (self.probability or {}).items() if count != given}
-        if self.region_count_at_least:  # that there are more belongs to the verdict
-            others = {count: share for count, share in others.items() if count == "gradual" or count < given}
-        share, count = max((share, count) for count, share in others.items())
+        # "or more" includes the greater numbers
+        claimed = self.region_count if self.region_count_at_least else None
+        share, count = max(
+            (share, count)
+            for count, share in (self.probability or {}).items()
+            if count != given and (claimed is None or count == "gradual" or int(count) < claimed)
+        )
         words = count if count == "gradual" else counted(int(count), "region")
         if by_beta:
             return f"; by stiffness {words}, probability {share:.2f}"

@@ -159,11 +159,16 @@ class RegionMap:
     scatter: float = np.nan
     at_least: bool = False
 
+    @property
+    def more_possible(self) -> bool:
+        """Whether there may be more regions: three and more are not distinguished reliably (`studies regions`)."""
+        return self.region_count >= FIRST_REGIONS
+
     def claimed(self, *, or_more: bool = True) -> float:
-        """Probability of the verdict and `region_count`. or_more: from three regions on, the probability of as many or
-        more, since the number is often too low (`studies regions`)"""
+        """Probability of the verdict and `region_count`. or_more: the probability of as many or more where that is
+        possible"""
         k = self.region_count
-        if or_more and k >= FIRST_REGIONS:
+        if or_more and self.more_possible:
             return sum(share for number, share in self.probability.items() if number.isdigit() and int(number) >= k)
         return self.probability[str(k or "gradual")]
 
