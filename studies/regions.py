@@ -153,7 +153,11 @@ class RegionOutcome:
     @property
     def right(self) -> bool:
         """Whether the surface has as many as reported, or more if it reports "or more"."""
-        return self.count == self.true_count or (self.at_least and self.true_count > self.count)
+        return self.holds(self.true_count)
+
+    def holds(self, count: int) -> bool:
+        """Whether the report agrees with this number of regions."""
+        return self.count == count or (self.at_least and count > self.count)
 
 
 @dataclass(frozen=True)
@@ -441,7 +445,7 @@ QUANTITIES: tuple[Quantity[Sequence[RegionOutcome]], ...] = (
     Quantity("level_width", lambda some: _or_nan(np.median, [one.width for one in some]), {"width": number(3)}),
     Quantity("number_right", lambda some: Rate.of(one.right for one in some), {"number right": share(2)}),
     Quantity("same", lambda some: Rate.of(one.count == one.true_count for one in some), {"exactly": share(2)}),
-    Quantity("met_right", lambda some: Rate.of(one.count == one.met for one in some), {"as many as met": share(2)}),
+    Quantity("met_right", lambda some: Rate.of(one.holds(one.met) for one in some), {"right of those met": share(2)}),
     Quantity("number_claimed", lambda some: float(np.mean([one.claimed for one in some])), {"claimed": number(2)}),
     Quantity(
         "true_number_probability",
