@@ -302,8 +302,13 @@ def test_three_hundred_that_come_back_at_once_keep_no_page_away(page: PageServer
         assert flood.stdout is not None
         assert flood.stdout.readline() == "ready\n"
         try:
-            for _ in range(20):
-                assert get(page, root(page))[0] == 200
+            for _ in range(3):
+                connection = HTTPConnection(netloc(page), timeout=PATIENCE_S)
+                connection.connect()
+                time.sleep(0.3)  # on a busy machine a browser sends its request this much later
+                connection.request("GET", root(page))
+                assert connection.getresponse().status == 200
+                connection.close()
         finally:
             flood.kill()
 

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-from typing import Any
+import socket
+from collections.abc import Callable
+from functools import partial
 from urllib.parse import urlsplit
 
+import uvicorn
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -31,41 +34,50 @@ HEADERS = {
     "x-content-type-options": "nosniff",
     "cache-control": "no-store",
 }
-MOST_STRANGERS = 64
+MOST_STRANGERS = 256
+"""Connections without a valid request that are open at once; more of them wait in the kernel's queue."""
 REQUEST_S = 1.0
 """Time limit for a connection's valid request."""
-READ_ROUNDS = 4
-"""Rounds of the event loop after which a new connection has been read, and may be closed in favour of later ones."""
+ACCEPT_AGAIN_S = 0.1
 
 
 class Guard:
     """Passes on valid requests, with a path below the token; answers all others with 403, and a wrong method with 405.
 
-    Connections without a valid request are strangers: closed after `REQUEST_S`, and the oldest earlier if there are
-    more than `MOST_STRANGERS`. Therefore strangers cannot use up the connections for pages.
+    Connections without a valid request are strangers, closed after `REQUEST_S`. While there are `MOST_STRANGERS` no
+    other connection is accepted: a browser on a busy machine, which connects long before it sends, has that time too.
     """
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
         self._token = token.encode()
         self._strangers: dict[tuple[str, int] | None, asyncio.Transport] = {}
+        self._places = asyncio.Semaphore(MOST_STRANGERS)
 
-    def add_stranger(self, client: tuple[str, int] | None, transport: asyncio.Transport) -> None:
-        """Note a new connection. client: its other end"""
-        self._strangers[client] = transport
-        asyncio.get_running_loop().call_later(REQUEST_S, self._end, client, transport)
-        self._end_oldest(READ_ROUNDS)
+    async def accept(self, listening: socket.socket, protocol: Callable[[], asyncio.Protocol]) -> None:
+        """Accept connections, each with a protocol of its own, in the order in which they came, until cancelled."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await self._places.acquire()
+            try:
+                connection, client = await loop.sock_accept(listening)
+                transport, _ = await loop.connect_accepted_socket(protocol, connection)
+            except OSError:  # out of file descriptors, or it has gone
+                self._places.release()
+                await asyncio.sleep(ACCEPT_AGAIN_S)
+                continue
+            self._end(client, self._strangers.get(client))  # closed by its other end, whose port came back
+            self._strangers[client] = transport
+            loop.call_later(REQUEST_S, self._end, client, transport)
 
-    def _end_oldest(self, rounds: int) -> None:
-        if rounds > 0:
-            asyncio.get_running_loop().call_soon(self._end_oldest, rounds - 1)
-        elif len(self._strangers) > MOST_STRANGERS:
-            self._end(*next(iter(self._strangers.items())))
-
-    def _end(self, client: tuple[str, int] | None, transport: asyncio.Transport) -> None:
-        if self._strangers.get(client) is transport:
-            del self._strangers[client]
+    def _end(self, client: tuple[str, int] | None, transport: asyncio.Transport | None) -> None:
+        if transport is not None and self._strangers.get(client) is transport:
+            self._passed(client)
             transport.abort()
+
+    def _passed(self, client: tuple[str, int] | None) -> None:
+        if self._strangers.pop(client, None) is not None:
+            self._places.release()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -85,7 +97,7 @@ class Guard:
             await send(message)
 
         if status == 200:
-            self._strangers.pop(scope["client"], None)
+            self._passed(scope["client"])
             path = "/" + rest[0]
             inner = {**scope, "path": path, "raw_path": path.encode(), "root_path": ""}
             await self._app(inner, receive, send_with_headers)
@@ -114,13 +126,22 @@ def _from_the_page(headers: Headers, *, websocket: bool) -> bool:
     return origins[0].lower() == f"http://{host}" if origins else not websocket
 
 
-class GuardedProtocol(H11Protocol):
-    """HTTP connections that a guard tracks from their beginning."""
+class GuardedServer(uvicorn.Server):
+    """A server whose connections its guard accepts."""
 
-    def __init__(self, guard: Guard, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self, config: uvicorn.Config, guard: Guard) -> None:
+        super().__init__(config)
         self._guard = guard
 
-    def connection_made(self, transport: Any) -> None:
-        super().connection_made(transport)
-        self._guard.add_stranger(self.client, transport)
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets=[])
+        protocol = partial(
+            H11Protocol, config=self.config, server_state=self.server_state, app_state=self.lifespan.state
+        )
+        self._accepting = [asyncio.create_task(self._guard.accept(one, protocol)) for one in sockets or []]
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        for task in self._accepting:
+            task.cancel()
+        await asyncio.gather(*self._accepting, return_exceptions=True)
+        await super().shutdown(sockets)

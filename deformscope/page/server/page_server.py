@@ -20,7 +20,6 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -35,7 +34,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from deformscope.errors import InputError
-from deformscope.page.server.guard import Guard, GuardedProtocol
+from deformscope.page.server.guard import Guard, GuardedServer
 from deformscope.page.server.messages import LONGEST_MESSAGE, VERSION, Beat, Drawn, Hello, PageCommand, PieceBatch
 from deformscope.page.server.page_session import PageSession
 from deformscope.page.server.pieces import PageReader, Pieces
@@ -43,6 +42,8 @@ from deformscope.page.server.viewer_files import LOOPBACK, NAMES, ViewerFiles
 
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 RECORDING = "recording.rrd"
+BACKLOG = 2048
+"""Connections that wait in the kernel's queue."""
 MOST_PAGES = 8
 VIEWER_KEPT = "private, max-age=3600, immutable"
 """A reloaded page has the viewer, 43 MB, and its compiled form in the browser."""
@@ -97,12 +98,13 @@ class PageServer:
 
     def open(self) -> None:
         """Listen, and return once the page answers. Serve the page until `close`, or the end of the process."""
-        listening = socket.create_server((LOOPBACK, 0))
+        listening = socket.create_server((LOOPBACK, 0), backlog=BACKLOG)
+        listening.setblocking(False)
         self.address = f"http://{LOOPBACK}:{listening.getsockname()[1]}/{self._token}/"
         guard = Guard(self.routes(), self._token)
         config = uvicorn.Config(
             guard,
-            http=partial(GuardedProtocol, guard),  # type: ignore[arg-type]  # it asks for a class, and calls it
+            loop="asyncio",  # another might read a connection before its guard has noted it
             ws="websockets-sansio",
             ws_max_size=LONGEST_MESSAGE,
             ws_per_message_deflate=False,
@@ -114,7 +116,7 @@ class PageServer:
             timeout_graceful_shutdown=1,
         )
         logging.getLogger("uvicorn").setLevel(logging.CRITICAL)  # an attacker is not to fill the terminal
-        self._server = uvicorn.Server(config)
+        self._server = GuardedServer(config, guard)
         # A daemon: nothing waits for a page.
         self._thread = threading.Thread(
             target=self._server.run, args=([listening],), name="deformscope-page", daemon=True
