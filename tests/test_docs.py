@@ -94,7 +94,7 @@ def test_walks_name_files_that_exist() -> None:
 
 
 def test_walks_pass_no_more_than_the_page_says() -> None:
-    """As the tracer counts them. It finds every file that the page names for the depth frame, whose calls it follows."""
+    """As the tracer counts them. It finds every file that the page names for the depth frame."""
     tool = runpy.run_path(str(ROOT / "tools" / "walks.py"))
     page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
     stated = re.findall(r"^\| ([a-z ]+) \| [^|]+ \| (\d+) \| (\d+) \| (\d+) \|", page, re.MULTILINE)
