@@ -37,8 +37,8 @@ class RayWorkers:
             ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
         except Exception as error:  # of many kinds, also of another version of Ray or Python
             raise _nobody(address, " ".join(str(error).split())[:300]) from error
-        self._ray, self._limit = ray, limit
-        self._cores, self._counted = 0, 0.0
+        self._ray: Any = ray  # its types are known where it is installed
+        self._limit, self._cores, self._counted = limit, 0, 0.0
         self._remote: dict[Callable[..., Any], Any] = {}
 
     @property
