@@ -32,14 +32,15 @@ def verify(config: VerifyConfig) -> int:
     return EXIT_LOSSES if found.losses else 0
 
 
-def recover(config: RecoverConfig) -> None:
-    """Write the readable part of a recording as a new one."""
+def recover(config: RecoverConfig) -> int:
+    """Write the readable part of a recording as a new one. Returns the command's exit status."""
     from deformscope.runs.recovery import recover_recording
 
     found = recover_recording(config.recording, config.out)
     wrote("recording", str(found.found["recovered"]))
     show(found)
     write_json(found.as_json(), config.json)
+    return EXIT_LOSSES if found.found["problems"] else 0
 
 
 def export(config: ExportConfig) -> int:

@@ -255,4 +255,4 @@ def _recording(path: Path, stride: int, camera: str | None) -> Source:
         for index, frame in enumerate(itertools.islice(frames, 0, None, stride)):
             yield ColorFrame(frame.stamp, index, frame.image)
 
-    return Source(str(path), read, math.ceil(replay.color_counts[name] / stride))
+    return Source(str(path), read, math.ceil(replay.color_counts[name] / stride), lambda: replay.source_problems)

@@ -4,8 +4,8 @@ A recording has no checksum, and most single bit flips in it are read without an
 text: a line with its format, then a line per block. A line is JSON (bytes, their SHA-256, the streams and the session
 time in them) and a SHA-256 of that JSON and of the line before, which chains the lines. The ledger grows with the file:
 a line at each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that a
-truncation before it is detected: size and SHA-256 of the whole, recorded and lost items. Without that line, the run was
-interrupted.
+truncation before it is detected: size and SHA-256 of the whole, recorded and lost items, and what a recovered recording
+inherits: how its original differed from its own ledger. Without that line, the run was interrupted.
 """
 
 from __future__ import annotations
@@ -80,13 +80,15 @@ class Ledger:
 @dataclass(frozen=True, slots=True)
 class LedgerCheck:
     """A recording compared with its ledger. problems: one line each, none if every byte in the ledger is unchanged;
-    truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run was completed"""
+    truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run was completed
+    source_problems: of a recovered recording, the problems of the one that it was recovered from"""
 
     problems: list[str]
     truncated: bool
     damaged: list[LedgerBlock]
     ended: bool
     committed: int
+    source_problems: list[str]
 
 
 class LedgerWriter:
@@ -113,10 +115,10 @@ class LedgerWriter:
         self.add(known)
         self._at, self._whole = end, whole
 
-    def end(self, counts: Mapping[str, int], losses: Losses) -> None:
+    def end(self, counts: Mapping[str, int], losses: Losses, source_problems: Sequence[str] = ()) -> None:
         """Add the line for the complete recording."""
         told = {"size": self._at, "sha256": self._whole.hexdigest(), "counts": dict(counts), "losses": dict(losses)}
-        self.add({"ended": told})
+        self.add({"ended": told | ({"source_problems": list(source_problems)} if source_problems else {})})
 
     def add(self, content: Mapping[str, Any]) -> None:
         """Write a line, completely or not at all. Raises OSError."""
@@ -142,11 +144,13 @@ def write_ledger(
     losses: Losses | None = None,
     *,
     discarded: Sequence[Mapping[str, object]] = (),
+    source_problems: Sequence[str] = (),
 ) -> Path:
     """Write the ledger of a finished recording: a block for each portion of its index, or the blocks of the ledger that
     grew with it.
 
     counts: what was recorded, by kind; losses: numbers of losses; discarded: see `add_discard`
+    source_problems: see `LedgerCheck`
     """
     path, size = ledger_path(recording), recording.stat().st_size
     grown = [one for one in read_ledger(recording).blocks if one.end <= size] if path.exists() else []
@@ -160,7 +164,7 @@ def write_ledger(
         writer.commit(end)
     for one in discarded:
         writer.add({"discarded": dict(one)})
-    writer.end(counts or {}, losses or {})
+    writer.end(counts or {}, losses or {}, source_problems)
     writer.close()
     new.replace(path)
     return path
@@ -230,10 +234,19 @@ def check_recording(recording: Path) -> LedgerCheck:
         problems.append(f"truncated: {size} bytes where {committed} were recorded{gone}")
     elif ledger.ended is not None and size > committed:
         problems.append(f"{size} bytes where {committed} were recorded")
-    problems += [f"{one} differ from what was recorded" for one in damaged]
+    if len(damaged) > 2 and at == damaged[-1].end and len(damaged) == sum(one.end <= at for one in ledger.blocks):
+        problems.append(f"{_joint(damaged)} differ from what was recorded, every block: is the ledger of another file?")
+    else:
+        problems += [f"{one} differ from what was recorded" for one in damaged]
     if not problems and ledger.ended is not None and (at, whole.hexdigest()) != (size, ledger.ended["sha256"]):
         problems.append("the recording differs from what was recorded")
-    return LedgerCheck(problems, truncated, damaged, ledger.ended is not None, min(committed, size))
+    before = [str(one) for one in (ledger.ended or {}).get("source_problems", ())]
+    return LedgerCheck(problems, truncated, damaged, ledger.ended is not None, min(committed, size), before)
+
+
+def inherited(source_problems: Sequence[str]) -> str:
+    """The damage of a recovered recording in a line."""
+    return f"damaged before it was recovered: {'; '.join(source_problems)}"
 
 
 def read_ledger(recording: Path) -> Ledger:
@@ -310,6 +323,13 @@ def _joined(portions: Sequence[Portion]) -> list[tuple[int, tuple[str, ...], tup
 
 def _span(block: LedgerBlock) -> tuple[float, float] | None:
     return None if block.from_s is None or block.to_s is None else (block.from_s, block.to_s)
+
+
+def _joint(blocks: Sequence[LedgerBlock]) -> LedgerBlock:
+    """Blocks as one."""
+    streams = tuple(dict.fromkeys(name for one in blocks for name in one.streams))
+    times = [time_s for one in blocks for time_s in (one.from_s, one.to_s) if time_s is not None]
+    return LedgerBlock(blocks[0].start, blocks[-1].end, "", streams, min(times, default=None), max(times, default=None))
 
 
 def _named(blocks: Sequence[LedgerBlock]) -> str:

@@ -19,7 +19,7 @@ from deformscope.frames import ColorFrame, DepthFrame, HealthReport, InputFile, 
 from deformscope.images import decode_image
 from deformscope.recording.discards import Discard, discards_of
 from deformscope.recording.item_rows import portions, read_rows
-from deformscope.recording.ledger import check_recording, ledger_path
+from deformscope.recording.ledger import check_recording, inherited, ledger_path
 from deformscope.recording.losses import losses_of
 from deformscope.recording.utf8_path import utf8_path
 from deformscope.rows import FORMAT, READABLE
@@ -59,11 +59,13 @@ class Replay:
     """Content of a recording, read on demand.
 
     trust: skip the comparison with the ledger; has_ledger: there is a ledger, with which its bytes can be compared
+    source_problems: what was damaged before it was recovered, by its compared ledger
     """
 
     def __init__(self, path: Path, *, trust: bool = False) -> None:
         self.path = Path(path)
         self.has_ledger = ledger_path(self.path).exists()
+        self.source_problems: list[str] = []
         self._check(trust)
 
     @cached_property
@@ -224,6 +226,9 @@ class Replay:
         if problems := check.problems:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
             raise InputError("a recording that matches its ledger", problems[0] + more, "an intact copy", self.path)
+        self.source_problems = check.source_problems
+        if check.source_problems:
+            _logger.warning("%s: %s", self.path, inherited(check.source_problems))
 
     def _reader(self) -> RrdReader:
         from rerun.chunk import RrdReader

@@ -63,14 +63,14 @@ def _checked(path: Path) -> dict[str, Any]:
         check = check_recording(path)
     except FileNotFoundError:
         check = None
-    if check is not None and check.ended and not check.problems:
+    if check is not None and check.ended and not check.problems and not check.source_problems:
         return {"sha256": (read_ledger(path).ended or {})["sha256"]}
     with path.open("rb") as file:
         found: dict[str, Any] = {"sha256": hashlib.file_digest(file, "sha256").hexdigest()}
     if check is None:
         return found | {"status": UNCHECKED}
-    if check.problems:
-        return found | {"status": DAMAGED, "damaged": True, "problem": check.problems[0]}
+    if problems := check.problems or check.source_problems:
+        return found | {"status": DAMAGED, "damaged": True, "problem": problems[0]}
     return found | {"status": UNFINISHED}
 
 

@@ -13,7 +13,7 @@ from deformscope.errors import InputError
 from deformscope.file_io import refusal
 from deformscope.recording.facts import is_recoverable
 from deformscope.recording.lateness import RecordingError, check_room
-from deformscope.recording.ledger import Losses, ledger_path, write_ledger
+from deformscope.recording.ledger import Losses, check_recording, ledger_path, write_ledger
 from deformscope.recording.lock import create_locked, is_being_written, one_at_a_time
 from deformscope.recording.rrd_file import merged_path, sync
 
@@ -58,12 +58,14 @@ class RecordingTarget:
             came, hint = "one made during the run", f"the new one: {self.part}"
             raise RecordingError("no file of that name", came, hint, self.path)
         sync(whole)
+        # Its bytes are hashed again below: what differs from the checksums made while it grew has to be known before.
+        problems = check_recording(self.part).problems if whole == self.part else []
         # An older recording's ledger goes first: a ledger that fits no recording must never stand beside one.
         ledger_path(self.path).unlink(missing_ok=True)
         if whole == self.part:
             ledger_path(self.part).replace(ledger_path(self.path))  # its blocks are taken over
         whole.replace(self.path)
-        write_ledger(self.path, counts, losses)
+        write_ledger(self.path, counts, losses, source_problems=problems)
         ledger_path(self.part).unlink(missing_ok=True)
         self.part.unlink(missing_ok=True)  # last, as it is the one that is locked
         sync(self.path.parent)

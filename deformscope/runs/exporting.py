@@ -8,6 +8,7 @@ from deformscope.config import ExportConfig
 from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Table
 from deformscope.recording.export.export import Credits, ExportRequest, export
+from deformscope.recording.ledger import inherited
 from deformscope.recording.losses import named
 from deformscope.recording.reader import Replay
 from deformscope.recording.streams import SCHEMA_VERSION
@@ -44,7 +45,8 @@ def export_recording(config: ExportConfig, progress: Progress) -> ExportResult:
         rows = [(one.entity, f"{one.rows} in {found.folder / one.file}") for one in found.files]
     said = {"recording": config.recording, "schema_version": SCHEMA_VERSION, "format": config.format}
     said |= {"folder": found.folder, "images": found.images, "files": found.files}
-    remarks = [f"losses: {named(replay.losses)}"] if replay.losses else []
+    remarks = [inherited(replay.source_problems)] if replay.source_problems else []
+    remarks += [f"losses: {named(replay.losses)}"] if replay.losses else []
     if "recovered" in replay.outcome or not replay.outcome.get("complete"):
         remarks.append("the recording does not have its run's end: what came after is lost")
     written = counted(sum(one.count for one in found.images) or len(found.files), "image" if found.images else "file")

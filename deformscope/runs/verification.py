@@ -11,7 +11,7 @@ from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.recording.discards import Discard
 from deformscope.recording.facts import Facts, read_facts, run_rrd
-from deformscope.recording.ledger import LedgerCheck, check_recording, read_counts
+from deformscope.recording.ledger import LedgerCheck, check_recording, inherited, read_counts
 from deformscope.recording.lock import is_being_written
 from deformscope.recording.losses import named, to_text, without_frames
 from deformscope.recording.provenance import left_out
@@ -56,7 +56,8 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     if check is None:
         check_magic(path)
     differs = None if check is None else check.problems
-    structure = run_rrd("verify", path)
+    # Without a path: what `recover` makes of it, with its ledger, goes to others.
+    structure = run_rrd("verify", path).removeprefix(f'"{path}": ').replace(str(path), "it")
     if (
         check is not None and check.ended and not differs and "footer" in structure
     ):  # finished without one, as where the disk was short
@@ -71,10 +72,12 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     if facts.damage and "footer" not in structure:
         problems.append(facts.damage)
     unfinished = unfinished and not problems
+    before = [] if check is None else check.source_problems
     counts = (read_counts(path) if differs == [] else {}) or facts.counts  # a damaged ledger says nothing
     reached = "" if facts.until_s is None else f" until {facts.until_s:.1f} s"
     gone = f", but no frame of {', '.join(facts.absent)}" if facts.absent else ""
     state = "damaged" if problems else "interrupted" if unfinished else "readable" if check is None else "whole"
+    state = "damaged before it was recovered" if before and state == "whole" else state
     rows = _rows(facts, check, structure, reached, counts, unfinished=unfinished)
     tables = [Table(rows, caption=f"{path}: {state}")]
     found: dict[str, Any] = {
@@ -84,6 +87,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
         "finished": not unfinished,
         "until_s": facts.until_s,
         "problems": problems,
+        "source_problems": before,
         "truncated": check is not None and check.truncated,
         "committed_bytes": None if check is None else check.committed,
         "damaged": [] if check is None else check.damaged,
@@ -107,6 +111,7 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
         came = f"one of an interrupted run; {kept}"
         error = Damaged("a finished recording", came, f"deformscope recover {path}", path)
     losses = _losses(facts, checked=differs is not None, reached=reached) if error is None else []
+    losses += [inherited(before)] if before and error is None else []
     return VerifyResult(found, tuple(tables), error, tuple(remarks), tuple(losses))
 
 
@@ -170,6 +175,7 @@ def _rows(
         ("bytes", UNCHECKED if check is None else _bytes(check)),
         ("structure", structure or "readable to the end"),
         ("run", f"{ended}{reached}" + (f"; ended {stopped}" if stopped else "")),
+        *(("before", one) for one in ([] if check is None else check.source_problems)),
         *(("discarded", str(Discard(**one))) for one in facts.discarded),
         *((name, str(count)) for name, count in sorted(counts.items()) if count),
         *((f"{name} lost", lost[name]) for name in sorted(lost)),

@@ -143,8 +143,9 @@ def test_a_cut_recording_is_compared_with_its_ledger(killed: Path, capsys: pytes
     write_ledger(killed, {"frames": FRAMES})
     killed.write_bytes(killed.read_bytes()[: round(0.7 * killed.stat().st_size)])
     assert verified(killed, capsys)[0] == 2
-    assert main(["recover", str(killed), "--json", "-"]) == 0
+    assert main(["recover", str(killed), "--json", "-"]) == 3
     recovered = json.loads(capsys.readouterr().out)
+    assert recovered["problems"][0].startswith("truncated: ")
     assert recovered["missing"]["frames"] == FRAMES - recovered["counts"]["frames"] > 0
 
 

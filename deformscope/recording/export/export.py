@@ -187,7 +187,7 @@ def _about(replay: Replay, asked: ExportRequest, tables: RecordingTables) -> dic
     left_out = {"reason": "", "label": ""} if asked.anonymous else {}
     found |= {"complete": bool(replay.outcome.get("complete")), "recovered": "recovered" in replay.outcome}
     found |= {"stopped": "" if asked.anonymous else replay.outcome.get("stopped", ""), "losses": replay.losses}
-    found |= {"checked": replay.has_ledger}
+    found |= {"checked": replay.has_ledger, "source_problems": replay.source_problems}
     found |= {"discarded": [dataclasses.asdict(one) | left_out for one in replay.discarded]}
     return found | {"provenance": exported(replay.properties, anonymous=asked.anonymous)}
 
