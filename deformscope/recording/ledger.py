@@ -81,7 +81,7 @@ class Ledger:
 class LedgerCheck:
     """A recording compared with its ledger. problems: one line each, none if every byte in the ledger is unchanged;
     truncated: bytes are missing at its end; damaged: blocks that differ; ended: the run was completed
-    source_problems: of a recovered recording, the problems of the one that it was recovered from"""
+    source_problems: problems of the original, if this recording was recovered"""
 
     problems: list[str]
     truncated: bool
