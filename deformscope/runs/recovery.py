@@ -32,7 +32,8 @@ def recover_recording(path: Path, out: Path | None = None) -> FoundResult:
         # Not `optimize`, which tears rows apart: what belongs to one frame would lie in several portions.
         facts, damage = salvage(path, readable)
         if facts.damage or not facts.counts:
-            raise InputError("a recording with readable parts", facts.damage or "none of it", where=path)
+            came = "; ".join([facts.damage or "none of it", *before["problems"]])
+            raise InputError("a recording with readable parts", came, where=path)
         _write_ending(ending, facts, path)
         if refused := run_rrd("merge", readable, ending, "-o", whole):
             raise InputError("a recording that can be completed", refused, where=path)
