@@ -20,16 +20,18 @@ from deformscope.experiments.squeeze_frames import (
 )
 from deformscope.experiments.touching_robot import without_long_pauses
 from deformscope.rig.source import RigSource
-from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
-from deformscope.robot.squeeze_robot import SqueezeRobot, SqueezeStopped
+from deformscope.robot.squeeze_plan import CLOSING_AXES, PAD_M, GripShape
+from deformscope.robot.squeeze_robot import KEEP_S, SqueezeRobot, SqueezeStopped
 from deformscope.robot.squeeze_setup import SqueezeSetup
-from deformscope.robot.squeeze_supervisor import ADVICE, SqueezeFault
+from deformscope.robot.squeeze_supervisor import ADVICE, SqueezeFault, gap_m
 from deformscope.session import Inline, Moment, Step
-from deformscope.stages.squeeze.events import BASELINE_FRAMES, EventRule, OnsetDetector, StillDetector
+from deformscope.stages.squeeze.events import BASELINE_FRAMES, ArrayCheck, EventRule, OnsetDetector, StillDetector
 from deformscope.stages.squeeze.trial import SqueezePhase, SqueezeStop
 from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.priority import STEERING, be_prompt
 
+MET_M = 2 * PAD_M + 0.004
+"""Fingertips this near to each other have met: nothing is between them."""
 KEEP_EVERY = 5
 """Control periods of a simulated clock between two portions of the recording."""
 AIR_FRAMES = BASELINE_FRAMES
@@ -43,6 +45,7 @@ RELEASES = (
     SqueezeFault.JOINT_RANGE,
     SqueezeFault.NO_CONTACT,
     SqueezeFault.NOT_STILL,
+    SqueezeFault.CONTRADICTED,
 )
 """Phases after which the hand, once at rest, opens again, so that it does not press for longer."""
 
@@ -232,23 +235,23 @@ class SqueezingHand:
         """Close, hold, open; the events end the phases."""
         robot, squeeze = self._robot, self._setup.squeeze
         onset, still = OnsetDetector(rule_of(self._setup)), StillDetector(rule_of(self._setup))
+        arrays = ArrayCheck(rule_of(self._setup), squeeze.speed_deg_s)
         robot.start()
         self.begin(AIR)
         self._wait_in_the_air(onset)
         with robot.low_current():
             self.begin("close")
             until_ns = self._clock() + round(1e9 * squeeze.contact_timeout_s)
+            arrays.drive(self._clock())
             while not onset.first_ns:
-                robot.cycle(squeeze.speed_deg_s)
-                for frame in robot.tactile_frames:
-                    onset.feed(frame.time_ns, frame.sums)
+                self._close(onset, arrays)
                 if self._clock() > until_ns:
                     robot.fail(SqueezeFault.NO_CONTACT, f"in {squeeze.contact_timeout_s:g} s of closing")
             robot.supervisor.in_contact()
             self.begin("squeeze")
             until_ns = self._clock() + round(1e9 * squeeze.still_timeout_s)
             while not still.steady_ns:
-                robot.cycle(squeeze.speed_deg_s)
+                self._close(onset, arrays)
                 for reading in robot.hand_readings:
                     if reading.stamp.host_ns >= onset.first_ns:
                         still.feed(reading.stamp.host_ns, reading.position_deg[list(CLOSING_AXES)])
@@ -257,11 +260,29 @@ class SqueezingHand:
             self.begin("hold")
             until_ns = self._clock() + round(1e9 * squeeze.hold_s)
             while self._clock() < until_ns:
-                robot.cycle(squeeze.speed_deg_s)
+                self._close(onset, arrays)
         self.restored = robot.restore()
         self.begin(OPEN)
         robot.preshape()
         self.doing = ""
+
+    def _close(self, onset: OnsetDetector, arrays: ArrayCheck) -> None:
+        """One control period of closing. A finger that is held while its array reads nothing, or an array that repeats
+        itself, ends the squeeze."""
+        robot, since_ns = self._robot, self._clock()
+        robot.cycle(self._setup.squeeze.speed_deg_s)
+        if self._clock() - since_ns > KEEP_S * 1e9:  # the hand's driver has set the speed to 0 meanwhile
+            arrays.drive(self._clock())
+        for reading in robot.hand_readings:
+            arrays.feed_hand(reading.stamp.host_ns, reading.position_deg[list(CLOSING_AXES)])
+        for frame in robot.tactile_frames:
+            onset.feed(frame.time_ns, frame.sums)
+            arrays.feed_frame(onset.rise, onset.threshold, frame.texels)
+        if wrong := arrays.contradictions(self._setup.hand.fingers):
+            apart_m = gap_m(robot.hand.latest(1.0).position_deg, self._setup.hand.fingers)
+            if not onset.first_ns and apart_m < MET_M:
+                robot.fail(SqueezeFault.NO_CONTACT, f"the fingertips have met each other, {1e3 * apart_m:.0f} mm apart")
+            robot.fail(SqueezeFault.CONTRADICTED, "; ".join(wrong))
 
     def _wait_in_the_air(self, onset: OnsetDetector) -> None:
         """Take the fingertips' baseline. An existing contact would become the zero."""

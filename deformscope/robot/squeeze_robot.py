@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.rig.squeeze_sections import HandSection, SqueezeSection
 from deformscope.robot.robot import Waits, taken
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
@@ -59,11 +59,12 @@ looks for a lost one after 0.05 s, then less often."""
 @dataclass(frozen=True, slots=True)
 class FingertipFrame:
     """One tactile frame of the two squeezing fingertips. time_ns: arrival; sums: (2,) sums of each fingertip's texels;
-    peak: the highest texel of both [counts]"""
+    peak: highest texel of both [counts]; texels: (rows, columns) counts of each"""
 
     time_ns: int
     sums: FloatArray
     peak: int
+    texels: tuple[IntArray, ...]
 
 
 class SqueezeStopped(Exception):
@@ -261,6 +262,6 @@ class SqueezeRobot:
         )
 
     def _fingertips(self, reading: TactileReading) -> FingertipFrame:
-        pads = [reading.pads[matrix] for matrix in self._matrices]
-        sums = np.array([pad.sum(dtype=np.int64) for pad in pads], np.float64)
-        return FingertipFrame(reading.stamp.host_ns, sums, max(int(pad.max()) for pad in pads))
+        pads = [reading.pads[matrix].astype(np.int64) for matrix in self._matrices]
+        sums = np.array([pad.sum() for pad in pads], np.float64)
+        return FingertipFrame(reading.stamp.host_ns, sums, max(int(pad.max()) for pad in pads), tuple(pads))

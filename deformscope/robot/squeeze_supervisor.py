@@ -42,6 +42,7 @@ class SqueezeFault(StrEnum):
     TOUCHED_BEFORE = "fingertips touched before they closed"
     NO_CONTACT = "no contact"
     NOT_STILL = "no steady state"
+    CONTRADICTED = "tactile arrays contradict the fingers"
     ARM = "arm that carries the hand"
     ASKED = "a person asked"
 
@@ -60,6 +61,8 @@ ADVICE: dict[SqueezeFault, str] = {
     SqueezeFault.TOUCHED_BEFORE: "contacts of the fingertips; open_deg in [squeeze]",
     SqueezeFault.NO_CONTACT: "the container's place between the fingers; onset_counts in [squeeze]",
     SqueezeFault.NOT_STILL: "still_deg, still_s and still_timeout_s in [squeeze]",
+    SqueezeFault.CONTRADICTED: "each array, pressed by hand in deformscope live RIG --stage tactile; whether a finger "
+    "is held next to its array; current_a in [squeeze], which must turn the fingers",
     SqueezeFault.ARM: "the reason for the arm's motion, its cable and supply; the fingers may still hold the container",
 }
 """Advice by fault."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from deformscope.experiments.squeezing_hand import SqueezingHand
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.recording.items import read_items
 from tests.cli.squeeze_rig_on_a_simulated_clock import SimulatedSqueezeRig, use_simulated_squeeze_rigs
+from tests.experiments.toy_squeeze import spoil_arrays
 from tests.verified import verify_here
 
 RIG = """
@@ -160,6 +162,21 @@ def test_a_saturated_texel_while_it_squeezes(
     kept_as_discarded(made[0], found, "tactile array saturated: a texel at ")
 
 
+def test_arrays_that_read_nothing_while_something_holds_the_fingers(
+    rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def spoil(lab: SimulatedSqueezeRig) -> None:
+        lab.at_contact = lambda: spoil_arrays(lab.lab.simulated.pads, "dead")
+
+    made = use_simulated_squeeze_rigs(monkeypatch, spoil)
+    status, found = squeeze(rig, "--dataset", "d")
+
+    assert status == 2
+    said = capsys.readouterr().err
+    assert re.search(r"finger [02] is driven, but stays at -?\d+\.\d deg; its array reads 0 counts", said)
+    kept_as_discarded(made[0], found, "tactile arrays contradict the fingers: finger ")
+
+
 def test_a_ctrl_c_that_comes_later_is_not_the_reason(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,14 +199,14 @@ def test_a_ctrl_c_that_comes_later_is_not_the_reason(
 def test_ctrl_c_on_the_hosts_clock(
     rig: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begin = SqueezingHand._begin
+    begin = SqueezingHand.begin
 
     def began(hand: SqueezingHand, phase: str) -> None:
         begin(hand, phase)
         if phase == "squeeze":
             interrupt()
 
-    monkeypatch.setattr(SqueezingHand, "_begin", began)
+    monkeypatch.setattr(SqueezingHand, "begin", began)
     status, found = squeeze(rig, "--dataset", "d")
 
     assert status == 128 + signal.SIGINT

@@ -24,6 +24,7 @@ from deformscope_drivers.errors import LinkLost
 from deformscope_drivers.jaco import JacoDouble
 from studies.placing import PlacedTrial
 from tests.cases import slow_but
+from tests.experiments.toy_squeeze import spoil_arrays
 
 S = 1_000_000_000
 
@@ -511,3 +512,35 @@ def test_what_is_told_of_a_hand_is_of_a_hand(cause: Fault) -> None:
     words = advice(cause, hand=True)
     assert not re.search(r"\b(tip|stick|tool|force sensor)\b", words)
     assert words != advice(cause)
+
+
+ARRAY_FAULTS = [
+    ("jaco", "close", "dead", (0, 2), 0.3),
+    ("kuka", "squeeze", "dead", (0, 2), 0.0),
+    ("jaco", "squeeze", "dead", (0, 2), 0.0),
+    ("kuka", "close", "dead", (2,), 0.3),
+    ("jaco", "close", "dead", (0,), 0.3),
+    ("jaco", "squeeze", "frozen", (0,), 0.1),
+    ("kuka", "hold", "frozen", (0, 2), 0.0),
+]
+
+
+@pytest.mark.parametrize(("arm", "phase", "fault", "fingers", "later_s"), slow_but(ARRAY_FAULTS[:2], ARRAY_FAULTS))
+def test_arrays_that_contradict_the_fingers_end_the_squeeze_and_stop_the_arm(
+    arm: str, phase: str, fault: str, fingers: tuple[int, ...], later_s: float
+) -> None:
+    """The container is pressed with 4.4 N, which the arrays do not say."""
+    trial = PlacedTrial(arm)
+    trial.at(phase, lambda: spoil_arrays(trial.lab.simulated.pads, fault, fingers), later_s)
+    found = trial.go()
+    assert found.stop is not None
+    assert found.stop.kind == "tactile arrays contradict the fingers"
+    assert f"finger {fingers[0]}" in found.stop.reason
+    assert found.features is None
+    assert found.stop.stands
+    assert found.stop_ns - trial.lab.simulated.truth().contact_ns < 1.5 * S
+    assert "retreat" not in trial.phases
+    assert trial.lab.arm.stopped_because
+    angles = np.array([axis.position_deg for axis in trial.lab.simulated.hand.motion.axes])
+    open_deg = np.array(GripShape.of(trial.setup.container, trial.setup.squeeze).open_deg)
+    np.testing.assert_allclose(angles, open_deg, atol=1.0)

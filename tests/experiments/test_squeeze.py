@@ -14,9 +14,9 @@ from deformscope.experiments.squeeze_frames import ObservedRecorder
 from deformscope.experiments.squeezing_hand import SqueezingHand, observer_of
 from deformscope.recording.recorder import Recorder
 from deformscope.robot.squeeze_robot import SQUEEZE_PERIOD_NS
-from deformscope.robot.squeeze_supervisor import SqueezeFault
+from deformscope.robot.squeeze_supervisor import SqueezeFault, gap_m
 from deformscope.session import run
-from tests.experiments.toy_squeeze import ToySqueeze, closing, limits
+from tests.experiments.toy_squeeze import ToySqueeze, closing, limits, spoil_arrays
 
 BEFORE_A = (1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
 MS = 1_000_000
@@ -235,3 +235,94 @@ def test_a_finger_that_cannot_reach_its_pre_shape_is_refused() -> None:
     session.go()
 
     stopped(session, SqueezeFault.PRESHAPE)
+
+
+# Arrays that contradict the fingers -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("fingers", "bytes_per_s"), [((0, 2), None), ((2,), 11_520.0)])
+@pytest.mark.parametrize(
+    ("phase", "fault"),
+    [
+        ("air", "dead"),
+        ("close", "dead"),
+        ("squeeze", "dead"),
+        ("hold", "dead"),
+        ("squeeze", "frozen"),
+        ("hold", "frozen"),
+    ],
+)
+def test_a_finger_that_is_held_while_its_array_reads_nothing_or_repeats_itself_is_no_trial(
+    phase: str, fault: str, fingers: tuple[int, ...], bytes_per_s: float | None
+) -> None:
+    lab = Watched(bytes_per_s=bytes_per_s)
+    lab.squeeze = dataclasses.replace(lab.squeeze, hold_s=0.6)
+    session, struck_ns = Session(lab), list[int]()
+
+    def began(now: str) -> None:
+        if now == phase:
+            spoil_arrays(lab.dsa_double, fault, fingers)
+            struck_ns.append(lab.clock())
+
+    session.on_phase = began
+    session.go()
+
+    stopped(session, SqueezeFault.CONTRADICTED)
+    assert session.found.stop is not None
+    assert f"finger {fingers[0]}" in session.found.stop.reason
+    held_ns = max(lab.truth.steady_ns, struck_ns[0])
+    assert session.found.stop_ns - held_ns < 0.8e9  # not after the 12 s in which there may be no contact
+    assert lab.angle() == pytest.approx(lab.shape.open_deg[1], abs=0.01)  # and it lets go
+
+
+def test_the_reason_says_where_which_finger_is_held_and_what_its_array_reads() -> None:
+    lab = ToySqueeze()
+    session = Session(lab)
+    session.on_phase = lambda phase: spoil_arrays(lab.dsa_double, "dead", (2,)) if phase == "close" else None
+    found = session.go()
+
+    assert found.stop is not None
+    held = f"finger 2 is driven, but stays at {lab.contact_deg + lab.gives_deg:.1f} deg; its array reads 0 counts"
+    assert held in found.stop.reason
+
+
+def test_fingers_that_meet_each_other_have_nothing_between_them() -> None:
+    lab = ToySqueeze(gives_deg=60.0, stiffness_pa_deg=0.0)
+    while gap_m(np.array(lab.shape.open_deg) + np.isin(range(7), (1, 5)) * lab.gives_deg, (0, 2)) < 0.0215:
+        lab.gives_deg -= 0.1
+    lab.obstruct()
+    session = Session(lab)
+    session.go()
+
+    stopped(session, SqueezeFault.NO_CONTACT)
+
+
+def test_a_hand_that_a_busy_computer_left_alone_for_a_while_contradicts_nothing() -> None:
+    """Its driver sets the speed to 0 where no command comes: fingers in the air that stand then are not held."""
+    lab = ToySqueeze()
+    session, left = Session(lab), list[int]()
+
+    def cycle(hand: SqueezingHand) -> None:
+        if session.phases[-1:] == ["close"] and not left and lab.angle() > lab.shape.open_deg[1] + 4.0:
+            left.append(1)
+            lab.wait_until(lab.clock() + 600 * MS)
+
+    session.on_cycle = cycle
+    found = session.go()
+
+    assert left
+    assert found.stop is None
+    assert found.features is not None
+
+
+@pytest.mark.parametrize("speed_deg_s", [0.5, 20.0])
+def test_a_container_that_hardly_presses_contradicts_nothing_at_any_speed(speed_deg_s: float) -> None:
+    lab = ToySqueeze(stiffness_pa_deg=60.0)
+    lab.squeeze = dataclasses.replace(
+        lab.squeeze, speed_deg_s=speed_deg_s, contact_timeout_s=60.0, still_timeout_s=60.0, still_deg=0.1
+    )
+    session = Session(lab)
+    found = session.go()
+
+    assert found.stop is None
+    assert found.features is not None

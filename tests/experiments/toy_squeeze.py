@@ -4,7 +4,7 @@ Pressures grow with the angle beyond contact, until an obstacle holds the finger
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +51,14 @@ class ToySqueeze:
     gives_deg: how far the fingers go into it; stiffness_pa_deg: pressure of a texel for each degree beyond contact
     """
 
-    def __init__(self, *, gives_deg: float = 3.0, stiffness_pa_deg: float = 150.0, camera: bool = False) -> None:
+    def __init__(
+        self,
+        *,
+        gives_deg: float = 3.0,
+        stiffness_pa_deg: float = 150.0,
+        camera: bool = False,
+        bytes_per_s: float | None = None,
+    ) -> None:
         self.clock = SimulatedClock(1_000_000_000)
         self.squeeze = SqueezeSection(hold_s=0.2)
         self.container = ContainerSection()
@@ -62,7 +69,7 @@ class ToySqueeze:
         self.hand_double.place((60.0, -30.0, 10.0, -60.0, 0.0, -30.0, 10.0))
         self.obstruct()
         self.hand_wire = MemoryTransport(self.hand_double, self.clock, "simulated hand")
-        self.dsa_double = DsaDouble(scene=self._pressures, noise_counts=2.0, bytes_per_s=None)
+        self.dsa_double = DsaDouble(scene=self._pressures, noise_counts=2.0, bytes_per_s=bytes_per_s)
         self.dsa_wire = MemoryTransport(self.dsa_double, self.clock, "simulated pads")
         self.hand = Sdh(SdhConfig(bus="virtual:none", rate_hz=50.0), transport=self.hand_wire, clock=self.clock)
         self.tactile = Dsa(DsaConfig(port="none"), transport=self.dsa_wire, clock=self.clock)
@@ -157,6 +164,24 @@ class ToySqueeze:
             beyond = max(angles[axis] - self.contact_deg, 0.0)
             pads[pad][3:7, 1:4] = beyond * self.stiffness_pa_deg
         return pads
+
+
+def spoil_arrays(pads: DsaDouble, fault: str, fingers: Sequence[int] = (0, 2)) -> None:
+    """From now on the fingertip arrays of some fingers are `dead` (all read 0), or `frozen` (they repeat their next
+    frame)."""
+    exact, sizes = pads.texels, [matrix.cells for matrix in pads.matrices]
+    frozen: list[npt.NDArray[np.uint16]] = []
+
+    def texels(time_s: float) -> npt.NDArray[np.uint16]:
+        counts = exact(time_s)
+        frozen.append(counts.copy())
+        for finger in fingers:
+            first = sum(sizes[: 2 * finger + 1])
+            own = slice(first, first + sizes[2 * finger + 1])
+            counts[own] = 0 if fault == "dead" else frozen[0][own]
+        return counts
+
+    pads.texels = texels  # type: ignore[method-assign]
 
 
 def closing(lab: ToySqueeze) -> bool:

@@ -10,9 +10,11 @@ to the whole recording, in order of time.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
@@ -23,6 +25,12 @@ BASELINE_FRAMES = 6
 """The first frames, in the air, are the baseline."""
 DEVIATIONS = 6.0
 """Deviations of the baseline: a sum that is farther above it is no noise, where that is more than `onset_counts`."""
+DRIVEN_DEG, HELD, STARTS_S = 1.0, 0.25, 0.5
+"""A finger is held if it turns by less than this share of the angle, at least this one, by which it is driven. Time
+that a hand has to begin to turn."""
+UNREAD_FRAMES, REPEATED_FRAMES, LIT_TEXELS = 3, 6, 3
+"""Successive frames without contact of a finger that is held, and equal frames with contact: their number. An array is
+not compared where fewer texels are in contact: noise may repeat these."""
 AT_REST = 1.0 / 3.0
 """Share of `still_deg`: axes at rest came to rest when they were within this of their final angle. `still_deg` itself
 is their rotation in a period or two while they still close."""
@@ -62,7 +70,7 @@ class SqueezeEvents:
 
 class OnsetDetector:
     """Feed each tactile frame's sums; `first_ns` is set once contact is certain, midway between the last frame without
-    it and the first with it."""
+    it and the first with it. rise: (fingers,) the last sums above the baseline [counts]"""
 
     def __init__(self, rule: EventRule) -> None:
         self._rule = rule
@@ -71,6 +79,7 @@ class OnsetDetector:
         self._since: list[int] = []
         self._count: list[int] = []
         self.finger_ns: list[int] = []
+        self.rise: FloatArray = np.zeros(0)
         self.threshold = rule.onset_counts
 
     @property
@@ -87,8 +96,8 @@ class OnsetDetector:
             return False
         air = np.stack(self._air)
         self.threshold = max(self._rule.onset_counts, DEVIATIONS * float(air.std(axis=0).max()))
-        over = np.asarray(sums) - np.median(air, axis=0) > self.threshold
-        for finger, above in enumerate(over):
+        self.rise = np.asarray(sums) - np.median(air, axis=0)
+        for finger, above in enumerate(self.rise > self.threshold):
             if not above:
                 self._count[finger] = 0
                 continue
@@ -127,6 +136,64 @@ class StillDetector:
         """Whether an axis has moved within the window, of positions now (axes,) [deg]."""
         every = np.stack([now, *(one for _, one in self._window)])
         return bool((np.ptp(every, axis=0) > self._rule.still_deg).any())
+
+
+class ArrayCheck:
+    """Whether the fingertips' arrays contradict the fingers: what holds a finger presses its array, and an array that
+    is pressed does not repeat itself. Feed the angles of the axes that are driven, and the frames."""
+
+    def __init__(self, rule: EventRule, speed_deg_s: float) -> None:
+        self._speed_deg_s = speed_deg_s
+        self._window_ns = round(1e9 * max(rule.still_s, DRIVEN_DEG / speed_deg_s))
+        self._angles: deque[tuple[int, FloatArray]] = deque()
+        self._rise: FloatArray = np.zeros(2)
+        self._texels, self._threshold = [np.zeros(0, int)] * 2, rule.onset_counts
+        self._unread, self._equal = np.zeros(2, int), np.zeros(2, int)
+
+    def drive(self, now_ns: int) -> None:
+        """Note that the fingers begin to turn, or do so again after a pause in the commands."""
+        self._from_ns = now_ns + round(1e9 * STARTS_S)
+        self._angles.clear()
+
+    def feed_hand(self, time_ns: int, position_deg: FloatArray) -> None:
+        """position_deg: (2,) angles of the axes that close, in the order of the arrays"""
+        if time_ns >= self._from_ns:
+            self._angles.append((time_ns, np.asarray(position_deg, np.float64)))
+        while len(self._angles) > 1 and time_ns - self._angles[1][0] >= self._window_ns:
+            self._angles.popleft()
+
+    def feed_frame(self, rise: FloatArray, threshold: float, texels: Sequence[IntArray]) -> None:
+        """rise, threshold: (2,) sums above the baseline, and that of a contact [counts]; texels: (rows, columns)
+        counts of each array"""
+        contact = rise > threshold
+        same = [
+            np.count_nonzero(now) >= LIT_TEXELS and np.array_equal(now, before)
+            for now, before in zip(texels, self._texels, strict=True)
+        ]
+        self._rise, self._texels, self._threshold = rise, list(texels), threshold
+        self._unread = np.where(contact, 0, self._unread + 1)
+        self._equal = np.where(contact & np.array(same), self._equal + 1, 0)
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        """(2,) the fingers that are driven, and hardly turn."""
+        since_s = (self._angles[-1][0] - self._angles[0][0]) / 1e9 if self._angles else 0.0
+        if 1e9 * since_s < self._window_ns:
+            return np.zeros(2, bool)
+        turned_deg = self._angles[-1][1] - self._angles[0][1]
+        return np.asarray(turned_deg < HELD * self._speed_deg_s * since_s)
+
+    def contradictions(self, fingers: Sequence[int]) -> list[str]:
+        """The contradictions now, in words. fingers: names of the two"""
+        found = []
+        for at, finger in enumerate(fingers):
+            if self.held[at] and self._unread[at] >= UNREAD_FRAMES:
+                driven = f"finger {finger} is driven, but stays at {self._angles[-1][1][at]:.1f} deg"
+                reads = f"its array reads {self._rise[at]:.0f} counts, less than {self._threshold:.0f} of a contact"
+                found.append(f"{driven}; {reads}")
+            elif self._equal[at] >= REPEATED_FRAMES - 1:
+                found.append(f"the array of finger {finger} repeats a frame of {self._rise[at]:.0f} counts")
+        return found
 
 
 def squeeze_events(
