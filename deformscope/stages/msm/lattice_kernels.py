@@ -11,6 +11,7 @@ or a particle always stay 0, so that windows may extend beyond the edges without
 """
 
 import functools
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -46,33 +47,11 @@ def motion_for(scalar: Any) -> Any:
 
 
 @functools.cache
-def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
-    """The functions for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
-
-    window: cells of a cluster along every axis, each summed separately, narrow ones along two axes together: a GPU then
-    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, given by the grid
-    """
+def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
+    """The struct types that the passes take, for `dim` = 2 or 3 and lanes of `width` numbers of type `scalar`."""
     numbers = wp.array(dtype=scalar)
     Motion = motion_for(scalar)
-    lanes = lanes_for(width, scalar)
-    lane, own, times, below = lanes.lane, lanes.own, lanes.times, lanes.below
-    vecs = rows_for(dim, width, scalar)
-    maps = rows_for(dim * dim, width, scalar)
-    load, store, add, row, with_row = vecs.load, vecs.store, vecs.add, vecs.row, vecs.with_row
-    scale, own_mean = vecs.scale, vecs.own
-    own_map, store_map, only_map = maps.own, maps.store, maps.choose
-    product = product_for(dim, dim, dim, width, scalar)
     cluster = cluster_functions_for(dim, dim, scalar, width)
-    own_moments = rows_for(dim * (dim + 1) // 2, width, scalar).own
-    one = scalar(1.0)
-    both = 0 < window <= BOTH
-    number = f"wp::{scalar.__name__}"
-    each = f"for (int l = 0; l < {width}; ++l)"
-    moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(dim))
-    far = scalar(FAR)
-
-    def matrix_c(rows: int) -> str:
-        return f"wp::mat_t<{rows}, {width}, {number}>"
 
     @wp.struct
     class Grid:
@@ -169,6 +148,43 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         pair_out: numbers
         ran_away: Ints
 
+    return members(Grid, Site, Fields, Passes, Motion=Motion)
+
+
+@dataclass(frozen=True, eq=False)
+class PassHelpers:
+    """What the functions of all passes share.
+
+    both: whether windows along the fast and the middle axis are summed together; vecs, maps: rows of vectors and of
+    matrices of lanes; types: see `lattice_types_for`; all others: functions of `pass_helpers_for`
+    """
+
+    dim: int
+    scalar: Any
+    width: int
+    both: bool
+    numbers: Any
+    lanes: SimpleNamespace
+    vecs: SimpleNamespace
+    maps: SimpleNamespace
+    types: SimpleNamespace
+    middle: Any
+    cells_of: Any
+    run_of: Any
+    plane_share: Any
+    share_of: Any
+    particle_own: Any
+    ahead: Any
+
+
+def pass_helpers_for(dim: int, scalar: Any, width: int, window: int) -> PassHelpers:
+    """The helpers for windows of `window` cells along every axis, or (0) as the grid gives them."""
+    numbers = wp.array(dtype=scalar)
+    lanes, vecs = lanes_for(width, scalar), rows_for(dim, width, scalar)
+    types = lattice_types_for(dim, scalar, width)
+    Grid, Motion = types.Grid, types.Motion
+    lane, own, one = lanes.lane, lanes.own, scalar(1.0)
+
     @wp.func
     def middle(window_here: int):
         return scalar(0.5) * scalar(window_here - 1)
@@ -186,81 +202,6 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             return wp.static(1)
         else:  # noqa: RET505
             return asked
-
-    @wp.func
-    def slide_in(
-        source: numbers,
-        row_in: int,
-        first: int,
-        step: int,
-        window_here: int,
-        run: int,
-        stride: int,
-        target: numbers,
-        row_sum: int,
-        row_moment: int,
-        count: int,
-    ):
-        """Sums of a vector over `run` windows, from the one at `first` on; with row_moment >= 0 also first moments."""
-        total = vecs.rows()
-        moment = vecs.rows()
-        h = middle(cells_of(window_here))
-        at = first + row_in * stride
-        for k in range(cells_of(window_here)):
-            v = load(source, at + k * step, stride)
-            total = add(total, one, v)
-            if row_moment >= 0:
-                moment = add(moment, scalar(k) - h, v)
-        for j in range(run_of(run)):
-            place = first + j * step
-            store(target, place + row_sum * stride, stride, total, count)
-            if row_moment >= 0:
-                store(target, place + row_moment * stride, stride, moment, count)
-            if j + 1 < run_of(run):
-                leaves = load(source, place + row_in * stride, stride)
-                enters = load(source, place + row_in * stride + window_here * step, stride)
-                if row_moment >= 0:
-                    moment = add(add(add(moment, -one, total), one + h, leaves), h, enters)
-                total = add(add(total, -one, leaves), one, enters)
-
-    @wp.func
-    def slide_out(
-        source: numbers,
-        row_in: int,
-        row_slope: int,
-        first: int,
-        step: int,
-        window_here: int,
-        run: int,
-        stride: int,
-        target: numbers,
-        row_sum: int,
-        count: int,
-    ):
-        """Sums over the clusters of a place, of a vector and (if row_slope >= 0) of a slope times its offset."""
-        total = vecs.rows()
-        slopes = vecs.rows()
-        h = middle(cells_of(window_here))
-        for k in range(cells_of(window_here)):
-            at = first - k * step
-            total = add(total, one, load(source, at + row_in * stride, stride))
-            if row_slope >= 0:
-                slope = load(source, at + row_slope * stride, stride)
-                total = add(total, scalar(k) - h, slope)
-                slopes = add(slopes, one, slope)
-        for j in range(run_of(run)):
-            place = first + j * step
-            store(target, place + row_sum * stride, stride, total, count)
-            if j + 1 < run_of(run):
-                leaves = place - (window_here - 1) * step
-                enters = place + step
-                total = add(total, -one, load(source, leaves + row_in * stride, stride))
-                total = add(total, one, load(source, enters + row_in * stride, stride))
-                if row_slope >= 0:
-                    old = load(source, leaves + row_slope * stride, stride)
-                    new = load(source, enters + row_slope * stride, stride)
-                    total = add(add(add(total, one, slopes), -one - h, old), -h, new)
-                    slopes = add(add(slopes, -one, old), one, new)
 
     @wp.func
     def plane_share(grid: Grid, item: int):
@@ -283,6 +224,37 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             count = count_1 * grid.line - in_line
         cell = plane * grid.plane + first * grid.line + in_line
         return cell, wp.min(grid.run_1, count_1 - first), count
+
+    @wp.func
+    def particle_own(values: numbers, cell: int, abreast: int):
+        """Data of a particle, for the lanes at `cell` (of one group); one value if all are alike."""
+        if values.shape[0] == 1:
+            return own(values, 0, 0)
+        if wp.static(width == 1) or abreast == 1:
+            return own(values, cell, 1)
+        return own(values, cell / abreast, 0)
+
+    @wp.func
+    def ahead(grid: Grid, u: vecs.rows, before_in: numbers, motion: Motion, free: numbers, here: int, cell: int):
+        """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
+        back = vecs.add(u, -one, vecs.load(before_in, here, grid.stride))
+        moves = vecs.rows()
+        moves = vecs.add(moves, motion.going_on, back)
+        for k in range(wp.static(dim)):
+            moves = vecs.with_row(moves, k, vecs.row(moves, k) + lane(motion.push[k]))
+        return vecs.add(u, one, vecs.scale(moves, particle_own(free, cell, grid.abreast)))
+
+    maps = rows_for(dim * dim, width, scalar)
+    shared = (dim, scalar, width, 0 < window <= BOTH, numbers, lanes, vecs, maps, types)
+    return PassHelpers(*shared, middle, cells_of, run_of, plane_share, share_of, particle_own, ahead)
+
+
+def windows_fast_for(helpers: PassHelpers) -> Any:
+    """The pass along the fast axis, and for narrow windows along the middle axis too."""
+    dim, scalar, both, numbers, vecs = helpers.dim, helpers.scalar, helpers.both, helpers.numbers, helpers.vecs
+    Passes, one = helpers.types.Passes, scalar(1.0)
+    middle, cells_of, plane_share, share_of = helpers.middle, helpers.cells_of, helpers.plane_share, helpers.share_of
+    particle_own, ahead = helpers.particle_own, helpers.ahead
 
     @wp.func
     def windows_fast(
@@ -311,40 +283,66 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             along = vecs.rows()
             for k in range(cells_of(grid.window_2)):
                 away = j * grid.line + k * grid.abreast
-                v = load(u_in, offset + at + away, grid.stride)
+                v = vecs.load(u_in, offset + at + away, grid.stride)
                 if motion.stepping != 0:
                     v = ahead(grid, v, before_in, motion, fields.free, before_offset + at + away, cell + away)
-                v = scale(v, particle_own(fields.mass, cell + away, grid.abreast))
-                along = add(along, one, v)
-                fast = add(fast, scalar(k) - h, v)
-            total = add(total, one, along)
-            mid = add(mid, scalar(j) - h_1, along)
+                v = vecs.scale(v, particle_own(fields.mass, cell + away, grid.abreast))
+                along = vecs.add(along, one, v)
+                fast = vecs.add(fast, scalar(k) - h, v)
+            total = vecs.add(total, one, along)
+            mid = vecs.add(mid, scalar(j) - h_1, along)
         if wp.static(both):
-            store(fields.sums_middle, at, grid.stride, total, count)
-            store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
-            store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
+            vecs.store(fields.sums_middle, at, grid.stride, total, count)
+            vecs.store(fields.sums_middle, at + d * grid.stride, grid.stride, mid, count)
+            vecs.store(fields.sums_middle, at + 2 * d * grid.stride, grid.stride, fast, count)
         else:
-            store(fields.sums_fast, at, grid.stride, total, count)
-            store(fields.sums_fast, at + d * grid.stride, grid.stride, fast, count)
+            vecs.store(fields.sums_fast, at, grid.stride, total, count)
+            vecs.store(fields.sums_fast, at + d * grid.stride, grid.stride, fast, count)
+
+    return windows_fast
+
+
+def windows_middle_for(helpers: PassHelpers) -> Any:
+    """The pass along the middle axis."""
+    dim, scalar, numbers, vecs = helpers.dim, helpers.scalar, helpers.numbers, helpers.vecs
+    Passes, one = helpers.types.Passes, scalar(1.0)
+    middle, cells_of, run_of, share_of = helpers.middle, helpers.cells_of, helpers.run_of, helpers.share_of
 
     @wp.func
-    def particle_own(values: numbers, cell: int, abreast: int):
-        """Data of a particle, for the lanes at `cell` (of one group); one value if all are alike."""
-        if values.shape[0] == 1:
-            return own(values, 0, 0)
-        if wp.static(width == 1) or abreast == 1:
-            return own(values, cell, 1)
-        return own(values, cell / abreast, 0)
-
-    @wp.func
-    def ahead(grid: Grid, u: vecs.rows, before_in: numbers, motion: Motion, free: numbers, here: int, cell: int):
-        """x* of eq. 3.1, 3.2: where the last motion and the push would take a free particle."""
-        back = add(u, -one, load(before_in, here, grid.stride))
-        moves = vecs.rows()
-        moves = add(moves, motion.going_on, back)
-        for k in range(wp.static(dim)):
-            moves = with_row(moves, k, row(moves, k) + lane(motion.push[k]))
-        return add(u, one, scale(moves, particle_own(free, cell, grid.abreast)))
+    def slide_in(
+        source_in: numbers,
+        row_in: int,
+        first: int,
+        step: int,
+        window_here: int,
+        run: int,
+        stride: int,
+        target_out: numbers,
+        row_sum: int,
+        row_moment: int,
+        count: int,
+    ):
+        """Sums of a vector over `run` windows, from the one at `first` on; with row_moment >= 0 also first moments."""
+        total = vecs.rows()
+        moment = vecs.rows()
+        h = middle(cells_of(window_here))
+        at = first + row_in * stride
+        for k in range(cells_of(window_here)):
+            v = vecs.load(source_in, at + k * step, stride)
+            total = vecs.add(total, one, v)
+            if row_moment >= 0:
+                moment = vecs.add(moment, scalar(k) - h, v)
+        for j in range(run_of(run)):
+            place = first + j * step
+            vecs.store(target_out, place + row_sum * stride, stride, total, count)
+            if row_moment >= 0:
+                vecs.store(target_out, place + row_moment * stride, stride, moment, count)
+            if j + 1 < run_of(run):
+                leaves = vecs.load(source_in, place + row_in * stride, stride)
+                enters = vecs.load(source_in, place + row_in * stride + window_here * step, stride)
+                if row_moment >= 0:
+                    moment = vecs.add(vecs.add(vecs.add(moment, -one, total), one + h, leaves), h, enters)
+                total = vecs.add(vecs.add(total, -one, leaves), one, enters)
 
     @wp.func
     def windows_middle(passes: Passes, group: int, item: int):
@@ -357,6 +355,21 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         target = passes.fields.sums_middle
         slide_in(source, 0, at, grid.line, grid.window_1, steps, grid.stride, target, 0, d, count)
         slide_in(source, d, at, grid.line, grid.window_1, steps, grid.stride, target, 2 * d, -1, count)
+
+    return windows_middle
+
+
+def map_functions_for(helpers: PassHelpers) -> SimpleNamespace:
+    """The functions that make a cluster's map of its moments."""
+    dim, width, numbers, lanes = helpers.dim, helpers.width, helpers.numbers, helpers.lanes
+    vecs, maps = helpers.vecs, helpers.maps
+    Grid, Site, lane, own = helpers.types.Grid, helpers.types.Site, lanes.lane, lanes.own
+    number = f"wp::{helpers.scalar.__name__}"
+    each = f"for (int l = 0; l < {width}; ++l)"
+    moved = " + ".join(f"mean.data[{a}][l] * slopes.data[{a * dim} + i][l]" for a in range(dim))
+
+    def matrix_c(rows: int) -> str:
+        return f"wp::mat_t<{rows}, {width}, {number}>"
 
     @wp.func_native(
         f"{matrix_c(dim * dim)} r; for (int a = 0; a < {dim}; ++a) for (int i = 0; i < {dim}; ++i) {each}"
@@ -397,92 +410,145 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             return own(values, group, 0)
         return own(values, group * grid.abreast, 1)
 
-    def fits(changing: bool, name: str) -> Any:
-        """The function that ends the window sums, and computes a cluster's goal map from its moments, or with
-        `changing` its derivative along them."""
+    return members(centred, shift_of, stacked, rest_place, parameter)
 
-        @wp.func(name=f"{name}_at")
-        def solve(passes: Passes, at: int, cell: int, group: int, total: vecs.rows, moments: maps.rows, count: int):
-            """The goal map as sums for the particles: a shift, and slopes by axis."""
-            grid = passes.grid
-            site = passes.site
-            rest = passes.rest
-            kept = passes.kept
-            fields = passes.fields
-            place, valid_place, differ = rest_place(grid, site, cell)
-            valid = own(site.valid, valid_place, differ)
-            step = differ * site.step
-            mean = own_mean(site.mean, place, site.stride, step)
-            moments = centred(moments, mean, total, valid)
-            affine_t = product(own_map(site.affine, place, site.stride, step), moments)
-            change_t = product(own_map(site.moment, place, site.stride, step), moments)
-            beta = parameter(grid, fields.beta, fields.beta_stride, group, cell)
-            theta = parameter(grid, fields.theta, 0, group, cell)
-            volume = fields.volume
-            if wp.static(changing):
-                t = cluster.turned_change(kept, at, change_t)
-                blend_t = cluster.blend_change(rest, place, step, kept, at, affine_t, t, beta, theta, volume)
-            else:
-                a_qq = own_moments(rest.a_qq, place, rest.stride, step)
-                t = cluster.turned(kept, at, count, a_qq, change_t)
-                blend_t = cluster.blend(
-                    rest, place, step, kept, at, count, affine_t, t, beta, theta, volume, fields.what
-                )
-            slopes = product(own_map(site.edge_t, 0, 1, 0), blend_t)
-            share = own(site.share, place, step)
-            if fields.what != wp.static(GOAL):
-                share = lane()
-            store(fields.maps, at, grid.stride, shift_of(total, share, mean, slopes, valid), count)
-            store_map(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, only_map(valid, slopes), count)
 
-        @wp.func(name=name)
-        def windows(passes: Passes, group: int, item: int):
-            """Windows along the slow axis, and with them each cluster's map."""
-            grid = passes.grid
-            segment = item / grid.blocks_clusters
-            in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
-            first = segment * grid.run_0
-            steps = wp.min(grid.run_0, grid.clusters_0 - first)
-            count = grid.cluster_end - in_plane
-            base = grid.front + group * grid.group
-            d = wp.static(dim)
-            source = passes.fields.sums_middle
-            if wp.static(dim) == 2:
-                at = base + in_plane
-                slow = load(source, at + d * grid.stride, grid.stride)
-                fast = load(source, at + 2 * d * grid.stride, grid.stride)
-                total = load(source, at, grid.stride)
-                solve(passes, at, in_plane, group, total, stacked(slow, fast, fast), count)
-            if wp.static(dim) == 3:
-                h = middle(cells_of(grid.window_0))
-                total = vecs.rows()
-                slow = vecs.rows()
-                mid = vecs.rows()
-                fast = vecs.rows()
-                at = base + first * grid.plane + in_plane
-                for k in range(cells_of(grid.window_0)):
-                    here = at + k * grid.plane
-                    v = load(source, here, grid.stride)
-                    total = add(total, one, v)
-                    slow = add(slow, scalar(k) - h, v)
-                    mid = add(mid, one, load(source, here + d * grid.stride, grid.stride))
-                    fast = add(fast, one, load(source, here + 2 * d * grid.stride, grid.stride))
-                for j in range(run_of(steps)):
-                    place = at + j * grid.plane
-                    cell = (first + j) * grid.plane + in_plane
-                    solve(passes, place, cell, group, total, stacked(slow, mid, fast), count)
-                    if j + 1 < run_of(steps):
-                        over = grid.window_0 * grid.plane
-                        leaves = load(source, place, grid.stride)
-                        enters = load(source, place + over, grid.stride)
-                        slow = add(add(add(slow, -one, total), one + h, leaves), h, enters)
-                        total = add(add(total, -one, leaves), one, enters)
-                        mid = add(mid, -one, load(source, place + d * grid.stride, grid.stride))
-                        mid = add(mid, one, load(source, place + d * grid.stride + over, grid.stride))
-                        fast = add(fast, -one, load(source, place + 2 * d * grid.stride, grid.stride))
-                        fast = add(fast, one, load(source, place + 2 * d * grid.stride + over, grid.stride))
+def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, name: str) -> Any:
+    """The pass along the slow axis, which ends the window sums and computes each cluster's goal map from its moments,
+    or with `changing` its derivative along them; functions: of `map_functions_for`."""
+    dim, scalar, width, vecs, maps = helpers.dim, helpers.scalar, helpers.width, helpers.vecs, helpers.maps
+    Passes, lane, own, one = helpers.types.Passes, helpers.lanes.lane, helpers.lanes.own, scalar(1.0)
+    middle, cells_of, run_of = helpers.middle, helpers.cells_of, helpers.run_of
+    cluster = cluster_functions_for(dim, dim, scalar, width)
+    product = product_for(dim, dim, dim, width, scalar)
+    moments_own = rows_for(dim * (dim + 1) // 2, width, scalar).own
 
-        return windows
+    @wp.func(name=f"{name}_at")
+    def solve(passes: Passes, at: int, cell: int, group: int, total: vecs.rows, moments: maps.rows, count: int):
+        """The goal map as sums for the particles: a shift, and slopes by axis."""
+        grid = passes.grid
+        site = passes.site
+        rest = passes.rest
+        kept = passes.kept
+        fields = passes.fields
+        place, valid_place, differ = functions.rest_place(grid, site, cell)
+        valid = own(site.valid, valid_place, differ)
+        step = differ * site.step
+        mean = vecs.own(site.mean, place, site.stride, step)
+        moments = functions.centred(moments, mean, total, valid)
+        affine_t = product(maps.own(site.affine, place, site.stride, step), moments)
+        change_t = product(maps.own(site.moment, place, site.stride, step), moments)
+        beta = functions.parameter(grid, fields.beta, fields.beta_stride, group, cell)
+        theta = functions.parameter(grid, fields.theta, 0, group, cell)
+        volume = fields.volume
+        if wp.static(changing):
+            t = cluster.turned_change(kept, at, change_t)
+            blend_t = cluster.blend_change(rest, place, step, kept, at, affine_t, t, beta, theta, volume)
+        else:
+            a_qq = moments_own(rest.a_qq, place, rest.stride, step)
+            t = cluster.turned(kept, at, count, a_qq, change_t)
+            blend_t = cluster.blend(rest, place, step, kept, at, count, affine_t, t, beta, theta, volume, fields.what)
+        slopes = product(maps.own(site.edge_t, 0, 1, 0), blend_t)
+        share = own(site.share, place, step)
+        if fields.what != wp.static(GOAL):
+            share = lane()
+        vecs.store(fields.maps, at, grid.stride, functions.shift_of(total, share, mean, slopes, valid), count)
+        maps.store(fields.maps, at + wp.static(dim) * grid.stride, grid.stride, maps.choose(valid, slopes), count)
+
+    @wp.func(name=name)
+    def windows(passes: Passes, group: int, item: int):
+        """Windows along the slow axis, and with them each cluster's map."""
+        grid = passes.grid
+        segment = item / grid.blocks_clusters
+        in_plane = (item - segment * grid.blocks_clusters) * wp.static(width)
+        first = segment * grid.run_0
+        steps = wp.min(grid.run_0, grid.clusters_0 - first)
+        count = grid.cluster_end - in_plane
+        base = grid.front + group * grid.group
+        d = wp.static(dim)
+        source = passes.fields.sums_middle
+        if wp.static(dim) == 2:
+            at = base + in_plane
+            slow = vecs.load(source, at + d * grid.stride, grid.stride)
+            fast = vecs.load(source, at + 2 * d * grid.stride, grid.stride)
+            total = vecs.load(source, at, grid.stride)
+            solve(passes, at, in_plane, group, total, functions.stacked(slow, fast, fast), count)
+        if wp.static(dim) == 3:
+            h = middle(cells_of(grid.window_0))
+            total = vecs.rows()
+            slow = vecs.rows()
+            mid = vecs.rows()
+            fast = vecs.rows()
+            at = base + first * grid.plane + in_plane
+            for k in range(cells_of(grid.window_0)):
+                here = at + k * grid.plane
+                v = vecs.load(source, here, grid.stride)
+                total = vecs.add(total, one, v)
+                slow = vecs.add(slow, scalar(k) - h, v)
+                mid = vecs.add(mid, one, vecs.load(source, here + d * grid.stride, grid.stride))
+                fast = vecs.add(fast, one, vecs.load(source, here + 2 * d * grid.stride, grid.stride))
+            for j in range(run_of(steps)):
+                place = at + j * grid.plane
+                cell = (first + j) * grid.plane + in_plane
+                solve(passes, place, cell, group, total, functions.stacked(slow, mid, fast), count)
+                if j + 1 < run_of(steps):
+                    over = grid.window_0 * grid.plane
+                    leaves = vecs.load(source, place, grid.stride)
+                    enters = vecs.load(source, place + over, grid.stride)
+                    slow = vecs.add(vecs.add(vecs.add(slow, -one, total), one + h, leaves), h, enters)
+                    total = vecs.add(vecs.add(total, -one, leaves), one, enters)
+                    mid = vecs.add(mid, -one, vecs.load(source, place + d * grid.stride, grid.stride))
+                    mid = vecs.add(mid, one, vecs.load(source, place + d * grid.stride + over, grid.stride))
+                    fast = vecs.add(fast, -one, vecs.load(source, place + 2 * d * grid.stride, grid.stride))
+                    fast = vecs.add(fast, one, vecs.load(source, place + 2 * d * grid.stride + over, grid.stride))
+
+    return windows
+
+
+def spreads_for(helpers: PassHelpers) -> tuple[Any, Any]:
+    """The passes along the slow and along the middle axis from clusters back to particles."""
+    dim, scalar, width, numbers, vecs = helpers.dim, helpers.scalar, helpers.width, helpers.numbers, helpers.vecs
+    Passes, one = helpers.types.Passes, scalar(1.0)
+    middle, cells_of, run_of, share_of = helpers.middle, helpers.cells_of, helpers.run_of, helpers.share_of
+
+    @wp.func
+    def slide_out(
+        source_in: numbers,
+        row_in: int,
+        row_slope: int,
+        first: int,
+        step: int,
+        window_here: int,
+        run: int,
+        stride: int,
+        target_out: numbers,
+        row_sum: int,
+        count: int,
+    ):
+        """Sums over the clusters of a place, of a vector and (if row_slope >= 0) of a slope times its offset."""
+        total = vecs.rows()
+        slopes = vecs.rows()
+        h = middle(cells_of(window_here))
+        for k in range(cells_of(window_here)):
+            at = first - k * step
+            total = vecs.add(total, one, vecs.load(source_in, at + row_in * stride, stride))
+            if row_slope >= 0:
+                slope = vecs.load(source_in, at + row_slope * stride, stride)
+                total = vecs.add(total, scalar(k) - h, slope)
+                slopes = vecs.add(slopes, one, slope)
+        for j in range(run_of(run)):
+            place = first + j * step
+            vecs.store(target_out, place + row_sum * stride, stride, total, count)
+            if j + 1 < run_of(run):
+                leaves = place - (window_here - 1) * step
+                enters = place + step
+                total = vecs.add(total, -one, vecs.load(source_in, leaves + row_in * stride, stride))
+                total = vecs.add(total, one, vecs.load(source_in, enters + row_in * stride, stride))
+                if row_slope >= 0:
+                    old = vecs.load(source_in, leaves + row_slope * stride, stride)
+                    new = vecs.load(source_in, enters + row_slope * stride, stride)
+                    total = vecs.add(vecs.add(vecs.add(total, one, slopes), -one - h, old), -h, new)
+                    slopes = vecs.add(vecs.add(slopes, -one, old), one, new)
 
     @wp.func
     def spread_slow(passes: Passes, group: int, item: int):
@@ -513,6 +579,18 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         slide_out(source, 0, d, at, grid.line, grid.window_1, steps, grid.stride, target, 0, count)
         slide_out(source, 2 * d, -1, at, grid.line, grid.window_1, steps, grid.stride, target, d, count)
 
+    return spread_slow, spread_middle
+
+
+def finish_for(helpers: PassHelpers) -> Any:
+    """The last pass, along the fast axis (and for narrow windows along the middle axis too)."""
+    dim, scalar, width, both = helpers.dim, helpers.scalar, helpers.width, helpers.both
+    numbers, lanes, vecs = helpers.numbers, helpers.lanes, helpers.vecs
+    Passes, one, far = helpers.types.Passes, scalar(1.0), scalar(FAR)
+    middle, cells_of, plane_share = helpers.middle, helpers.cells_of, helpers.plane_share
+    particle_own, ahead = helpers.particle_own, helpers.ahead
+    lane, times, below = lanes.lane, lanes.times, lanes.below
+
     @wp.func(inline=False)  # rare
     def hold_back(new: vecs.rows, u: vecs.rows, ran_away: Ints, first: int, step: int, count: int):
         """A particle that would run away stays, and marks its candidate."""
@@ -533,15 +611,15 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
         offset: int,
         before_in: numbers,
         before_offset: int,
-        out: numbers,
+        goals_out: numbers,
         group: int,
         item: int,
     ):
         """Along the fast axis, and with it the mean goal of each particle (eq. 3.15), less where it is; 0 if held.
 
         Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number
-        of `u_in` to that of the field meant, and the same in `out`; before_offset: the same of `before_in`, and of
-        `out` when stepping. Narrow windows along the middle axis too: see `spread_middle`.
+        of `u_in` to that of the field meant, and the same in `goals_out`; before_offset: the same of `before_in`, and
+        of `goals_out` when stepping. Narrow windows along the middle axis too: see `spread_middle`.
         """
         grid = passes.grid
         fields = passes.fields
@@ -559,40 +637,58 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
             for k in range(cells_of(grid.window_2)):
                 here = at - j * grid.line - k * grid.abreast
                 if wp.static(both):
-                    total = add(total, one, load(fields.maps_slow, here, grid.stride))
-                    slope = load(fields.maps_slow, here + d * grid.stride, grid.stride)
-                    total = add(total, scalar(j) - h_1, slope)
-                    total = add(total, scalar(k) - h, load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride))
+                    total = vecs.add(total, one, vecs.load(fields.maps_slow, here, grid.stride))
+                    slope = vecs.load(fields.maps_slow, here + d * grid.stride, grid.stride)
+                    total = vecs.add(total, scalar(j) - h_1, slope)
+                    total = vecs.add(
+                        total, scalar(k) - h, vecs.load(fields.maps_slow, here + 2 * d * grid.stride, grid.stride)
+                    )
                 else:
-                    total = add(total, one, load(fields.maps_middle, here, grid.stride))
-                    total = add(total, scalar(k) - h, load(fields.maps_middle, here + d * grid.stride, grid.stride))
-        goal = scale(total, particle_own(fields.pull, cell, grid.abreast))
-        u = load(u_in, offset + at, grid.stride)
+                    total = vecs.add(total, one, vecs.load(fields.maps_middle, here, grid.stride))
+                    total = vecs.add(
+                        total, scalar(k) - h, vecs.load(fields.maps_middle, here + d * grid.stride, grid.stride)
+                    )
+        goal = vecs.scale(total, particle_own(fields.pull, cell, grid.abreast))
+        u = vecs.load(u_in, offset + at, grid.stride)
         is_free = particle_own(fields.free, cell, grid.abreast)
         if motion.stepping == 0:
             if fields.what == wp.static(GOAL):
-                goal = add(goal, -one, scale(u, is_free))
+                goal = vecs.add(goal, -one, vecs.scale(u, is_free))
             for i in range(wp.static(dim)):
                 if i == fields.held_axis:
-                    goal = with_row(goal, i, times(row(goal, i), particle_own(fields.sides, cell, grid.abreast)))
-            store(out, offset + at, grid.stride, goal, count)
+                    goal = vecs.with_row(
+                        goal, i, times(vecs.row(goal, i), particle_own(fields.sides, cell, grid.abreast))
+                    )
+            vecs.store(goals_out, offset + at, grid.stride, goal, count)
         else:
             star = ahead(grid, u, before_in, motion, fields.free, before_offset + at, cell)
-            new = add(star, motion.alpha, add(goal, -one, scale(star, is_free)))
+            new = vecs.add(star, motion.alpha, vecs.add(goal, -one, vecs.scale(star, is_free)))
             length2 = lane()
             for i in range(wp.static(dim)):
-                length2 += times(row(new, i), row(new, i))
+                length2 += times(vecs.row(new, i), vecs.row(new, i))
             if below(length2, far * far) == 0:
                 first, step = group * grid.abreast, wp.min(grid.abreast - 1, 1)
                 new = hold_back(new, u, passes.ran_away, first, step, count)
-            store(out, before_offset + at, grid.stride, new, count)
+            vecs.store(goals_out, before_offset + at, grid.stride, new, count)
 
+    return finish
+
+
+@functools.cache
+def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) -> SimpleNamespace:
+    """The passes for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
+
+    window: cells of a cluster along every axis, each summed separately, narrow ones along two axes together: a GPU then
+    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, given by the grid
+    """
+    helpers = pass_helpers_for(dim, scalar, width, window)
+    maps = map_functions_for(helpers)
     return members(
-        *(Grid, Site, Fields, Passes, windows_fast, windows_middle, spread_slow, spread_middle, finish),
-        fit_clusters=fits(False, "fit_clusters"),
-        fit_changes=fits(True, "fit_changes"),
-        Motion=Motion,
-        both=both,
+        *(windows_fast_for(helpers), windows_middle_for(helpers), *spreads_for(helpers), finish_for(helpers)),
+        fit_clusters=fit_for(helpers, maps, False, "fit_clusters"),
+        fit_changes=fit_for(helpers, maps, True, "fit_changes"),
+        both=helpers.both,
+        **vars(helpers.types),
     )
 
 
