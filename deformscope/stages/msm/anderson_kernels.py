@@ -1,4 +1,4 @@
-"""Warp kernels of Anderson's acceleration, over fields as `iteration_kernels` takes them."""
+"""Warp kernels of Anderson's acceleration, over fields as `newton_functions` takes them."""
 
 import functools
 from types import SimpleNamespace
@@ -6,10 +6,10 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, RUNNING, STALLED, newton_functions_for
 from deformscope.stages.msm.lanes import Doubles, Ints, rows_for
 from deformscope.stages.msm.lattice_kernels import FAR
 from deformscope.stages.msm.members import kernel_in, members
+from deformscope.stages.msm.newton_functions import CONVERGED, DIVERGED, RUNNING, STALLED, sum_functions_for
 
 MEMORY = 8
 """Earlier iterates that Anderson's acceleration combines."""
@@ -28,7 +28,7 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
     nought, unity = wp.float64(0.0), wp.float64(1.0)
     far, growth = wp.float64(FAR), wp.float64(1e2)
     ridge = wp.float64(1e-14 if scalar is wp.float64 else 1e-8)
-    functions = newton_functions_for(dim, scalar, width)
+    functions = sum_functions_for(dim, scalar, width)
     Span, sums, place_of, metric_of = functions.Span, functions.sums, functions.place_of, functions.metric_of
     of_candidate, add_product = functions.of_candidate, functions.add_product
     fold, joined, keep = functions.fold, functions.joined, functions.keep

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.msm.cluster_functions import BY_BETA
 from deformscope.stages.msm.iteration import Newton
-from deformscope.stages.msm.iteration_kernels import CONVERGED
+from deformscope.stages.msm.newton_functions import CONVERGED
 from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import TOLERANCE, Msm
 

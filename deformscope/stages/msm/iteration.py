@@ -15,11 +15,12 @@ import numpy as np
 import warp as wp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm import iteration_kernels as k
+from deformscope.stages.msm import newton_functions as k
 from deformscope.stages.msm.anderson_kernels import MEMORY, anderson_kernels_for
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.layout import Field, upload
 from deformscope.stages.msm.multigrid import PATIENCE, Multigrid
+from deformscope.stages.msm.newton_kernels import newton_kernels_for
 
 Progress = Callable[[int], None]
 
@@ -219,7 +220,7 @@ class Newton(Iteration):
         super().__init__(body, rest, size, volume, aided=True)
         layout = self.layout
         d = body.dim
-        self.kernels = k.newton_kernels_for(d, body.scalar, layout.width)
+        self.kernels = newton_kernels_for(d, body.scalar, layout.width)
         self.step, self.rho = layout.field(d), layout.field(d)
         state = self._numbers(self.functions.NewtonState)
         state.u, state.direction, state.step, state.rho = self.u, self.direction, self.step, self.rho

@@ -14,8 +14,8 @@ from deformscope.stages.msm import lattice_kernels as k
 from deformscope.stages.msm.body import Body, BodyRest, Operator, Parameters, RestArrays, rest_struct, upload_rows
 from deformscope.stages.msm.cluster_functions import BY_BETA, GOAL, cluster_functions_for
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
-from deformscope.stages.msm.iteration_kernels import THREADS, resident_kernels_for
 from deformscope.stages.msm.layout import Field, Layout, upload, widths
+from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
 
 REGULAR = 1e-6
 """Largest distance of a particle from its place in an even lattice, in spacings, at which the lattice counts as

@@ -29,7 +29,6 @@ from scipy.spatial import cKDTree
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
-from deformscope.stages.msm.iteration_kernels import newton_functions_for
 from deformscope.stages.msm.lattice import RESIDENT_CELLS, LatticeBody
 from deformscope.stages.msm.layout import Field, Layout, upload
 from deformscope.stages.msm.multigrid_kernels import (
@@ -38,6 +37,7 @@ from deformscope.stages.msm.multigrid_kernels import (
     smoother_for,
     transfer_kernels_for,
 )
+from deformscope.stages.msm.newton_functions import sum_functions_for
 
 Launch: TypeAlias = Callable[[], None]
 
@@ -211,7 +211,7 @@ class _Level:
         self.shrink = layout.each(zero)
         self.parameters = Parameters(layout.each(zero), layout.each(zero), 0, volume)
         self.place = _cells(layout, body)
-        span = newton_functions_for(d, wp.float32, layout.width).Span()
+        span = sum_functions_for(d, wp.float32, layout.width).Span()
         span.abreast, span.blocks = layout.abreast, layout.blocks
         span.front, span.group, span.stride = layout.front, layout.group, layout.stride
         self.span = span

@@ -10,9 +10,9 @@ from typing import Any
 
 import warp as wp
 
-from deformscope.stages.msm.iteration_kernels import newton_functions_for
 from deformscope.stages.msm.lanes import Ints, rows_for
 from deformscope.stages.msm.members import kernel_in, members
+from deformscope.stages.msm.newton_functions import sum_functions_for
 
 
 @wp.struct
@@ -103,7 +103,7 @@ def transfer_kernels_for(dim: int, scalar: Any) -> SimpleNamespace:
 def smoother_for(dim: int, width: int) -> Any:
     """The kernel of a step of Chebyshev's iteration, for fields of float32 in lanes of `width`."""
     numbers = wp.array(dtype=wp.float32)
-    rows, newton = rows_for(dim, width, wp.float32), newton_functions_for(dim, wp.float32, width)
+    rows, newton = rows_for(dim, width, wp.float32), sum_functions_for(dim, wp.float32, width)
     load, store, add, scale = rows.load, rows.store, rows.add, rows.scale
     of_candidate, Span = newton.of_candidate, newton.Span
     one = wp.float32(1.0)

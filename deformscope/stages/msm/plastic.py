@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.msm.iteration_kernels import CONVERGED
 from deformscope.stages.msm.materials import AxisBeta, Plasticity
+from deformscope.stages.msm.newton_functions import CONVERGED
 from deformscope.stages.msm.reference import Volume
 from deformscope.stages.msm.solver import TOLERANCE, Moving, Msm
 

@@ -20,10 +20,11 @@ from deformscope.stages.msm.cluster_functions import BY_BETA, BY_THETA, NONE, VO
 from deformscope.stages.msm.clusters import Clusters, LatticeClusters, held_mask
 from deformscope.stages.msm.general import GeneralBody
 from deformscope.stages.msm.iteration import Anderson, Ended, Newton, halves
-from deformscope.stages.msm.iteration_kernels import CONVERGED, DIVERGED, newton_kernels_for
 from deformscope.stages.msm.lattice import LatticeBody, lattice_edges
 from deformscope.stages.msm.layout import Field, upload
 from deformscope.stages.msm.materials import AxisBeta
+from deformscope.stages.msm.newton_functions import CONVERGED, DIVERGED
+from deformscope.stages.msm.newton_kernels import newton_kernels_for
 from deformscope.stages.msm.reduced import OneCluster
 from deformscope.stages.msm.reference import Basis, Volume
 

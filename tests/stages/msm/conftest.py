@@ -48,7 +48,7 @@ def effort(monkeypatch: pytest.MonkeyPatch) -> Iterator[Effort]:
     """Counts the solves of a test, and fails it where one that converged was near its limit."""
     pytest.importorskip("warp")
     from deformscope.stages.msm.iteration import Anderson, Newton
-    from deformscope.stages.msm.iteration_kernels import CONVERGED
+    from deformscope.stages.msm.newton_functions import CONVERGED
     from deformscope.stages.msm.reduced import OneCluster
 
     counted = Effort([])
