@@ -415,7 +415,7 @@ def map_functions_for(helpers: PassHelpers) -> SimpleNamespace:
 
 def fit_for(helpers: PassHelpers, functions: SimpleNamespace, changing: bool, name: str) -> Any:
     """The pass along the slow axis, which ends the window sums and computes each cluster's goal map from its moments,
-    or with `changing` its derivative along them; functions: of `map_functions_for`."""
+    or with `changing` its derivative along them; functions: those that `map_functions_for` returns"""
     dim, scalar, width, vecs, maps = helpers.dim, helpers.scalar, helpers.width, helpers.vecs, helpers.maps
     Passes, lane, own, one = helpers.types.Passes, helpers.lanes.lane, helpers.lanes.own, scalar(1.0)
     middle, cells_of, run_of = helpers.middle, helpers.cells_of, helpers.run_of
