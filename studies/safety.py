@@ -1,6 +1,6 @@
 """`python -m studies safety`: whether the arm stops in time, and avoids limits and singularities.
 
-python -m studies safety --faults 1000 --layouts 200 --rigid 88 --jobs 8 --json safety.json
+python -m studies safety --faults 1000 --layouts 200 --rigid 214 --jobs 8 --json safety.json
 python -m studies safety --faults 100 --layouts 0 --rigid 0
 python -m studies safety --arm kuka --faults 500 --layouts 0
 """
@@ -22,7 +22,7 @@ from deformscope.pictures.report import Table
 from studies.driven_faults import KILLED_WITHIN_S, KINDS, AnyRun, DrivenRun, KilledRun, kind_of, run_any
 from studies.fault_study import ALLOWED_S, ENDED_WITHIN_S, TURNED_DEG, UNSEEN_M, FaultRun
 from studies.layouts import LayoutRun, run_layout, shares_by_distance
-from studies.rigid_faults import STIFFNESSES_N_M, RigidRun, run_rigid
+from studies.rigid_faults import CASES, STIFFNESSES_N_M, RigidRun, run_rigid
 from studies.seeds import reported
 from studies.silent_kuka import FARTHEST_M, SilentRun, run_silent
 
@@ -39,7 +39,7 @@ class SafetyCoverageConfig(StudyOptions):
     """Faults; each takes some 2 s of a core. 0 = none."""
     layouts: Annotated[int, flags.least(0)] = 200
     """Layouts; each takes some 5 s of a core. 0 = none."""
-    rigid: Annotated[int, flags.least(0)] = 88
+    rigid: Annotated[int, flags.least(0)] = len(CASES)
     """Touches of a rigid surface by a force sensor that is wrong; each takes some 4 s of a core. 0 = none."""
 
 
@@ -167,11 +167,11 @@ def _range(values: Sequence[float], digits: int) -> str:
 def rigid_table(runs: Sequence[RigidRun]) -> Table:
     """A line for each arm and what was wrong: the greatest force by stiffness in series, and how many were in time."""
     lines = []
-    for arm, fault in dict.fromkeys((run.arm, run.fault) for run in runs):
-        some = [run for run in runs if (run.arm, run.fault) == (arm, fault)]
+    for arm, fault, phase in dict.fromkeys((run.arm, run.fault, run.phase) for run in runs):
+        some = [run for run in runs if (run.arm, run.fault, run.phase) == (arm, fault, phase)]
         cells = [_greatest([run for run in some if run.stiffness_n_m == n_m]) for n_m in STIFFNESSES_N_M]
-        lines.append((arm, fault, *cells, f"{sum(run.in_time for run in some)} of {len(some)}"))
-    names = ("arm", "what is wrong", *(f"{n_m / 1e3:g} N/mm" for n_m in STIFFNESSES_N_M), "in time")
+        lines.append((arm, fault, phase or "", *cells, f"{sum(run.in_time for run in some)} of {len(some)}"))
+    names = ("arm", "what is wrong", "from the phase", *(f"{n_m / 1e3:g} N/mm" for n_m in STIFFNESSES_N_M), "in time")
     return Table(lines, names, "A rigid surface, and a force sensor that is wrong")
 
 

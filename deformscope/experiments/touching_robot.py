@@ -265,7 +265,9 @@ class TouchingRobot:
             )
             if asked.ask_finger is not None and found.passed and self._robot.force_alone:
                 self._waits = WAITS
-                found = Preflight((*found.checks, press_by_finger(self._robot, self._setup.press, asked.ask_finger)))
+                set_n = max(max(plan.set_force_n, plan.more_force_n or 0.0) for plan in plans)
+                felt = press_by_finger(self._robot, self._setup.press, asked.ask_finger, set_n=set_n)
+                found = Preflight((*found.checks, felt))
                 self._waits = ""
         self._robot.rest()
         return found

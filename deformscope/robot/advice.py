@@ -25,6 +25,7 @@ ADVICE: dict[Fault | TouchEnding, str] = {
     Fault.FORCE_FROZEN: _SENSOR,
     Fault.FORCE_INVALID: _SENSOR,
     Fault.FORCE_UNUSABLE: _SENSOR,
+    Fault.FORCE_ASTRAY: f"{_SENSOR}; or the sample, if it broke, slid or tipped over under the tip",
     Fault.CHECKSUMS: "the force sensor's cable, its plug, and sources of interference",
     Fault.ARM_SILENT: f"{_ARM}; {_BUSY}",
     Fault.ARM_FROZEN: f"{_HOME}; then {_ARM}",

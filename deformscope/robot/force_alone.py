@@ -1,5 +1,5 @@
-"""An arm that is guarded only by the force at its tip: its speed before contact, and how far it may go below the
-surface.
+"""An arm that is guarded only by the force at its tip: its speed before contact, how far it may go below the surface,
+and how deep with a force that does not follow.
 
 An arm with joint torques detects a contact that its force sensor does not show; this one continues to press. The
 approach is slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness
@@ -9,6 +9,7 @@ times speed times that time.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from deformscope.robot.readings import PERIOD_NS
@@ -22,6 +23,20 @@ ARM_CYCLES = 3.0
 """Cycles of the arm from a command to rest: one until the arm receives it, two to follow. A double whose axes lag by
 another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
 every touch slower."""
+HARDENS = 2.0
+"""How many times its stiffness since contact (force over depth) a thing may have further down. Larger, foam that creeps
+or yields counts as a fault of the sensor; smaller, one that hardens is pressed harder before a fault is noticed."""
+RISE_N, KNOWN_N = 0.05, 0.15
+"""Least rise of the force over the depth that is watched, and force from which the stiffness is computed [N]: two and
+six deviations of a period's mean with the noisiest sensor that passes (`preflight.NOISE_N`). Smaller, noise hides a
+fault or makes soft foam look stiff; larger, the plateau of a foam counts as a fault."""
+KEPT, LOST_PERIODS, FELL_PERIODS = 0.5, 15, 2
+"""Share of the greatest force of the last LOST_PERIODS control periods that is kept without going back: foam relaxes by
+a few percent in that time, and a sensor that dies, or whose sign or gain changes, loses more at once. That many periods
+in a row mean a fault."""
+GONE, GONE_PERIODS = 0.2, 5
+"""Share of the contact's force below which the mean of that many control periods is no contact any more. A larger share
+stops at a contact that noise made early, a smaller one lets a sensor that died with the contact pass."""
 SLOWEST_M_S = 1e-3
 """Lowest speed of the tip on its way down: 3 cm take half a minute. If a lower speed is needed, the preflight refuses
 (`tip: force at contact`): a touch would take too long."""
@@ -74,11 +89,65 @@ class ForceAlone:
         """The greatest force [N] if the sensor fails on the way down, and no motor current shows the contact."""
         return self.stiffness_n_m * (self.doubt_m + MISS_M) + self.contact_n
 
-    @property
-    def words(self) -> str:
-        """Text with both forces, and the stiffness and delay from which they follow."""
+    def deeper_n(self, max_depth_m: float) -> float:
+        """The greatest force [N] if the sensor's gain falls before contact, which looks like a softer thing: at the
+        greatest depth [m] below a contact that is noticed as late as it can be."""
+        return self.unfelt_n + self.stiffness_n_m * max_depth_m
+
+    def words(self, max_depth_m: float) -> str:
+        """Text with the forces, and the stiffness and delay from which they follow."""
         else_n = ", unless its motors' currents show it" if self.currents else ""
         return (
             f"{self.contact_n:.1f} N, by {self.stiffness_n_m / 1e3:.3g} N/mm and {1e3 * self.late_s:.0f} "
-            f"ms until the arm rests; {self.unfelt_n:.0f} N if the sensor fails on the way down{else_n}"
+            f"ms until the arm rests; {self.unfelt_n:.0f} N if the sensor fails on the way down{else_n}; at most "
+            f"{self.deeper_n(max_depth_m):.0f} N if it then measures only a small part"
         )
+
+
+class PressWatch:
+    """Whether a measured force can be that of a tip which goes deeper into what it has met; `look` once in each control
+    period from the approach to the end of the dwell.
+
+    A force that stays is noticed before the stiffness in series could have added CONTACT_SHARE of the hard stop: the
+    arm's, or HARDENS times that since contact where it is less.
+    """
+
+    def __init__(self, alone: ForceAlone, contact_n: float) -> None:
+        """contact_n: force that means contact [N]"""
+        self._alone, self._contact_n = alone, contact_n
+        self._farthest_m = alone.doubt_m + MISS_M
+        self._passed: deque[tuple[float, float]] = deque()
+        self._recent: deque[tuple[float, float]] = deque(maxlen=LOST_PERIODS)
+        self._free_m = self._stiffness_n_m = 0.0
+        self._fell = self._pressed = 0
+
+    def look(self, down_m: float, force_n: float, *, met: bool) -> str:
+        """Why the sensor must be wrong; empty where it need not be. down_m: place of the tip along the normal,
+        downwards [m]; force_n: measured force along the normal [N]; met: after contact"""
+        alone = self._alone
+        self._recent.append((force_n, down_m))
+        mean_n = sum(one_n for one_n, _ in [*self._recent][-GONE_PERIODS:]) / GONE_PERIODS
+        if not met:
+            self._free_m = down_m if force_n < 0.25 * self._contact_n else self._free_m
+            self._fell = self._fell + 1 if force_n < -2.0 * self._contact_n else 0
+            return f"{force_n:.2f} N before contact: something pulls the tip" if self._fell >= FELL_PERIODS else ""
+        most_n, at_m = max(self._recent)
+        back_n = alone.stiffness_n_m * max(at_m - down_m, 0.0)
+        fell = most_n - force_n > (1.0 - KEPT) * most_n + back_n + RISE_N
+        self._fell = self._fell + 1 if fell else 0
+        self._pressed += 1
+        if self._fell >= FELL_PERIODS or (self._pressed > GONE_PERIODS and mean_n < GONE * self._contact_n):
+            return f"{force_n:.2f} N after {most_n:.2f} N, although the tip did not go back"
+        if force_n > KNOWN_N and down_m > self._free_m:
+            seen_n_m = HARDENS * force_n / (down_m - self._free_m)
+            self._stiffness_n_m = min(max(self._stiffness_n_m, seen_n_m), alone.stiffness_n_m)
+        way_m = self._farthest_m
+        if self._stiffness_n_m:
+            way_m = min(way_m, CONTACT_SHARE * alone.hard_n / self._stiffness_n_m)
+        self._passed.append((down_m, force_n))
+        while len(self._passed) > 1 and self._passed[1][0] <= down_m - way_m:
+            self._passed.popleft()
+        then_m, then_n = self._passed[0]
+        if then_m > down_m - way_m or force_n - then_n >= RISE_N:
+            return ""
+        return f"{force_n:.2f} N, {1e3 * (down_m - then_m):.2f} mm deeper than at {then_n:.2f} N"

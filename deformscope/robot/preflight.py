@@ -263,7 +263,8 @@ def _free(robot: Robot, plans: Sequence[TouchPlan], lift_m: float) -> Iterator[C
     yield Check("tip: in free air", height_m > FREE_M, f"{FREE_M * 100:g} cm or more above the surface", came)
     if robot.force_alone:
         way = ForceAlone.of(robot)
-        yield Check("tip: force at contact", way.contact_n <= way.hard_n, f"{way.hard_n:g} N or less", way.words)
+        words = way.words(max(plan.max_depth_m for plan in plans))
+        yield Check("tip: force at contact", way.contact_n <= way.hard_n, f"{way.hard_n:g} N or less", words)
 
 
 def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription) -> Iterator[Check]:

@@ -287,6 +287,12 @@ class Robot:
             return False
         return True
 
+    def stop_for(self, fault: Fault, reason: str) -> None:
+        """Halt the arm for a fault that the supervisor does not see. Raises RobotStopped."""
+        verdict = self.supervisor.stop(fault, reason, self._clock())
+        self.halt(f"{fault}: {reason}")
+        raise RobotStopped(verdict)
+
     def let_move(self, preflight: Preflight) -> None:
         """From now on velocities are sent. Raises InputError, which names the checks, unless all have passed."""
         if not preflight.passed:

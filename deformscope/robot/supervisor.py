@@ -31,6 +31,7 @@ class Fault(StrEnum):
     FORCE_FROZEN = "force sensor frozen"
     FORCE_INVALID = "force not a number"
     FORCE_UNUSABLE = "force sensor not well"
+    FORCE_ASTRAY = "force does not follow the depth"
     CHECKSUMS = "checksum storm"
     ARM_SILENT = "arm silent"
     ARM_FROZEN = "arm frozen"
@@ -55,7 +56,14 @@ class Fault(StrEnum):
 
 
 FORCE_FAULTS = frozenset(
-    {Fault.FORCE_SILENT, Fault.FORCE_FROZEN, Fault.FORCE_INVALID, Fault.FORCE_UNUSABLE, Fault.CHECKSUMS}
+    {
+        Fault.FORCE_SILENT,
+        Fault.FORCE_FROZEN,
+        Fault.FORCE_INVALID,
+        Fault.FORCE_UNUSABLE,
+        Fault.FORCE_ASTRAY,
+        Fault.CHECKSUMS,
+    }
 )
 """Faults after which the force on the tip is unknown."""
 

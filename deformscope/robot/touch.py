@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from deformscope.arrays import IntArray
 from deformscope.errors import InputError
-from deformscope.robot.force_alone import CONTACT_SHARE, MISS_M, SURPRISE_SHARE, ForceAlone
+from deformscope.robot.force_alone import CONTACT_SHARE, MISS_M, SURPRISE_SHARE, ForceAlone, PressWatch
 from deformscope.robot.latch import Action
 from deformscope.robot.placement import Placement
 from deformscope.robot.pressing import ForceControl
@@ -130,13 +130,18 @@ class TouchPlan:
         )
 
     def slowed_for(self, alone: ForceAlone) -> TouchPlan:
-        """The same touch, no faster and no farther down than an arm may go that only its force sensor guards."""
+        """The same touch, no faster and no farther down than an arm may go that only its force sensor guards. It
+        presses more only where even something rigid would not be at the hard stop then."""
         slower = self.no_faster(alone.speed_m_s(CONTACT_SHARE), self.travel_speed_m_s)
         return dataclasses.replace(
             slower,
             far_speed_m_s=min(self.far_speed_m_s, alone.speed_m_s(SURPRISE_SHARE)),
             miss_m=min(self.miss_m, alone.doubt_m + MISS_M),
             rigid_n_m=max(self.rigid_n_m, alone.stiffness_n_m),
+            small_dent_m=min(
+                self.small_dent_m,
+                alone.hard_n / alone.stiffness_n_m * self.set_force_n / (self.more_force_n or self.set_force_n),
+            ),
         )
 
     def places_m(self, center_offset_m: float) -> FloatArray:
@@ -455,7 +460,10 @@ class TouchRun:
     """A touch in progress, with the states and readings of its record."""
 
     def __init__(self, robot: Robot, plan: TouchPlan, on_phase: Callable[[Phase, int], None]) -> None:
-        plan = plan.slowed_for(ForceAlone.of(robot)) if robot.force_alone else plan
+        self._watch: PressWatch | None = None
+        if robot.force_alone:
+            alone = ForceAlone.of(robot)
+            plan, self._watch = plan.slowed_for(alone), PressWatch(alone, plan.contact_force_n)
         self._robot, self._plan, self._on_phase = robot, plan, on_phase
         self._reported: Phase | None = None
         if robot.supervisor.verdict.action is not Action.GO_ON:
@@ -516,6 +524,7 @@ class TouchRun:
             velocity = machine.step(self._now_s(), robot.center_m, force_n, watched)
             self._follow(before, machine)
             self._tell(machine.phase)
+            self._look(machine, float(force_n @ machine.plan.normal))
         robot.camera_needed = False
         robot.cycle()
         self._ending = machine.ending
@@ -525,6 +534,13 @@ class TouchRun:
         if phase not in (self._reported, Phase.DONE):
             self._reported = phase
             self._on_phase(phase, self._robot.seen.now_ns)
+
+    def _look(self, machine: TouchStateMachine, along_n: float) -> None:
+        """Stop where the force cannot be right, if nothing else guards the arm. along_n: along the normal [N]"""
+        if self._watch is not None and (machine.pressing or machine.phase is Phase.APPROACH):
+            down_m = -float(self._robot.center_m @ machine.plan.normal)
+            if why := self._watch.look(down_m, along_n, met=machine.pressing):
+                self._robot.stop_for(Fault.FORCE_ASTRAY, why)
 
     def _follow(self, before: Phase, machine: TouchStateMachine) -> None:
         """Note when the (last) loading ended, when the dwell ended, and the depth then."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -15,13 +16,14 @@ from deformscope.lab.touch_lab import TouchLab
 from deformscope.rig.rig_file import Tool
 from deformscope.robot import finger
 from deformscope.robot.finger import press_by_finger
-from deformscope.robot.force_alone import MISS_M, ForceAlone
+from deformscope.robot.force_alone import MISS_M, ForceAlone, PressWatch
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import FORCE_TURNED, check
 from deformscope.robot.readings import ForceSample, RobotObservation
 from deformscope.robot.robot import Robot, RobotStopped
 from deformscope.robot.supervisor import Fault, Limits, Supervisor
-from deformscope.robot.touch import TouchPlan
+from deformscope.robot.touch import Phase, TouchEnding, TouchPlan, TouchStateMachine
+from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.kuka import KukaConfig
 from deformscope_drivers.memory import SimulatedClock
 from studies.rigid_faults import T_BASE_SURFACE, TOP_M, UP
@@ -59,16 +61,17 @@ def bench() -> Iterator[Bench]:
 @pytest.mark.parametrize(
     ("pushes_n", "right"),
     [
-        ([(0, 0, 5)], True),
-        slow([(1, -1, 3)], True),
+        ([(0, 0, 8)], True),
+        slow([(1, -1, 5.5)], True),
+        slow([(0, 0, 11)], True),  # above the soft stop
         ([(0, 0, 0)], False),  # nobody presses
-        slow([(0, 0, 1.5)] * 3, False),  # too little
-        ([(0, 0, 11)] * 3, False),  # too much
-        ([(0, 0, -5)] * 3, False),  # from above: a sign is wrong
-        ([(5, 0, 0)] * 3, False),  # from the side: axes are
-        slow([(4, 0, 4)] * 3, False),
-        ([(0, 0, 1), (0, 0, 5)], True),  # the second time
-        ([(0, 0, 1)] * 3 + [(0, 0, 5)], False),  # no more than three
+        ([(0, 0, 5)] * 3, False),  # too little: what saturates below the set force would do as well
+        ([(0, 0, 13)] * 3, False),  # too much
+        ([(0, 0, -8)] * 3, False),  # from above: a sign is wrong
+        ([(8, 0, 0)] * 3, False),  # from the side: axes are
+        slow([(5, 0, 5)] * 3, False),
+        ([(0, 0, 1), (0, 0, 8)], True),  # the second time
+        ([(0, 0, 1)] * 3 + [(0, 0, 8)], False),  # no more than three
     ],
 )
 def test_a_finger_is_felt_from_below_and_about_as_hard_as_asked_for(
@@ -91,9 +94,21 @@ def test_a_finger_is_felt_from_below_and_about_as_hard_as_asked_for(
     assert np.linalg.norm(bench.robot.cycle().forces[-1].force_n) < 0.3  # and the finger is gone
 
 
+def test_a_push_is_above_the_set_force_and_what_repeats_under_it_is_refused(bench: Bench) -> None:
+    assert not press_by_finger(bench.robot, lambda n: bench.lab.push_tip(0.8 * n), set_n=7.0).passed
+    assert press_by_finger(bench.robot, lambda n: bench.lab.push_tip(0.8 * n), set_n=5.0).passed
+
+    def saturates(force_n: FloatArray) -> None:
+        bench.lab.push_tip(force_n)
+        bench.lab.wire.frozen = bool(np.any(force_n))
+
+    with pytest.raises(RobotStopped, match="same force"):
+        press_by_finger(bench.robot, saturates)
+
+
 def test_a_finger_above_the_hard_stop_ends_it(bench: Bench) -> None:
     with pytest.raises(RobotStopped):
-        press_by_finger(bench.robot, lambda force_n: bench.lab.push_tip(4.0 * force_n))
+        press_by_finger(bench.robot, lambda force_n: bench.lab.push_tip(2.5 * force_n))
     assert not np.any(bench.lab.contact.finger_n)
 
 
@@ -105,6 +120,7 @@ def test_calibrate_force_and_the_force_at_contact_are_looked_at_where_nothing_el
     contact = found["tip: force at contact"]
     assert contact.passed
     assert contact.came.startswith("9.0 N, by 100 N/mm and 48 ms until the arm rests; 509 N if the sensor fails")
+    assert contact.came.endswith("at most 2009 N if it then measures only a small part")
 
     scene = quick_scene(12)
     guarded = check(scene.robot, [scene.plan], calibrated={FORCE_TURNED: False})
@@ -166,3 +182,91 @@ def test_the_checks_learn_how_long_an_axis_may_repeat(bench: Bench) -> None:
     limits_s = bench.robot.supervisor.axes_frozen_s
     assert limits_s is not None
     assert ((limits_s > 0.0) & (limits_s < 0.1)).all()  # chance repeats of a count, some ms long, several times over
+
+
+def pressed(
+    stiffness_n_m: float,
+    modulus_pa: float,
+    measured: Callable[[float, Phase], float] = lambda true_n, phase: true_n,
+    *,
+    creeps: float = 0.0,
+    noise_n: float = 0.02,
+    seed: int = 0,
+) -> tuple[str, float, TouchStateMachine]:
+    """Why the watch stopped a touch, the greatest true force [N], and the touch.
+
+    A spherical tip of 1 cm behind a stiffness in series, on an elastic half-space (Johnson 1985, 4.2) that yields with
+    1 s by a share of its depth; the arm follows 40 ms late, as `ForceAlone` reckons, and the force is of now.
+    """
+    alone = ForceAlone(stiffness_n_m, 0.048, 15.0, 0.0, False)
+    plan = TouchPlan(np.zeros(3), UP).slowed_for(alone)
+    watch, machine = PressWatch(alone, plan.contact_force_n), TouchStateMachine(plan, 0.0, 0.0)
+    random, late = np.random.default_rng(seed), deque([0.0] * 4)
+    down_m, yielded_m, true_n, felt_n, most_n, why = -0.005, 0.0, 0.0, 0.0, 0.0, ""
+    for period in range(3000):
+        late.append(float(machine.step(0.01 * period, -down_m * UP, felt_n * UP)[2]))
+        if machine.phase in (Phase.RETREAT, Phase.DONE):
+            break
+        if machine.pressing or machine.phase is Phase.APPROACH:
+            why = watch.look(down_m, felt_n, met=machine.pressing)
+        if why:
+            most_n = max(most_n, true_n - 0.01 * sum(late) * stiffness_n_m)
+            break
+        down_m -= 0.01 * late.popleft()
+        low_m, high_m = 0.0, max(0.0, down_m - yielded_m)
+        for _ in range(40):  # the dent at which tip and arm are in balance
+            dent_m = 0.5 * (low_m + high_m)
+            true_n = 4.0 / 3.0 * modulus_pa / 0.91 * 0.1 * dent_m**1.5
+            low_m, high_m = (
+                (low_m, dent_m) if dent_m + true_n / stiffness_n_m > down_m - yielded_m else (dent_m, high_m)
+            )
+        yielded_m += 0.01 * (creeps * dent_m - yielded_m)
+        most_n = max(most_n, true_n)
+        felt_n = measured(true_n, machine.phase) + float(random.normal(0.0, noise_n))
+    return why, most_n, machine
+
+
+@pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 1e5])
+@pytest.mark.parametrize("modulus_pa", [5e3, 2e4, 6e4, 3e5, 1e7, 1e9])
+@pytest.mark.parametrize("creeps", [0.0, 0.5])
+def test_a_sensor_that_is_right_is_not_stopped_by_any_foam(
+    modulus_pa: float, stiffness_n_m: float, creeps: float
+) -> None:
+    for seed in range(4):
+        why, most_n, machine = pressed(stiffness_n_m, modulus_pa, creeps=creeps, noise_n=0.025, seed=seed)
+        assert why == ""
+        assert machine.ending in (TouchEnding.SET_FORCE, TouchEnding.DEPTH, TouchEnding.NOT_SETTLED)
+        assert most_n < 6.0
+
+
+FAULTS: dict[str, Callable[[float], float]] = {
+    "dead": lambda true_n: 0.0,
+    "saturated": lambda true_n: min(true_n, 4.0),
+    "a fifth": lambda true_n: 0.2 * true_n,
+    "reversed": lambda true_n: -true_n,
+    "saturated at 0.4 N": lambda true_n: min(true_n, 0.4),
+    "saturated at 1 N": lambda true_n: min(true_n, 1.0),
+}
+
+
+@pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 1e5])
+@pytest.mark.parametrize("modulus_pa", [6e4, 3e5, 1e9])
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.PRESS, Phase.DWELL])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_force_that_does_not_follow_the_depth_stops_below_the_hard_stop(
+    fault: str, phase: Phase, modulus_pa: float, stiffness_n_m: float
+) -> None:
+    struck: list[Phase] = []
+
+    def measured(true_n: float, now: Phase) -> float:
+        struck.extend([now] if now is phase else [])
+        return FAULTS[fault](true_n) if struck else true_n
+
+    _, most_n, machine = pressed(stiffness_n_m, modulus_pa, measured)
+    if fault == "dead" and phase is Phase.APPROACH:  # nothing shows it
+        assert machine.contact_m is None
+        assert most_n <= stiffness_n_m * MISS_M + 9.0
+    elif fault == "a fifth" and phase is not Phase.DWELL:  # it looks like a softer thing
+        assert most_n <= 1.03 * 3.0 / 0.2
+    else:
+        assert most_n <= 15.0

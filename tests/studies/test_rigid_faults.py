@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from deformscope.robot.supervisor import Limits
-from studies.rigid_faults import CASES, FELT, STIFFNESSES_N_M, RigidRun, SensorFault, run_rigid
+from deformscope.robot.touch import Phase
+from studies.rigid_faults import CASES, FELT, PHASES, STIFFNESSES_N_M, RigidRun, SensorFault, run_rigid
 from tests.cases import slow, slow_but
 
 KUKA, CURRENTS, JACO = "kuka", "kuka with motor currents", "jaco"
@@ -13,8 +16,8 @@ JACO_MOST_N = 16.0
 """What joint torques kept such faults to before an arm without them was looked at."""
 
 
-def run(arm: str, fault: SensorFault, stiffness_n_m: float = 2e4) -> RigidRun:
-    return run_rigid(CASES.index((arm, fault, stiffness_n_m)))
+def run(arm: str, fault: SensorFault, stiffness_n_m: float = 2e4, when: Phase | None = None) -> RigidRun:
+    return run_rigid(CASES.index((arm, fault, stiffness_n_m, when)))
 
 
 @pytest.mark.parametrize("stiffness_n_m", slow_but([2e4], STIFFNESSES_N_M))
@@ -61,6 +64,21 @@ def test_without_motor_currents_a_sensor_that_dies_costs_no_more_than_is_said(st
     unseen = run(KUKA, SensorFault.DIES, stiffness_n_m)
     assert Limits().hard_force_n < unseen.max_force_n <= unseen.unavoidable_n
     assert unseen.unavoidable_n == pytest.approx(stiffness_n_m * 5e-3 + 9.0)  # and that is said
+
+
+@pytest.mark.parametrize(
+    ("fault", "when", "stiffness_n_m"),
+    slow_but(
+        [(SensorFault.DEAD, Phase.PRESS, 1e5), (SensorFault.CLIPPED, Phase.PRESS, 2e4)],
+        itertools.product((SensorFault.DEAD, SensorFault.CLIPPED, SensorFault.REVERSED), PHASES[1:], STIFFNESSES_N_M),
+    ),
+)
+def test_a_sensor_that_fails_in_a_touch_is_noticed_by_force_and_depth(
+    fault: SensorFault, when: Phase, stiffness_n_m: float
+) -> None:
+    found = run(KUKA, fault, stiffness_n_m, when)
+    assert found.max_force_n <= Limits().hard_force_n
+    assert found.ended.startswith("stopped: ") or when is Phase.RETREAT
 
 
 @pytest.mark.parametrize("fault", [SensorFault.DEAD, slow(SensorFault.SATURATED), slow(SensorFault.SCALE)])

@@ -48,11 +48,13 @@ class Arm(Device[StateT]):
     by_hand: a person places it: it has no joints that are known, and takes no velocities
     goes_home: whether the arm has a stored home pose, to which `home` sends it
     stop_by_hand: how a person stops it where its driver could not
+    still: opening must not move it, as after its process was lost while the tip may have pressed something
     """
 
     prompt = True
     by_hand: ClassVar[bool] = False
     goes_home: bool = False
+    still: bool = False
     stop_by_hand: ClassVar[str] = "the emergency stop"
     config: Any
 

@@ -115,7 +115,7 @@ class HostedArm(Arm[ArmState]):
             super().close()
 
     def acknowledge_stop(self) -> None:
-        self.ask("acknowledge_stop")
+        self.ask("acknowledge_stop", timeout_s=2 * ANSWER_S)
         self._refused = None
         super().acknowledge_stop()
 
@@ -160,7 +160,7 @@ class HostedArm(Arm[ArmState]):
     # Run by the device's own thread ----------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        self._hosted.start(serve, self._kind, self.config)
+        self._hosted.start(serve, self._kind, self.config, self.still or self._link is Link.LOST)
         report = self._hosted.opened(OPEN_S, self._closing)
         if report is None:
             raise NotConnected(f"an arm that is opened within {OPEN_S:g} s", "nothing", where=self.name)

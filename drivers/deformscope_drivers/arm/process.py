@@ -29,9 +29,11 @@ UNATTENDED_S = 1.0
 is no caller."""
 
 
-def serve(channel: Channel, kind: type[Arm[Any]], config: Any) -> None:
-    """Move an arm until the program at the other end ends. Raises DeviceError where the arm cannot be opened."""
+def serve(channel: Channel, kind: type[Arm[Any]], config: Any, still: bool) -> None:
+    """Move an arm until the program at the other end ends. still: as `Arm.still`. Raises DeviceError where the arm
+    cannot be opened."""
     arm = kind(config)
+    arm.still = still
     arm.open()
     be_prompt(STEERING)
     try:

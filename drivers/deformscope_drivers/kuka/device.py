@@ -3,7 +3,8 @@
 Corrections are relative: an answer of zeros leaves the arm at rest, so no waiting points would have to be erased. A
 correction is velocity times cycle, limited to the axes' speeds, until the velocity expires, and zero afterwards. A
 missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it, with a
-correction of PROBE_DEG after which answers are left out, and refuses any other controller.
+correction of PROBE_DEG after which answers are left out, and refuses any other controller. After a link that was lost,
+when the tip may press something, the test waits for `acknowledge_stop`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, ProtocolViolation, SettingsRefused
-from deformscope_drivers.health import Identity
+from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.kuka.config import KukaConfig
 from deformscope_drivers.kuka.messages import AXES, RobMessage, SenMessage, decode_rob, encode_sen
@@ -83,7 +84,7 @@ class Kuka(Arm[ArmState]):
         self._ipoc = self._heard_ns = 0
         self._expired = self._late = self._clamped = 0
         self._zeros = self._late_before = 0
-        self._resting = False
+        self._resting = self._untested = False
         self._track: deque[tuple[int, tuple[float, ...]]] = deque()
 
     @property
@@ -104,6 +105,14 @@ class Kuka(Arm[ArmState]):
     def halt(self, reason: str) -> None:
         self._forget(reason or "by command")
         self._do(lambda: self._rest(1), 2 * SILENCE_S)
+
+    def acknowledge_stop(self) -> None:
+        """See `Arm.acknowledge_stop`; moves the axes by PROBE_DEG where that is still to be tested. Raises
+        SettingsRefused as opening does: it is stopped then."""
+        if self._untested:
+            self._do(self._check_missing, 3 * PROBES * PROBE_SETTLES_S)
+            self._untested = False
+        super().acknowledge_stop()
 
     def _rest(self, zeros: int) -> None:
         """Answer with zeros until a number of successive answers were sent that the controller did not count as late.
@@ -139,7 +148,11 @@ class Kuka(Arm[ArmState]):
             message = self._hear(self._zero)
             steps_ms.append(message.ipoc - before)
         self._check(message, min(steps_ms))
-        self._check_missing()
+        self._untested = self.still or self._link is Link.LOST
+        if self._untested:
+            self._stopped = self._stopped or "its link was lost, and missing answers are not tested since"
+        else:
+            self._check_missing()
         self._not_stopped = None
         self._expect(self.config.state_hz)
 

@@ -122,6 +122,42 @@ def test_a_process_that_dies_is_a_lost_link_that_is_found_again(config: KukaConf
             arm.set_velocity(RATES, 1.0)
 
 
+def test_nothing_moves_after_a_process_was_killed_until_an_operator_says_so(
+    config: KukaConfig, double: Counting
+) -> None:
+    """An arm at rest, whose tip may press: not even the test of missing answers."""
+    with HostedArm(Kuka, config) as arm:
+        until(lambda: double.answered_ns > double.moved_ns + 100_000_000)
+        stands, tested_ns = double.joints_deg, double.moved_ns
+        assert arm.process_id is not None
+        os.kill(arm.process_id, signal.SIGKILL)
+        until(lambda: arm.health().reconnects == 1 and bool(arm.stopped_because))
+        again_ns = monotonic_ns()
+        until(lambda: double.answered_ns > again_ns + 700_000_000)  # the test settles within half a second
+        np.testing.assert_array_equal(double.joints_deg, stands)
+        assert double.moved_ns == tested_ns
+        with pytest.raises(MotionStopped, match="link was lost"):
+            arm.set_velocity(RATES, 1.0)
+        arm.acknowledge_stop()
+        assert double.moved_ns > tested_ns  # now it is tested
+        tested_ns = double.moved_ns
+        arm.set_velocity(RATES, 0.2)
+        until(lambda: double.moved_ns > tested_ns)
+
+
+def test_a_controller_that_repeats_corrections_is_refused_when_it_is_tested_again(
+    config: KukaConfig, double: Counting
+) -> None:
+    with HostedArm(Kuka, config) as arm:
+        assert arm.process_id is not None
+        os.kill(arm.process_id, signal.SIGKILL)
+        until(lambda: arm.health().reconnects == 1 and bool(arm.stopped_because))
+        double._holdon[:] = True
+        with pytest.raises(SettingsRefused, match="HOLDON"):
+            arm.acknowledge_stop()
+        assert arm.stopped_because
+
+
 PROGRAM = """
 import sys, time
 from deformscope_drivers.arm import JointVelocity
