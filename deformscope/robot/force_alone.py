@@ -30,8 +30,8 @@ RISE_N, KNOWN_N = 0.05, 0.15
 """Least rise of the force over the depth that is watched, and force from which the stiffness is computed [N]: two and
 six deviations of a period's mean with the noisiest sensor that passes (`preflight.NOISE_N`). Smaller, noise hides a
 fault or makes soft foam look stiff; larger, the plateau of a foam counts as a fault."""
-KEPT, LOST_PERIODS, FELL_PERIODS = 0.5, 15, 2
-"""Share of the greatest force of the last LOST_PERIODS control periods that is kept without going back: foam relaxes by
+REMAINS, LOST_PERIODS, FELL_PERIODS = 0.5, 15, 2
+"""Share of the greatest force of the last LOST_PERIODS control periods that is left without going back: foam relaxes by
 a few percent in that time, and a sensor that dies, or whose sign or gain changes, loses more at once. That many periods
 in a row mean a fault."""
 GONE, GONE_PERIODS = 0.2, 5
@@ -133,7 +133,7 @@ class PressWatch:
             return f"{force_n:.2f} N before contact: something pulls the tip" if self._fell >= FELL_PERIODS else ""
         most_n, at_m = max(self._recent)
         back_n = alone.stiffness_n_m * max(at_m - down_m, 0.0)
-        fell = most_n - force_n > (1.0 - KEPT) * most_n + back_n + RISE_N
+        fell = most_n - force_n > (1.0 - REMAINS) * most_n + back_n + RISE_N
         self._fell = self._fell + 1 if fell else 0
         self._pressed += 1
         if self._fell >= FELL_PERIODS or (self._pressed > GONE_PERIODS and mean_n < GONE * self._contact_n):
