@@ -41,7 +41,6 @@ from deformscope.frames import (
     WrenchFrame,
 )
 from deformscope.images import decode_image
-from deformscope.results.declared import FROM_ZERO, LATER, is_declared
 from deformscope.stages.map.exploration import (
     ExplorationStop,
     InclusionsResult,
@@ -69,11 +68,9 @@ from deformscope.stages.squeeze.trial import (
     TrackedContainer,
 )
 
-FORMAT = 2
-"""Format of a recording, in its properties: which entities and components it has. Version of the format: a change that
-a reader of the old format would misread increases it."""
-READABLE = (1, FORMAT)
-"""Formats that are read. Format 1 has estimates of calibrations as JSON text, which are refused; all else is alike."""
+FORMAT = 3
+"""Format of a recording, in its properties: which entities and components it has, and how its results are computed. A
+change that another version would misread, or compute otherwise, increases it; no other format is read."""
 
 ENTITIES: dict[type, str] = {
     SurfaceEstimate: "exploration/surface",
@@ -155,10 +152,6 @@ class CodecField:
     form: Form
     kind: Any
     optional: bool
-    later: bool = False
-    """Whether older recordings lack the field: see `LATER`."""
-    first: int = 0
-    """Number that is added to the component, see `declared.FROM_ZERO`."""
 
 
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
@@ -170,7 +163,6 @@ def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict
     for field in _fields(cast("Any", type(items[0]))):
         if field.form != "image" and field.name not in leave_out:
             values = [getattr(item, field.name) for item in items]
-            values = [value - field.first for value in values] if field.first else values
             if not field.optional or any(value is not None for value in values):
                 found |= _ENCODERS[field.form](field, values)
     return found
@@ -188,7 +180,7 @@ def from_components(
     given: Mapping[str, Any] | None = None,
     read_image: Callable[[bytes, str], Any] = decode_image,
 ) -> T:
-    """Inverse of `to_components`; raises KeyError if a part is missing that is not of `LATER`.
+    """Inverse of `to_components`; raises KeyError if a part is missing.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
     read_image: replacement of an encoded image, which the second argument identifies
@@ -199,8 +191,6 @@ def from_components(
             continue
         if field.optional and not _is_there(field, components):
             made[field.name] = None
-        elif field.later and not any(_holds(field, name) for name in components):
-            continue
         elif field.form == "nested":
             prefix = field.name + "."
             inner = {name.removeprefix(prefix): v for name, v in components.items() if name.startswith(prefix)}
@@ -209,8 +199,7 @@ def from_components(
             where = f"{field.name} {made.get('index', '')} of {made.get('device', kind.__name__)}"
             made[field.name] = read_image(np.asarray(components[field.name], np.uint8).tobytes(), where)
         else:
-            value = _DECODERS[field.form](field, components)
-            made[field.name] = value + field.first if field.first else value
+            made[field.name] = _DECODERS[field.form](field, components)
     return kind(**made)
 
 
@@ -253,14 +242,7 @@ def _plain(value: object) -> Any:
 @cache
 def _fields(kind: Any) -> tuple[CodecField, ...]:
     hints = get_type_hints(kind)
-    return tuple(
-        dataclasses.replace(
-            _field(field.name, hints[field.name]),
-            later=is_declared(field, LATER),
-            first=int(is_declared(field, FROM_ZERO)),
-        )
-        for field in dataclasses.fields(cast("Any", kind))
-    )
+    return tuple(_field(field.name, hints[field.name]) for field in dataclasses.fields(kind))
 
 
 def _field(name: str, hint: Any) -> CodecField:
@@ -297,11 +279,6 @@ def _is_array(kind: object) -> bool:
 
 def _is_enum(kind: object) -> bool:
     return isinstance(kind, type) and issubclass(kind, enum.Enum)
-
-
-def _holds(field: CodecField, component: str) -> bool:
-    """Whether a component is of this field."""
-    return component in (field.name, field.name + SHAPE) or component.startswith(field.name + ".")
 
 
 def _is_there(field: CodecField, components: Mapping[str, Any]) -> bool:

@@ -345,7 +345,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
         seed=case.seed,
         true_count=truth.region_count,
         count=shown.region_count,
-        claimed=shown.claimed(),
+        claimed=shown.claimed,
         probability=dict(shown.probability),
         levels=levels,
         levels_covered=covered,

@@ -19,7 +19,6 @@ from typing_extensions import TypeAliasType
 from deformscope.arrays import BoolArray, FloatArray, ImageArray, IntArray
 from deformscope.frames import Stream
 from deformscope.images import encode_png
-from deformscope.results.declared import LATER
 from deformscope.rows import field_of, from_components, from_json, to_columns, to_components, to_json
 from tests.log import synthetic_rig as rig
 
@@ -132,23 +131,6 @@ def test_a_missing_part_is_an_error(missing: str) -> None:
     del parts[missing]
     with pytest.raises(KeyError):
         from_components(Everything, parts)
-
-
-@dataclass(frozen=True, slots=True)
-class Grown:
-    index: int
-    scale: float = 1.0
-    at_least: bool = field(default=True, metadata=LATER)
-
-
-def test_a_field_that_came_later_has_its_default_in_recordings_of_before() -> None:
-    parts = to_components(Grown(3, 2.0, at_least=False))
-    assert from_components(Grown, parts) == Grown(3, 2.0, at_least=False)
-    del parts["at_least"]
-    assert from_components(Grown, parts) == Grown(3, 2.0, at_least=True)
-    del parts["scale"]
-    with pytest.raises(KeyError):
-        from_components(Grown, parts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,8 +34,6 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-OLD = ROOT / "tests" / "recording" / "old"
-"""Recordings of both formats, as the versions wrote them that had these."""
 QUIET = "--viewer none"
 
 
@@ -129,13 +127,6 @@ CASES: Mapping[str, Case] = {
     ),
     "reproduce-chapter4": _of(f"reproduce chapter4 --quick --seeds 1 --workers 1 --out o {QUIET} --json e.json"),
     "reproduce-containers": _of(f"reproduce containers --quick --trials 2 --workers 1 --out o {QUIET} --json e.json"),
-    "old-recordings": _of(
-        *(
-            f"{verb} format-{number}.rrd --json {verb}-{number}.json"
-            for number in (1, 2)
-            for verb in ("verify", "replay")
-        )
-    ),
     "refusals": _of(
         "explore lab:nothing",
         "calibrate beta missing.npz",
@@ -232,8 +223,6 @@ def outputs_of(name: str, code: Path, folder: Path, *, again: bool) -> Path:
         path.rmdir() if path.is_dir() else path.unlink()
     for image, sample in (("A.png", "frame_152.png"), ("B.png", "frame_210.png")):
         (folder / image).write_bytes((code / "deformscope" / "samples" / "tension" / sample).read_bytes())
-    for path in OLD.iterdir():
-        (folder / path.name).write_bytes(path.read_bytes())
     for number, line in enumerate(CASES[name].lines):
         (folder / f"{number}.printed").write_text(typed(line, code, folder), encoding="utf-8")
     ended.write_text(lines, encoding="utf-8")

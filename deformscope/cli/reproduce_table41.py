@@ -57,7 +57,6 @@ def run(config: Table41Config) -> None:
             go_on=len(planners) * len(paces) > 1,
             closed_form=config.closed_form,
             clean=config.clean,
-            relief=config.relief,
             pace=pace,
         )
         for seed in range(config.seeds)

@@ -17,7 +17,6 @@ Feel = Literal["apparent", "relaxed", "loss"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
 Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
-Relief = Literal["seen", "stated"]
 REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 """Default number of touches."""
 MOST_HOLD_S = 60.0
@@ -57,9 +56,6 @@ class ExploreFlags(Flags):
     """Speed of travel between touches. quick: after a first contact at the observed height, the tip crosses 2 cm above
     the highest obstacle. It slows down for the last 5 to 15 mm. It travels at the rig file's travel_speed_m_s, in the
     laboratory at 15 cm/s. careful: 5 cm above, slowly for the last 3 cm, in the laboratory at 5 cm/s."""
-    relief: Relief = "seen"
-    """Model of an uneven surface. seen: touches are corrected for the observed thickness and curvature of the foam (its
-    table is at z = 0), so that they compare by modulus. stated: level, with the stated thickness."""
     border_m: Annotated[float, arg(name="border", metavar="M")] = BORDER_M
     """Least distance of a touch from the surface's edge [m], at least 0.01. Below 0.02 every touch is corrected for its
     distance from the foam's edge, which is assumed to be the surface's edge."""

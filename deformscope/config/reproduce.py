@@ -109,9 +109,6 @@ class Table41Config(RecordedOptions):
     faster."""
     clean: bool = False
     """Simulate without hidden errors: the arm as calibrated, exact force, foam without scatter."""
-    relief: Literal["seen", "stated"] = "seen"
-    """Use the observed thickness and curvature of the foam, or a level foam of the stated thickness (finite elements
-    only)."""
     pace: Annotated[str, arg(metavar="NAME,NAME...")] = "careful"
     """Paces of `deformscope explore`: careful, quick; robot seconds are the time of the planned motions, computed step
     by step. The first pace is compared with the others."""

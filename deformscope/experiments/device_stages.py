@@ -74,7 +74,7 @@ class LiveOptions:
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
     tip: its shape; set_force_n: force at which stiffness is reported; compliance_m_per_n, compliance_sd: the arm's
-    compliance and its deviation [m/N]; version: version of fits, see `NEWEST_FIT`
+    compliance and its deviation [m/N]
     """
 
     names: tuple[StageName, ...] = ()
@@ -99,7 +99,6 @@ class LiveOptions:
     compliance_m_per_n: float = 0.0
     compliance_sd: float = 0.0
     tip: TipKind = "sphere"
-    version: int = 1
 
 
 NEEDS: dict[StageName, tuple[Kind, ...]] = {
@@ -310,11 +309,7 @@ def _beta(stage: Stage, packed: Any) -> MomentFit:
     """Particles of the first image where they are in the newest one, and the beta or theta that this pose gives."""
     rest, now = packed
     options = stage.options
-    model = Model(
-        parameter="theta" if stage.name == "theta" else "beta",
-        cluster_size=options.cluster_size,
-        version=options.version,
-    )
+    model = Model(parameter="theta" if stage.name == "theta" else "beta", cluster_size=options.cluster_size)
     bounds = (0.0, 1.0) if stage.name == "theta" else FitOptions().bounds
     fit = FitOptions(model, bounds=bounds, candidates=CANDIDATES)
     return fit_moment(rest, now, options.particles, fit, options.longest_px)

@@ -484,7 +484,7 @@ class Explorer:
             region_count=found.region_count,
             at_least=found.at_least,
             verdict=found.verdict,
-            probability=found.claimed(or_more=self.options.plan_version > 2),
+            probability=found.claimed,
             level_n_per_mm=np.exp(found.level),
             level_interval_n_per_mm=np.exp(found.level_interval),
             level_rigid=found.rigid,

@@ -18,7 +18,6 @@ from deformscope.stages.fit.doubts import little_explained
 from deformscope.stages.fit.estimate import Comparison, NoiseSource
 from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.motion import Motion
-from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.axis_estimate import AxisEstimate
@@ -230,9 +229,9 @@ def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[i
 # Recovery ------------------------------------------------------------------------------------------------------------
 
 
-def recovery_of_motion(motion: Motion, level: float, seed: int, version: int = NEWEST_RELAXATION) -> MaterialFit:
+def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
     """The recovery in a motion file: particles that are held at the greatest depth and not at the end count as
-    released. version: see `NEWEST_RELAXATION`"""
+    released."""
     if motion.duration is None:
         raise InputError("the time between frames", "none", "give `dt` [s] in the file")
     gone = np.flatnonzero(motion.held.any(axis=0) & ~motion.held[-1])
@@ -250,7 +249,7 @@ def recovery_of_motion(motion: Motion, level: float, seed: int, version: int = N
     course = course_of(whole.position - whole.rest, gone)
     loaded = int(course[:released].argmax())
     cycle = PressCycle(loaded, released, course, float(course[released] / course[loaded]), "given")
-    return _recovery(whole, cycle, time_s, None, level, seed, version, first=-1)
+    return _recovery(whole, cycle, time_s, None, level, seed, first=-1)
 
 
 def recovery_of_camera(
@@ -259,11 +258,10 @@ def recovery_of_camera(
     unloading: UnloadingOptions,
     level: float,
     seed: int,
-    version: int = NEWEST_RELAXATION,
 ) -> MaterialFit:
-    """Recovery from a camera's images, with a force if it was recorded. version: see `NEWEST_RELAXATION`"""
+    """Recovery from a camera's images, with a force if it was recorded."""
     motion, cycle = camera_motion(tracked, particles, unloading)
-    return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed, version)
+    return _recovery(motion, cycle, np.asarray(tracked.times), unloading.force, level, seed)
 
 
 def _recovery(
@@ -273,7 +271,6 @@ def _recovery(
     force: PressForce | None,
     level: float,
     seed: int,
-    version: int,
     first: int = 0,
 ) -> MaterialFit:
     moved = motion.position - motion.rest
@@ -289,7 +286,6 @@ def _recovery(
         largest=float(cycle.course[cycle.loaded]),
         level=level,
         seed=seed,
-        version=version,
     )
     after = moved[cycle.loaded :, known]
     left = after - amplitude[cycle.loaded :, None, None] * shape

@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
-from deformscope.config.explore import BORDER_M, REGION_TOUCHES, BetaModel, Detail, ExploreFlags, Relief
+from deformscope.config.explore import BORDER_M, BetaModel, Detail, ExploreFlags
 from deformscope.errors import InputError
 from deformscope.experiments.quantity import (
     ApparentStiffness,
@@ -20,9 +20,8 @@ from deformscope.experiments.quantity import (
 )
 from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
-from deformscope.stages.map.perception import COARSE_GRID_M
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
-from deformscope.stages.map.thesis_field import SIGMA_W_M, ThesisField
+from deformscope.stages.map.thesis_field import ThesisField
 from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
@@ -49,8 +48,6 @@ thickness; another share without a stated thickness."""
 class ExploreOptions(ExploreFlags):
     """How to explore: options of a user, of a rig file or a scene, and of studies.
 
-    relief, beta_grid_m, beta_step, sigma_w_m: None in older recordings; then the foam is level and as thick as stated.
-    beta is then swept over 50 values up to 0.95 (step 0) on a grid of 1 cm, with sigma_w for that
     set_force_n, max_depth_m: set force and largest depth of a touch; tip_radius_m: radius of its ball; thickness_m:
     thickness of the foam; cell_m: cell size of the maps; seed
     standoff_m: height of the tip above the surface before and after a touch, and above all that it crosses
@@ -59,18 +56,10 @@ class ExploreOptions(ExploreFlags):
     lift_m: height above the surface at which all touches of a dry run are made, without contact
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: thickness_m was stated; otherwise it is only the height at which the surface is sought
-    detail: `lean` in older recordings
-    plan_version: version of the planner's expectations of touches (`PlanOptions`), 1 in older recordings
-    relaxation_version: version of the intervals of a touch's creep (`relaxation.NEWEST_RELAXATION`), 1 in older
-    recordings
     """
 
-    budget: flags.ManyFlag = REGION_TOUCHES
-    beta_model: BetaModel = "volume"
-    relief: Relief = "stated"
-    beta_grid_m: float = COARSE_GRID_M
-    beta_step: float = 0.0
-    sigma_w_m: float = SIGMA_W_M
+    budget: flags.ManyFlag = None  # type: ignore[assignment]  # the flags' default follows from the goal
+    beta_model: BetaModel = None  # type: ignore[assignment]  # and that from the planner too
     set_force_n: float = 3.0
     max_depth_m: float = 0.015
     tip_radius_m: float = 0.01
@@ -84,8 +73,6 @@ class ExploreOptions(ExploreFlags):
     tangential: Literal["held", "free"] = "held"
     thickness_stated: bool = True
     detail: Detail = "lean"
-    plan_version: int = 1
-    relaxation_version: int = 1
 
     def check(self) -> None:
         ExploreFlags.check(self)
@@ -116,12 +103,10 @@ class ExploreOptions(ExploreFlags):
             planner=self.planner,
             budget=self.budget,
             threshold=self.threshold,
-            # before the sweep had a step, the planner "thesis" looked at fewer places
-            cell_m=self.beta_grid_m if self.planner == "thesis" and self.beta_step else PLAN_CELL_M,
+            cell_m=self.beta_grid_m if self.planner == "thesis" else PLAN_CELL_M,
             inclusion_m=self.inclusion_m,
             touch_s=touch_s,
             speed_m_s=speed_m_s,
-            version=self.plan_version,
         )
 
     @property

@@ -22,13 +22,12 @@ from deformscope.stages.poke.poke_fit import fit_pokes, seen_poke, spacing_for
 class LayersOptions(LayersFlags):
     """The material below the surface; spacing of the lattice, cluster size and theta are found unless they are given.
     most_particles: most particles of the lattice; its default spacing is coarser where it would have more; None = any
-    number; version: see `poke_fit.NEWEST`"""
+    number"""
 
     thickness_m: float
     cluster_size: int | None = None
     theta: float | None = None
     most_particles: int | None = None
-    version: int = 1
 
 
 def poke_files(
@@ -64,7 +63,6 @@ def poke_files(
         beta_range=fit.bounds,
         theta=layers.theta,
         device=fit.model.device,
-        version=layers.version,
         progress=progress,
     )
     if progress is not None:

@@ -56,12 +56,8 @@ class SeenSurface:
             looked.points_m, noise_m=looked.noise_m, within_m=((0.0, 0.0), grid.size_m), outlier_sd=5.0
         )
         heights = process.on(grid)
-        layer = known_layer(
-            heights.mean_m[off_the_border(grid, options.border_m)],
-            looked.table,
-            stated_m=options.stated_m,
-            relief=options.relief == "seen",
-        )
+        inner_m = heights.mean_m[off_the_border(grid, options.border_m)]
+        layer = known_layer(inner_m, looked.table, stated_m=options.stated_m)
         return cls(
             grid=grid,
             options=options,

@@ -93,7 +93,6 @@ def fit_touch_creep(touched: TouchMeasurement, surface: SeenSurface, arm: ArmCom
         arm=arm,
         radius_m=surface.options.tip_radius_m,
         clock_sd_s=CLOCK_SD_S,
-        version=surface.options.relaxation_version,
     )
 
 

@@ -12,7 +12,7 @@ from deformscope.errors import InputError
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.recording.item_rows import Row, objects_of, read_rows
 from deformscope.recording.reader import Replay
-from deformscope.rows import ENTITIES, FORMAT, OF_DEVICES, SERIES, from_components, from_json
+from deformscope.rows import ENTITIES, OF_DEVICES, SERIES, from_components, from_json
 from deformscope.stages.fit.estimate import Estimate
 from deformscope.stages.fit.moment import FieldMoment, MomentFit, ParticleMoment
 from deformscope.stages.map.exploration import StageFailure, SurfaceEstimate, TouchEstimate
@@ -55,23 +55,14 @@ def read_estimates(replay: Replay) -> list[Estimate]:
 
 
 def read_found(replay: Replay, kind: type[T]) -> list[T]:
-    """The results of any type that a calibration gives.
-
-    Raises InputError if they were recorded in format 1.
-    """
+    """The results of any type that a calibration gives."""
     found: list[tuple[int, T]] = []
     for chunk in replay.chunks("/calibration/estimate"):
         batch = chunk.to_record_batch()
         names = batch.schema.names
-        if "json" in names:
-            hint = "calibrate its images or pairs again, or use the version that made it"
-            raise InputError(f"estimates as format {FORMAT} has them", "those of format 1", hint, replay.path)
         frames = batch.column("frame").to_pylist() if "frame" in names else [-1] * batch.num_rows
         objects = zip(frames, objects_of(batch, kind), strict=True)
-        for frame, cells in objects:
-            if cells:  # those recorded before reasons were named have none
-                none: dict[str, object] = {} if "reasons" in cells else {"reasons": ()}
-                found.append((frame, from_components(kind, cells, none)))
+        found += [(frame, from_components(kind, cells)) for frame, cells in objects if cells]
     return [one for _, one in sorted(found, key=lambda row: row[0])]
 
 

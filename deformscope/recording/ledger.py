@@ -23,7 +23,7 @@ from deformscope.file_io import replacing
 from deformscope.recording.lock import one_at_a_time
 from deformscope.recording.rrd_index import Portion, read_index
 
-FORMAT, OLD_FORMAT = "deformscope-ledger-2", "deformscope-ledger-1"
+FORMAT = "deformscope-ledger-2"
 BLOCK_BYTES = 1 << 20
 """Most bytes of a block whose contents are unknown."""
 SEVERAL = 4
@@ -175,10 +175,6 @@ def add_discard(recording: Path, entry: Mapping[str, object]) -> Path:
     path = ledger_path(recording)
     with one_at_a_time(path.parent):  # each line continues the one before
         ledger = read_ledger(recording)
-        ended = ledger.ended or {}
-        if not ledger.chain:  # of format 1
-            discarded = [*ledger.discarded, entry]
-            return write_ledger(recording, ended.get("counts"), ended.get("losses"), discarded=discarded)
         before = [json.loads(line[:-65]) for line in path.read_bytes().splitlines()[1:]]
         told = [*(one for one in before if "ended" not in one), {"discarded": dict(entry)}, {"ended": ledger.ended}]
         text, chain = f"{FORMAT}\n", ""
@@ -252,8 +248,6 @@ def inherited(source_problems: Sequence[str]) -> str:
 def read_ledger(recording: Path) -> Ledger:
     """The content of the ledger, and its errors. Raises FileNotFoundError without a ledger."""
     content = ledger_path(recording).read_bytes()
-    if content[:1] == b"{":
-        return _read_old(content)
     first, *lines = content.split(b"\n")
     if first != FORMAT.encode():
         return Ledger(problems=[f"the ledger is not one of format {FORMAT}: it is damaged or newer"])
@@ -282,24 +276,6 @@ def _take(ledger: Ledger, known: Mapping[str, Any]) -> None:
         streams, span = tuple(known.get("streams", ())), known.get("session_s", (None, None))
         (start, end), (from_s, to_s) = known["bytes"], span
         ledger.blocks.append(LedgerBlock(start, end, known["sha256"], streams, from_s, to_s))
-
-
-def _read_old(content: bytes) -> Ledger:
-    """A ledger of format 1: one JSON with a SHA-256 for each MiB, written at the end."""
-    try:
-        found = json.loads(content)
-    except ValueError:
-        return Ledger(problems=["the ledger cannot be read: it is damaged"])
-    if found.get("format") != OLD_FORMAT:
-        return Ledger(problems=[f"the ledger is not one of format {FORMAT}: it is damaged or newer"])
-    discarded, seal = found.get("discarded"), found.pop("ledger_sha256", None)
-    discarded = discarded if isinstance(discarded, list) else []
-    if seal != hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest():
-        return Ledger(discarded=discarded, problems=["the ledger does not match itself: it is damaged"])
-    starts = range(0, found["size"], found["block_bytes"])
-    ends = [min(start + found["block_bytes"], found["size"]) for start in starts]
-    blocks = [LedgerBlock(*one) for one in zip(starts, ends, found["blocks"], strict=True)]
-    return Ledger(blocks, found, discarded)
 
 
 def _chained(content: Mapping[str, Any], before: str) -> tuple[str, str]:

@@ -22,7 +22,7 @@ from deformscope.recording.item_rows import portions, read_rows
 from deformscope.recording.ledger import check_recording, inherited, ledger_path
 from deformscope.recording.losses import losses_of
 from deformscope.recording.utf8_path import utf8_path
-from deformscope.rows import FORMAT, READABLE
+from deformscope.rows import FORMAT
 
 if TYPE_CHECKING:
     from rerun.chunk import Chunk, RrdReader
@@ -205,14 +205,11 @@ class Replay:
             _logger.warning("%s is discarded: %s", path, one)
 
     def _check_format(self) -> None:
-        """Refuse formats that this version would misread."""
-        if "format" not in self.properties:
-            came, hint = "one without, made by an earlier version", "record it again, or read it with that version"
-        elif (number := self.properties["format"]) not in READABLE:
-            came, hint = f"one of format {number}", "the version of deformscope that made it, or a newer one"
-        else:
-            return
-        raise InputError(f"a recording of format {FORMAT}", came, hint, self.path)
+        """Refuse other formats, which this version would misread."""
+        if (number := self.properties.get("format")) != FORMAT:
+            versions = json.loads(self.properties.get("versions", "{}"))
+            came = f"one of format {number}, written by deformscope {versions.get('deformscope', 'of unknown version')}"
+            raise InputError(f"a recording of format {FORMAT}", came, "open it with that version", self.path)
 
     def _check_ledger(self) -> None:
         try:

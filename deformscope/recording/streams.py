@@ -260,8 +260,7 @@ class RecordedStream:
             axes = POSE_COLUMNS if component == "values" else [column] if ones and component == "host_ns" else []
             return _vector(cells, axes) if axes else {column: cells}
         if of.form in ("value", "json"):
-            found = _vector(cells, [column])
-            return {name: pc.add(one, of.first) for name, one in found.items()} if of.first else found
+            return _vector(cells, [column])
         if of.form in ("bytes", "image"):
             return {column: _binary(cells)}
         ends, vector = of.form == "tuple" and "interval" in column, of.form == "array" and column in XYZ

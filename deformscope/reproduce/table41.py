@@ -26,7 +26,6 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from deformscope.stages.map.map_score import TrueMap, score_map
-from deformscope.stages.map.plan import NEWEST_PLAN
 
 
 def run_table(job: TableJob) -> TableRun:
@@ -41,9 +40,7 @@ def run_table(job: TableJob) -> TableRun:
             seed=job.seed,
             thickness_m=scene.thickness_m,
             go_on=job.go_on,
-            relief=job.relief,
             pace=job.pace,
-            plan_version=NEWEST_PLAN,
         )
         errors = LabErrors.none() if job.clean else LabErrors()
         setup = _setup(scene, options)

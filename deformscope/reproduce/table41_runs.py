@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from deformscope.config.explore import Pace, Relief
+from deformscope.config.explore import Pace
 from deformscope.errors import InputError
 from deformscope.executor.journal import Journal
 from deformscope.plain import plain
@@ -17,7 +17,7 @@ from deformscope.stages.map.plan import Planner
 class TableJob:
     """One exploration. go_on: touch until the last touch, even after the end of the plan, so that planners compare
     closed_form: touches are contacts in closed form, instead of finite elements; clean: no hidden errors in the
-    laboratory; relief, pace: as in `ExploreOptions`
+    laboratory; pace: as in `ExploreOptions`
     """
 
     scene: str
@@ -27,7 +27,6 @@ class TableJob:
     go_on: bool = False
     closed_form: bool = False
     clean: bool = False
-    relief: Relief = "seen"
     pace: Pace = "careful"
 
     @property

@@ -42,7 +42,7 @@ class Quantity:
     json: converts the value to JSON; json_scale: factor of the value in JSON
     length: it is in the result's `unit` with `metres_per_unit`: JSON has KEY_m and KEY_px, None where not known
     per_length: it is a force per such a unit: JSON has it per metre, None if the scale is unknown
-    missing: text in place of None; older_key: an older key under which JSON has it too
+    missing: text in place of None
     optional: JSON lacks the key if the value is None; flat: JSON has the value's parts instead
     line: its text in the line of main values, with "{}" for the value; caption: its text below the title of a picture
     name: name of the field or property; place: number that rises in the order of declaration
@@ -62,7 +62,6 @@ class Quantity:
     length: bool = False
     per_length: bool = False
     missing: str = ""
-    older_key: str = ""
     optional: bool = False
     flat: bool = False
     line: str = ""
@@ -97,16 +96,12 @@ derived = _as_decorator(Quantity)
 """Decorates a method or property that is reported like a field; arguments as in `Quantity`."""
 
 
-LATER: Mapping[str, object] = {"deformscope.later": True}
-"""The metadata of a field that is newer than some recordings of its class, which are read with its default."""
 WORDING: Mapping[str, object] = {"deformscope.wording": True}
 """The metadata of a text that another version may word differently: a replay does not compare it."""
-FROM_ZERO: Mapping[str, object] = {"deformscope.from_zero": True}
-"""The metadata of a number that components hold from 0, and objects and tables from 1, as in all printed text."""
 
 
 def is_declared(field: dataclasses.Field[Any], metadata: Mapping[str, object]) -> bool:
-    """Whether a field is declared with `LATER`, `WORDING` or `FROM_ZERO`."""
+    """Whether a field is declared with this metadata, such as `WORDING`."""
     return field.metadata.keys() >= metadata.keys()
 
 

@@ -46,7 +46,7 @@ def _by_key(result: Any) -> dict[str, Any]:
             metres = 1.0 if result.unit == "m" else result.metres_per_unit
             inside[key] = None if metres is None else _times(value, 1.0 / metres)
         else:
-            inside |= dict.fromkeys((key, one.older_key or key), _json(one, value))
+            inside |= {key: _json(one, value)}
     return found
 
 

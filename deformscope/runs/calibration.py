@@ -59,7 +59,6 @@ from deformscope.stages.msm.poke import Law
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.poke.fitted import FittedModel, from_pair
 from deformscope.stages.poke.poke_estimate import PokesResult
-from deformscope.stages.poke.poke_fit import NEWEST
 from deformscope.stages.see.particles import clean_mask
 from deformscope.version import __version__
 from deformscope_drivers.clock import Stamp
@@ -237,7 +236,7 @@ def _layers(config: BetaConfig | ThetaConfig) -> LayersOptions | None:
     if not isinstance(config, BetaConfig) or config.layers.thickness_m is None:
         return None
     most = None if config.search.fine else MOST_PARTICLES
-    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most, "version": NEWEST}
+    own = {"cluster_size": config.cluster_size, "theta": config.theta, "most_particles": most}
     return LayersOptions(**config.layers.shared(LayersOptions) | own)
 
 

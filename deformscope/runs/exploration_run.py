@@ -84,8 +84,7 @@ def explore_on(
     from deformscope.experiments.measured import SetupGeometry
     from deformscope.experiments.options import DRY_RUN_M, ExploreOptions
     from deformscope.lab.faults import FaultAt, FaultsToCome
-    from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
-    from deformscope.stages.map.plan import INCLUSION_M, NEWEST_PLAN
+    from deformscope.stages.map.plan import INCLUSION_M
 
     quiet_warp()
     inclusions = config.goal == "inclusions"
@@ -97,8 +96,6 @@ def explore_on(
         seed=config.output.seed,
         inclusion_m=config.smallest_inclusion_m or (0.02 if inclusions else INCLUSION_M),
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
-        plan_version=NEWEST_PLAN,
-        relaxation_version=NEWEST_RELAXATION,
         go_on=planner is not None,
     )
     faults = [FaultAt.parse(text, options.budget) for text in config.fault]

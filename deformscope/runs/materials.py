@@ -56,8 +56,7 @@ from deformscope.runs.calibration_report import provenance_sections, settings_se
 from deformscope.runs.material_report import material_bodies, material_figure, material_table
 from deformscope.runs.result import Note, SourceResult, log_note
 from deformscope.session import Step, run
-from deformscope.stages.fit.model import NEWEST_FIT, Model, Observation
-from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
+from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
@@ -91,7 +90,7 @@ class MaterialJob:
     find: the quantity of a material; noise: noise of a position [m of files, px of images]; particles: number of
     particles of images; frame: frame of images to which axes or a field are fitted; force_n: force on the moved
     particles;
-    at, released: see `UnloadingOptions`; version: see `NEWEST_FIT`; relaxation_version: see `NEWEST_RELAXATION`
+    at, released: see `UnloadingOptions`
     """
 
     find: Literal["axes", "field", "yield", "viscous"]
@@ -110,18 +109,16 @@ class MaterialJob:
     theta: float = 0.0
     at: tuple[int, int] | None = None
     released: tuple[str, ...] = ("contact",)
-    version: int = 1
-    relaxation_version: int = 1
 
     def yield_options(self) -> YieldOptions:
         """Options of the fit of yielding."""
         most = float("inf") if self.maximum is None else self.maximum
         given = self.beta, self.creep, most, self.cluster_size, self.theta, self.level, self.seed, self.device
-        return YieldOptions(*given, version=self.version)
+        return YieldOptions(*given)
 
     def model(self) -> Model:
         """Model of the axes."""
-        return Model(cluster_size=self.cluster_size, device=self.device, version=self.version)
+        return Model(cluster_size=self.cluster_size, device=self.device)
 
     def directions(self, d: int) -> Any:
         """(d, d) the material's axes."""
@@ -205,7 +202,6 @@ def job_of(config: MaterialOptions) -> MaterialJob:
     given = {one.name: getattr(group, one.name) for group in groups if group for one in dataclasses.fields(group)}
     known = {one.name: given.get(one.name) for one in dataclasses.fields(MaterialJob)}
     known |= {"find": type(config).__name__.removesuffix("Config").lower(), "device": pick_device(config.fit.device)}
-    known |= {"version": NEWEST_FIT, "relaxation_version": NEWEST_RELAXATION}
     return MaterialJob(**{name: value for name, value in known.items() if value is not None})
 
 
@@ -273,7 +269,7 @@ def _of_files(seen: Sequence[Any], job: MaterialJob, progress: Progress | None) 
     if job.find == "yield":
         return yield_of_motion(seen[0], job.yield_options(), progress)
     if job.find == "viscous":
-        return recovery_of_motion(seen[0], job.level, job.seed, job.relaxation_version)
+        return recovery_of_motion(seen[0], job.level, job.seed)
     return _of_pairs(seen, job, progress)
 
 
@@ -291,7 +287,7 @@ def _finder(
         return yield_of_camera(tracked, particles, unloading, job.yield_options(), progress)
 
     def viscous(tracked: TrackedMotion) -> MaterialFit:
-        return recovery_of_camera(tracked, particles, unloading, job.level, job.seed, job.relaxation_version)
+        return recovery_of_camera(tracked, particles, unloading, job.level, job.seed)
 
     return {"axes": pose, "field": pose, "yield": yielding, "viscous": viscous}[job.find]
 

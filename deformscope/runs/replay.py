@@ -100,8 +100,7 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
 
     settings = dict(recording.settings)
     try:
-        given = settings.pop("fit")
-        fit = msgspec.convert(given | {"model": {"version": 1} | given["model"]}, FitOptions)
+        fit = msgspec.convert(settings.pop("fit"), FitOptions)
         particles = msgspec.convert(settings.pop("particles", {}), ParticleOptions)
         motion = settings.pop("motion", None)
         select = None if motion is None else msgspec.convert(motion["select"], tuple[Selectable, ...])

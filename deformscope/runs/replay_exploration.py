@@ -21,21 +21,7 @@ if TYPE_CHECKING:
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
 """Fields that are not compared: the truth is no input, and a plan's reason puts numbers into words that are compared
 elsewhere."""
-LATER = (
-    "isopleths",
-    "gain_unit",
-    "speed_m_s",
-    "peak_rate_n_per_s",
-    "peak_rate_interval_n_per_s",
-    "modulus_interval_pa",
-    "level_modulus_pa",
-    "level_modulus_interval_pa",
-    "layer_m",
-    "layer_sd_m",
-    "levelled_m",
-)
-"""Older recordings do not have these."""
-LEAN = "recorded lean, or by an older version: no pixel masks, surfaces under touches, errors over beta, or training"
+LEAN = "recorded lean: no pixel masks, surfaces under touches, errors over beta, or training"
 
 
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
@@ -103,7 +89,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     for fresh in (one for one in found.failures if one not in failed):
         raise Different("the recorded numbers", format_failure(fresh), where=path)
     cut_short = bool(recording.outcome.get("stopped"))
-    compare(recorded, again, path, _may_differ, cut_short=cut_short)
+    compare(recorded, again, path, lambda before: TRUTH, cut_short=cut_short)
     felt = [one for one in computed.results if isinstance(one, ForcePose)]
     compare(read_series(path, ForcePose, trust=True), felt, path, what="series of force and pose", cut_short=cut_short)
     start = "measurements" if measured else "depth images, forces and states of the arm"
@@ -115,10 +101,6 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
             *([LEAN] if options.detail == "lean" else []),
         ),
     )
-
-
-def _may_differ(before: object) -> tuple[str, ...]:
-    return (*TRUTH, *(name for name in LATER if getattr(before, name, None) is None))
 
 
 class _Heard:

@@ -48,7 +48,7 @@ def replay_squeeze(recording: Replay) -> ReplayResult:
         now = _by_frame([one for one in again.results if type(one) is kind])
         last = max(before, default=(-1, 0))
         within = [now[frame] for frame in sorted(now) if frame in before or frame <= last]
-        compare([before[frame] for frame in sorted(before)], within, path, _later, what=kind.__name__)
+        compare([before[frame] for frame in sorted(before)], within, path, what=kind.__name__)
         compared += len(before)
     if again.failure and not stops:
         raise Different("the recorded features", again.failure, where=path)
@@ -66,11 +66,6 @@ def _by_frame(results: list[Any]) -> dict[tuple[int, int], Any]:
     counted: defaultdict[int, Iterator[int]] = defaultdict(count)
     of = [getattr(one, "index", order) for order, one in enumerate(results)]
     return {(frame, next(counted[frame])): one for frame, one in zip(of, results, strict=True)}
-
-
-def _later(before: object) -> list[str]:
-    """Fields that a recorded pose lacks: recordings of before have none of them."""
-    return [name for name in ("directions", "deviation_m") if getattr(before, name, ()) is None]
 
 
 def squeeze_again(recording: Replay) -> SqueezeAgain:

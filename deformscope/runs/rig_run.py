@@ -163,14 +163,8 @@ def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) 
     streams of the devices, where they are not the rig's"""
     from deformscope.experiments.calibration_inputs import particle_options
     from deformscope.experiments.device_stages import LiveOptions, for_rig
-    from deformscope.stages.fit.model import NEWEST_FIT
 
-    own = {
-        "names": flags.names,
-        "color": flags.camera or "",
-        "particles": particle_options(flags),
-        "version": NEWEST_FIT,
-    }
+    own = {"names": flags.names, "color": flags.camera or "", "particles": particle_options(flags)}
     return for_rig(LiveOptions(**flags.shared(LiveOptions) | own), rig, streams)
 
 

@@ -124,7 +124,7 @@ def _stages(path: Path, tables: list[Table], remarks: list[str]) -> list[Recorde
     tables += stage_tables(stages)
     remarks.append(f"stages missing: {', '.join(one.name for one in stages if one.missing) or 'none'}")
     if not any(one.computed for one in stages):
-        remarks.append("costs: not recorded, as in older and in deterministic recordings")
+        remarks.append("costs: not recorded, as in deterministic recordings")
     return stages
 
 

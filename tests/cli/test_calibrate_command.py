@@ -30,7 +30,6 @@ from deformscope.recording.ledger import ledger_path
 from deformscope.recording.reader import Replay
 from deformscope.runs import replay_result
 from deformscope.stages.fit.estimate import Posterior
-from deformscope.stages.fit.model import NEWEST_FIT, Model
 from deformscope.stages.msm import reference
 from tests.rounding import differing_by_more
 from tests.stages import reference_states
@@ -224,26 +223,6 @@ def test_replay_compares_numbers(
     monkeypatch.setattr("deformscope.runs.replay.read_estimates", lambda _: [dataclasses.replace(one, **change(one))])
     main(["replay", str(recorded), "--viewer", "none"])
     assert expected in capsys.readouterr().err
-
-
-def test_a_recording_of_before_is_fitted_as_it_was(
-    tmp_path: Path, pair: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What was fitted before fits had versions knew neither errors of the tool nor of the camera."""
-    given, noisy, record = np.load(pair), tmp_path / "noisy.npz", tmp_path / "run.rrd"
-    noise = 1e-4 * np.random.default_rng(1).standard_normal(given["rest"].shape)
-    np.savez(noisy, rest=given["rest"], deformed=given["deformed"] + noise, held=given["held"], noise_m=1e-4)
-    with monkeypatch.context() as before:
-        before.setattr("deformscope.experiments.calibration_inputs.Model", partial(Model, version=1))
-        assert main(["calibrate", "beta", str(noisy), *FAST, "--record", str(record)]) == 0
-    settings = Replay(record).settings
-    assert settings["fit"]["model"].pop("version") == 1
-    monkeypatch.setattr(Replay, "settings", settings)
-    assert main(["replay", str(record), "--viewer", "none"]) == 0
-    assert "identical" in capsys.readouterr().err
-    settings["fit"]["model"]["version"] = NEWEST_FIT
-    assert main(["replay", str(record), "--viewer", "none"]) == 2
-    assert "versions" in capsys.readouterr().err
 
 
 def test_replay_refuses_a_changed_recording(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

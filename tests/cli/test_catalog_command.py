@@ -28,7 +28,6 @@ from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
 
 SHIPPED = ROOT / "recordings"
-OLD = ROOT / "tests" / "recording" / "old"
 
 
 def copy(recording: Path, target: Path) -> None:
@@ -42,12 +41,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("explore", "tension"):
         copy(SHIPPED / f"{name}.rrd", made / f"{name}.rrd")
     (made / "older").mkdir()
-    copy(OLD / "format-2.rrd", made / "older" / "rig.rrd")
-    copy(OLD / "format-2.rrd", made / "flipped.rrd")
+    copy(SHIPPED / "rig.rrd", made / "older" / "rig.rrd")
+    copy(SHIPPED / "rig.rrd", made / "flipped.rrd")
     content = bytearray((made / "flipped.rrd").read_bytes())
     content[len(content) // 2] ^= 4
     (made / "flipped.rrd").write_bytes(content)
-    copy(OLD / "squeeze.rrd", made / "short.rrd")
+    copy(SHIPPED / "squeeze.rrd", made / "short.rrd")
     with (made / "short.rrd").open("r+b") as file:
         file.truncate(300_000)
     (made / "none.rrd").write_bytes(b"no recording")
@@ -95,7 +94,7 @@ def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, A
 
 def test_what_holds_for_a_condition_is_listed_in_the_order_asked_for(folder: Path) -> None:
     found = catalog(folder, "--where", "not damaged and duration_s > 1", "--sort=-duration_s")
-    assert [one["path"] for one in found["recordings"]] == ["explore.rrd", "tension.rrd"]
+    assert [one["path"] for one in found["recordings"]] == ["explore.rrd", "tension.rrd", "older/rig.rrd"]
     assert [one["path"] for one in catalog(folder, "--where", "stiffness < 5")["recordings"]] == ["explore.rrd"]
 
 
@@ -107,7 +106,7 @@ def test_only_what_changed_is_read_again(folder: Path, tmp_path: Path) -> None:
 
     add_discard(here / "tension.rrd", {"reason": "the clamp slipped", "episode": 0, "label": ""})
     (here / "none.rrd").unlink()
-    copy(OLD / "squeeze.rrd", here / "short.rrd")
+    copy(SHIPPED / "squeeze.rrd", here / "short.rrd")
     found = catalog(here)
     rows = {one["path"]: one for one in found["recordings"]}
     assert found["read"] == 2

@@ -78,8 +78,8 @@ def test_a_simulated_table_is_explored(explored: Explored) -> None:
     assert found["stop_reason"] == "budget"
     missed = found["missed"]
     assert 0.1 < missed["untouched_m"] < 0.2  # the surface is 0.4 m wide
-    assert [one["radius_m"] for one in missed["lumps"]] == [0.03, 0.045, 0.06, 0.085, 0.12]
-    chances = [one["probability"] for one in missed["lumps"]]
+    assert [one["radius_m"] for one in missed["inclusions"]] == [0.03, 0.045, 0.06, 0.085, 0.12]
+    chances = [one["probability"] for one in missed["inclusions"]]
     assert missed["prior"] > chances[0] > chances[-1] > 0.0
     assert "inclusions unseen" in explored.out
     assert found["truth"]["region_count"] == 2

@@ -14,13 +14,11 @@ from deformscope.experiments.explore import AtOnce, Exploration, ExploringRobot,
 from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
-from deformscope.experiments.touch_fit import fit_touch_creep
 from deformscope.log.exploration.summary import summary
 from deformscope.pictures.exploration import draw_map
 from deformscope.robot.setup import Truth
 from deformscope.rows import to_components
 from deformscope.session import Step, run
-from deformscope.stages.fit.relaxation import NEWEST_RELAXATION
 from deformscope.stages.map.exploration import MapEstimate, StageFailure, TouchEstimate
 from deformscope.stages.map.loss import LEAST_LOSS, loss_sample
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
@@ -173,22 +171,6 @@ def test_a_replay_is_the_same_and_by_stiffness_the_same_touches_are_one_region(
     apparent = _last(explored(RecordedRobot(list(given)), dataclasses.replace(OPTIONS, feel="apparent")))
     assert apparent.region_count == 1
     assert (apparent.loss, apparent.mapped) == (None, "stiffness")
-
-
-def test_creep_of_an_older_recording_has_the_intervals_of_then(by_loss: tuple[TwoFoams, list[object]]) -> None:
-    robot, results = by_loss
-    touched = [one for one in results if isinstance(one, TouchMeasurement)]
-    recorded = [one.creep for one in results if isinstance(one, TouchEstimate)]
-    assert OPTIONS.relaxation_version == 1, "settings of before name none"
-    newest = dataclasses.replace(OPTIONS, relaxation_version=NEWEST_RELAXATION)
-    then, now = (
-        [fit_touch_creep(one, UnseenSurface(SIZE_M, options, ARM).look(robot.look()).surface, ARM) for one in touched]
-        for options in (OPTIONS, newest)
-    )
-    assert then == recorded
-    ends = [(one.verdict, one.time_interval[1] == np.inf) for one in now if one is not None and one.time_interval]
-    assert set(ends) == {("elastic", False), ("viscous", True)}, "2 s show little of 1 s"
-    assert not any(one.time_interval[1] == np.inf for one in then if one is not None and one.time_interval)
 
 
 def test_pictures_and_words_say_that_it_is_a_loss(by_loss: tuple[TwoFoams, list[object]]) -> None:

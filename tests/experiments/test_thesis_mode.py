@@ -59,13 +59,6 @@ def test_others_are_taken_where_they_are_asked_for() -> None:
             options_of(**wrong)
 
 
-def test_options_of_a_recording_that_says_nothing_of_them_are_what_they_were() -> None:
-    options = ExploreOptions(planner="thesis", beta_model="thesis")
-
-    assert (options.beta_grid_m, options.planning.cell_m, field_width(options)) == (0.01, 0.02, 0.6)
-    np.testing.assert_array_equal(swept_betas(options.beta_step), np.linspace(0.0, 0.95, 50))
-
-
 @pytest.mark.parametrize(
     ("planner", "asked", "is_now"),
     [("thesis", None, "free"), ("thesis", "held", "held"), ("regions", None, "held"), ("regions", "free", "free")],

@@ -23,7 +23,7 @@ from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from tests.cli.quick_scene import use_coarse_maps
 
-UNSTATED = ExploreOptions(beta_model="none", relief="seen", thickness_stated=False, seed=1000)
+UNSTATED = ExploreOptions(beta_model="none", thickness_stated=False, seed=1000)
 AWAY = np.eye(4)
 AWAY[2, 3] = 2.0
 

@@ -14,13 +14,13 @@ pytest.importorskip("warp")
 import deformscope as ds
 from deformscope.cli import main
 
-OLD = Path(__file__).resolve().parents[1] / "recording" / "old"
+SHIPPED = Path(__file__).resolve().parents[2] / "recordings"
 
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
     for name in ("squeeze.rrd", "squeeze.rrd.ledger"):
-        shutil.copy(OLD / name, tmp_path)
+        shutil.copy(SHIPPED / name, tmp_path)
     return tmp_path / "squeeze.rrd"
 
 

@@ -6,7 +6,6 @@ import logging
 from pathlib import Path
 
 import cv2
-import msgspec
 import numpy as np
 import pytest
 
@@ -15,12 +14,11 @@ from deformscope.arrays import ImageArray
 from deformscope.cli import common, main
 from deformscope.config import BetaConfig, SearchOptions
 from deformscope.config.calibrate import LayersFlags
-from deformscope.experiments.poke_files import LayersOptions
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import open_source
 from deformscope.runs import calibration
 from deformscope.stages.poke.layers import MeasuredSurface
-from deformscope.stages.poke.poke_fit import NEWEST, seen_poke, spacing_for
+from deformscope.stages.poke.poke_fit import seen_poke, spacing_for
 from tests.cli.test_predict_command import THICKNESS, write_pair
 
 COUNT, KEPT = 37, 16
@@ -179,15 +177,6 @@ def test_the_finest_lattice_is_taken_where_it_is_asked_for() -> None:
         options = calibration._layers(BetaConfig(("p.npz",), layers=layers, search=SearchOptions(fine=fine)))
         assert options is not None
         assert options.most_particles == most
-
-
-def test_a_recording_of_before_has_the_lattice_and_the_fit_that_it_had() -> None:
-    before = msgspec.convert({"thickness_m": 0.05}, LayersOptions)
-    assert before.most_particles is None
-    assert before.version == 1
-    now = calibration._layers(BetaConfig(("p.npz",), layers=LayersFlags(thickness_m=0.05)))
-    assert now is not None
-    assert now.version == NEWEST
 
 
 # Time left -----------------------------------------------------------------------------------------------------------

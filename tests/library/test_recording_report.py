@@ -16,10 +16,10 @@ from deformscope.cli import main
 from deformscope.images import PNG_SIGNATURE
 from deformscope.pictures import recorded
 from deformscope.pictures.recorded import Curves, curves_png
+from deformscope.recording.facts import run_rrd
 from deformscope.runs.recording_report import RecordingReport, report_recording
 
 ROOT = Path(__file__).resolve().parents[2]
-OLD = ROOT / "tests" / "recording" / "old"
 
 
 def pixels(png: bytes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
@@ -59,13 +59,13 @@ def test_names_of_short_phases_stand_side_by_side(monkeypatch: pytest.MonkeyPatc
     assert not [pair for pair in combinations(boxes, 2) if pair[0].overlaps(pair[1])]
 
 
-@pytest.mark.parametrize("number", [1, 2])
-def test_older_recordings_open_and_say_what_they_lack(
-    number: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_recording_without_costs_opens_and_says_what_it_lacks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, told = tmp_path / "old.html", tmp_path / "old.json"
+    path, out, told = tmp_path / "less.rrd", tmp_path / "less.html", tmp_path / "less.json"
+    assert run_rrd("filter", "--drop-entity", "/cost", ROOT / "recordings" / "tension.rrd", "-o", path) == ""
 
-    assert main(["report", str(OLD / f"format-{number}.rrd"), "--out", str(out), "--json", str(told)]) == 0
+    assert main(["report", str(path), "--out", str(out), "--json", str(told)]) == 0
     assert "costs of the stages" in capsys.readouterr().err
     assert json.loads(told.read_text())["lacks"] == ["costs of the stages"]
     assert "It lacks: costs of the stages." in out.read_text(encoding="utf-8")

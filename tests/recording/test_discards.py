@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
 from pathlib import Path
 
 import pytest
@@ -13,8 +12,8 @@ from deformscope import open_recording
 from deformscope.cli import main
 from deformscope.frames import NoteKind, SessionNote
 from deformscope.log.rig_layout import RIG, RigLayout
-from deformscope.recording.discards import discard, discards_of
-from deformscope.recording.ledger import check_recording, ledger_path, read_counts
+from deformscope.recording.discards import discards_of
+from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path
 from deformscope.recording.recorder import Recorder
 from tests.verified import verify_here
 
@@ -74,19 +73,8 @@ def test_what_cannot_be_marked_is_refused(tmp_path: Path, capsys: pytest.Capture
 def test_a_ledger_that_says_more_or_nonsense_still_opens(tmp_path: Path, written: object) -> None:
     path = recorded(tmp_path / "r.rrd")
     known = ["all of it: wrong foam"] if isinstance(written, list) else []
-    ledger_path(path).write_text(json.dumps({"format": "deformscope-ledger-1", "discarded": written}))
+    ledger = LedgerWriter(ledger_path(path), path)
+    for one in written if isinstance(written, list) else [written]:
+        ledger.add({"discarded": one})
+    ledger.close()
     assert [str(one) for one in discards_of(path, [])] == known
-
-
-def test_a_recording_of_before_is_marked(tmp_path: Path) -> None:
-    """Its ledger of one JSON becomes one of lines, with the counts and the marks that it had."""
-    old = Path(__file__).parent / "old" / "format-2.rrd"
-    path = tmp_path / old.name
-    shutil.copy(old, path)
-    shutil.copy(ledger_path(old), ledger_path(path))
-    counts = read_counts(path)
-    for reason in ("it slipped", "wrong foam"):
-        discard(path, reason, 0, [])
-    assert [str(one) for one in discards_of(path, [])] == ["all of it: it slipped", "all of it: wrong foam"]
-    assert check_recording(path).problems == []
-    assert read_counts(path) == counts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import resource
 import shutil
 import struct
@@ -35,7 +34,6 @@ from deformscope.recording.rrd_index import TAIL_BYTES, read_index
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "recordings" / "rig.rrd"
-OLD = Path(__file__).parent / "old" / "format-1.rrd"
 HEADER = 16
 """Bytes before the payload of each message of a file: its kind and its length (uint64)."""
 QUICK, ALL = (200, 10), (10_000, 1_000)
@@ -269,14 +267,10 @@ def test_a_line_that_the_disk_takes_in_part_is_not_there(tmp_path: Path) -> None
     assert read_discards(path) == [{"reason": "late"}]
 
 
-@pytest.mark.parametrize("old", [False, True])
-def test_discards_at_once_are_all_there(old: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_discards_at_once_are_all_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.rrd"
-    shutil.copy(OLD if old else SAMPLE, path)
-    if old:
-        shutil.copy(ledger_path(OLD), ledger_path(path))
-    else:
-        write_ledger(path)
+    shutil.copy(SAMPLE, path)
+    write_ledger(path)
     chained = ledger._chained
 
     def slow(content: Mapping[str, Any], before: str) -> tuple[str, str]:
@@ -315,22 +309,6 @@ def test_a_line_of_another_place_does_not_fit_the_chain(sample: Path) -> None:
         assert any("does not match itself" in one for one in check_recording(sample).problems)
     path.write_text("".join(lines))
     assert check_recording(sample).problems == []
-
-
-def test_a_ledger_of_before_is_read_and_compared(tmp_path: Path) -> None:
-    """Of format 1: a SHA-256 for each MiB, sealed as a whole."""
-    path = tmp_path / OLD.name
-    shutil.copy(OLD, path)
-    shutil.copy(ledger_path(OLD), ledger_path(path))
-    assert check_recording(path).problems == []
-    assert read_counts(path) == json.loads(ledger_path(OLD).read_text())["counts"]
-    flipped(path, 100_000, 2)
-    assert check_recording(path).damaged == [read_ledger(path).blocks[0]]
-    path.write_bytes(OLD.read_bytes()[:-1])
-    assert check_recording(path).truncated
-    shutil.copy(OLD, path)
-    flipped(ledger_path(path), 200, 1)
-    assert "the ledger" in check_recording(path).problems[0]
 
 
 def test_lost_and_added_bytes(recording: Path) -> None:

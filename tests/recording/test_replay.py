@@ -20,7 +20,7 @@ from deformscope.recording.items import read_estimates
 from deformscope.recording.ledger import ledger_path, write_ledger
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
-from deformscope.rows import differing
+from deformscope.rows import FORMAT, differing
 from deformscope.session import Step, run
 from deformscope_drivers.clock import Stamp
 from tests.log import synthetic
@@ -107,21 +107,6 @@ def test_results(tmp_path: Path) -> None:
     assert differing(results[0], synthetic.estimate("weak", "m")) is None
     assert np.isnan(results[0].settings["noise"])
     assert results[0].curve.parameter[0] == 0.05
-
-
-def test_estimates_of_format_1_are_refused_in_a_line(tmp_path: Path) -> None:
-    """Written as it stood in them: one JSON text, without a time."""
-    path = tmp_path / "run.rrd"
-    rec = rr.RecordingStream("deformscope-images", recording_id="old")
-    rec.set_sinks(rr.FileSink(path))
-    rec.send_property("session", rr.AnyValues(True, settings="{}", format=1))
-    rec.log("calibration/estimate", rr.AnyValues(json='{"parameter": "beta"}'), static=True)
-    rec.flush(timeout_sec=10)
-    rec.disconnect()
-    old = Replay(path, trust=True)  # all else in it is read as before
-    with pytest.raises(InputError, match="expected estimates as format 2 has them; got those of format 1") as refused:
-        read_estimates(old)
-    assert "\n" not in str(refused.value)
 
 
 def test_a_recording_is_a_source(tmp_path: Path) -> None:
@@ -217,17 +202,21 @@ def test_refuses_what_is_no_recording_of_ours(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("format_number", "came"),
-    [(99, "one of format 99"), (None, "one without, made by an earlier version")],
-    ids=["newer", "older"],
+    [
+        (99, "one of format 99, written by deformscope 7.8"),
+        (2, "one of format 2, written by deformscope 7.8"),
+        (None, "one of format None, written by deformscope of unknown version"),
+    ],
+    ids=["newer", "older", "none"],
 )
 def test_another_format_is_refused_in_a_line(tmp_path: Path, format_number: int | None, came: str) -> None:
     path = tmp_path / "run.rrd"
     rec = rr.RecordingStream("deformscope-rig", recording_id="rig")
     rec.set_sinks(rr.FileSink(path))
-    told = {"settings": "{}"} if format_number is None else {"settings": "{}", "format": format_number}
-    rec.send_property("session", rr.AnyValues(True, **told))
+    told = {} if format_number is None else {"format": format_number, "versions": '{"deformscope": "7.8"}'}
+    rec.send_property("session", rr.AnyValues(True, settings="{}", **told))
     rec.flush(timeout_sec=10)
     rec.disconnect()
-    with pytest.raises(InputError, match=f"expected a recording of format 2; got {came}") as refused:
+    with pytest.raises(InputError, match=f"expected a recording of format {FORMAT}; got {came}") as refused:
         Replay(path, trust=True)
     assert "\n" not in str(refused.value)

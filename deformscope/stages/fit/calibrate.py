@@ -140,9 +140,8 @@ def calibrate(
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
     known = identifiability(seen, comparisons, inferred)
     noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
-    rank = inferred.posterior.rank(value) if model.version > 1 else None
-    judge = partial(found_in_numbers, model.parameter, value, ends, bounds, known, seen=seen, version=model.version)
-    numbers = judge(converged=converged, noise=noise, rank=rank)
+    judge = partial(found_in_numbers, model.parameter, value, ends, bounds, known, seen=seen)
+    numbers = judge(converged=converged, noise=noise, rank=inferred.posterior.rank(value))
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
     here = [setting(seen, model, known.misfit, inferred.noise)] if model.parameter == "theta" else []
@@ -266,7 +265,7 @@ def _in_residuals(search: Search, best: int, inference: Inference, rival: float 
         each = zip(search.seen, search.bodies, shapes, strict=True)
         return [search.relax(body, shape[one.held], tried, None).settled for one, body, shape in each]
 
-    bulge = bulging(search.seen, search.bodies, search.values(tried)[0], search.model.version)
+    bulge = bulging(search.seen, search.bodies, search.values(tried)[0])
     yield from swapped_axes(search.seen, simulate, bulge, search.weight, rival)
     yield from _two_betas(search, best, inference, rival)
 

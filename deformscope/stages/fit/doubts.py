@@ -89,22 +89,21 @@ def found_in_numbers(
     converged: bool,
     noise: tuple[float | None, float | None, NoiseSource] = (None, None, "residuals"),
     rank: float | None = None,
-    version: int = 1,
     seen: Sequence[Observation] = (),
 ) -> list[Doubt]:
     """The doubts that the numbers of a fit within its bounds show.
 
     noise: residuals in units of the known noise, if any; their own noise [unit], if it is known apart from misfit;
-    source of the known noise; rank: mass of the posterior below the value, if there is a posterior; version: see
-    `model.NEWEST_FIT`; seen: as in `little_explained`
+    source of the known noise; rank: mass of the posterior below the value, if there is a posterior; seen: as in
+    `little_explained`
     """
     ratio, shown, source = noise
     # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
-    sharp = version < 3 or ends[1] - ends[0] < IDENTIFIED_WIDTH
+    sharp = ends[1] - ends[0] < IDENTIFIED_WIDTH
     left_is_noise = shown is not None and identifiability.misfit < shown if ratio is None else ratio < LIKE_NOISE
     return [
         *not_converged(converged),
-        *little_explained(identifiability.explained, left_is_noise=left_is_noise, seen=seen if version > 2 else ()),
+        *little_explained(identifiability.explained, left_is_noise=left_is_noise, seen=seen),
         *(value_at_end(name, value, ends, bounds, rank) if sharp else ()),
         *noise_contradicted(ratio, source),
     ]
@@ -326,13 +325,9 @@ def turns(dim: int) -> list[Turn]:
     return found[1:] if dim == 2 else found  # in the plane one sign is the other one turned, and all
 
 
-def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray, version: int) -> Simulate | None:
-    """States at betas (B,) of bodies whose clusters conserve an increasing share of their volume, so that they bulge.
-
-    Empty for version 1 (`model.NEWEST_FIT`)
-    """
-    if version == 1:
-        return None
+def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray) -> Simulate:
+    """States at betas (B,) of bodies whose clusters conserve an increasing share of their volume, so that they
+    bulge."""
     betas, thetas = np.tile(beta, len(BULGES)), np.repeat(BULGES, len(beta))
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:

@@ -68,10 +68,7 @@ class Inference:
     def __init__(self, search: Search, seed: int) -> None:
         self.search = search
         rng = np.random.default_rng(seed)
-        self.parts = [
-            Residuals(seen, body, rng, search.model.version)
-            for seen, body in zip(search.seen, search.bodies, strict=True)
-        ]
+        self.parts = [Residuals(seen, body, rng) for seen, body in zip(search.seen, search.bodies, strict=True)]
         self.converged = True
         empty = Evidence(*3 * (np.zeros((0, 0)),))
         self._found = [empty] * len(self.parts)
@@ -93,7 +90,7 @@ class Inference:
         for part, found in zip(self.parts, self._found, strict=True):
             density = np.exp(total - total.max()) * np.gradient(search.shrink(fine))
             part.weigh(found.log_likelihood, found.log_scale, density / density.sum())
-        if search.model.version < 3 or misfit_outweighs(self.parts):
+        if misfit_outweighs(self.parts):
             fine, total, rise = self._narrowed(low, high, self._summarise, progress)
         grid = search.shrink(fine)
         density = np.exp(total - total.max())

@@ -144,9 +144,7 @@ class _Joint:
         self.seen, self.options, self.left_out = list(seen), options, left_out
         self.bodies = [options.model.body(one) for one in seen]
         rng = np.random.default_rng(options.seed)
-        self.parts = [
-            Residuals(one, body, rng, options.model.version) for one, body in zip(self.seen, self.bodies, strict=True)
-        ]
+        self.parts = [Residuals(one, body, rng) for one, body in zip(self.seen, self.bodies, strict=True)]
         self.converged = True
         self.tried = np.empty((0, 3))  # beta, theta, error
         self.evidence: list[tuple[FloatArray, FloatArray]] = []
@@ -221,7 +219,7 @@ class _Joint:
         over = (np.exp(total - total.max()) * np.gradient(self.shrink(b))[:, None] * np.gradient(t)).ravel()
         for part, (likelihood, scale) in zip(self.parts, self.evidence, strict=True):
             part.weigh(likelihood, scale, over / over.sum())
-        if self.options.model.version < 3 or misfit_outweighs(self.parts):
+        if misfit_outweighs(self.parts):
             b, t, total, rise = self.narrowed(progress, explain=False)
         beta, theta, aee = self.best()
         grid = self.shrink(b)
@@ -279,7 +277,7 @@ class _Joint:
             each = zip(self.seen, self.bodies, shapes, strict=True)
             return [body.relax(shape[one.held], betas, thetas, volume="project").settled for one, body, shape in each]
 
-        yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried, self.options.model.version))
+        yield from swapped_axes(self.seen, simulate, bulging(self.seen, self.bodies, tried))
         here = (beta, theta)
         grouped = [self.options.model.grouping(one) for one in self.seen]
         if any(one.count < 2 for one in grouped):
@@ -355,7 +353,6 @@ class _Joint:
             identified,
             converged=self.converged,
             noise=noise,
-            version=options.model.version,
             seen=self.seen,
         )
         here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []

@@ -17,12 +17,6 @@ from deformscope.stages.msm.solver import Msm, Precision
 
 Method = Literal["sweep", "gradient"]
 
-NEWEST_FIT = 3
-"""How a fit explains errors. 2: the parameter is always estimated from the few projections of the residuals that it can
-change, errors of tool and camera have one size, a value on the end of a wide interval is reported, and what did not
-move is `little-explained`. 1, as in older recordings: as 2, but neither the tool as a whole nor the camera has an
-error, a smooth error with exact held positions is misfit, and `axes-swapped` ignores bulging bodies."""
-
 TOUCHED_SHARE = 0.5
 """Held particles that moved more than this share of the largest motion among them count as touched."""
 
@@ -112,7 +106,7 @@ class Model:
     cluster_size: particles along a side of the overlapping clusters; None = one cluster of all particles
     beta, theta: value of the parameter that is not fitted; alpha does not change a static state and is only recorded
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
-    overlapping clusters; version: version of the errors' model, see `NEWEST_FIT`
+    overlapping clusters
     """
 
     parameter: Parameter = "beta"
@@ -124,7 +118,6 @@ class Model:
     volume: Volume = "scale"
     precision: Precision = "float64"
     device: str = "cpu"
-    version: int = NEWEST_FIT
 
     def grouping(self, seen: Observation) -> clusters.Clusters:
         """How the particles of an observation are grouped."""

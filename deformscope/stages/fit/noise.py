@@ -110,7 +110,7 @@ class Measured:
     carry noise, None = not known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed particles with an unmeasured position, None = none
     touched: (k,) prescribed particles that something moved, None if `held_rest` is None
-    shift: deviation of the common offset of all held particles [unit]; version: see `model.NEWEST_FIT`
+    shift: deviation of the common offset of all held particles [unit]
     """
 
     rest: FloatArray
@@ -123,7 +123,6 @@ class Measured:
     loose: BoolArray | None = None
     touched: BoolArray | None = None
     shift: float = 0.0
-    version: int = 1
 
     def some(self, pick: IntArray) -> Measured:
         """The measurement of only the free particles at indices (n,)."""
@@ -225,14 +224,14 @@ class ErrorModel:
             rows.append((held, False, 0, 1.0, 0.0, np.log(prior * PRIOR_NO_FIELD)))
             exact = self.measured.held_rest is None or self.measured.held_measured is False
             # what is exact was not seen by the camera
-            seen_apart = self.measured.held_measured is False and not unknown and self.measured.version > 1
+            seen_apart = self.measured.held_measured is False and not unknown
             kinds = (False, True) if (held and not exact) or (not held and seen_apart) else (False,)
             for shared, (field, length) in product(kinds, fields):
                 most = MISFIT_MOST_UNKNOWN if unknown else SHARED_MOST if shared else MISFIT_MOST
                 some = [size for size in FIELD_SIZES if size <= most]
                 share = prior * (1.0 - PRIOR_NO_FIELD) / (len(kinds) * len(fields) * len(some))
                 rows.extend((held, shared, field, length, size, np.log(share)) for size in some)
-        offs = OFFS if self.measured.version > 2 and self.measured.touched is not None else OFFS[:1]
+        offs = OFFS if self.measured.touched is not None else OFFS[:1]
         camera, tool, weight = np.repeat(offs, len(rows), axis=0).T
         held_, shared_, field_, length_, size_, log_prior = np.tile(np.array(rows, dtype=np.float64), (len(offs), 1)).T
         return NoiseHypotheses(
@@ -336,12 +335,11 @@ class ErrorModel:
 
         alone: (h, r) chi2 without tool and camera; across, between: (h, r, q), (h, q, q) products with their effects
         """
-        rounds = SCALE_ROUNDS if self.measured.version > 2 else 1
         left, log_scale = alone, np.zeros(len(alone))
-        for again in range(rounds):
+        for again in range(SCALE_ROUNDS):
             least = np.maximum(left.min(axis=1), 0.0)
             log_scale = 0.5 * np.log(least / count + self._least**2)
-            if again < rounds - 1:
+            if again < SCALE_ROUNDS - 1:
                 variance = np.exp(-2.0 * log_scale)[:, None, None]
                 by_modes = np.linalg.solve(
                     variance * between + np.eye(between.shape[1]), variance * across.transpose(0, 2, 1)

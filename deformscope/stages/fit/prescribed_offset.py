@@ -140,8 +140,7 @@ def _few_hypotheses(errors: ErrorModel) -> IntArray:
     every = errors.hypotheses
     sizes = np.unique(every.size)[1::SIZES]
     some = [
-        (every.field == CORRELATIONS.index(rough)) & np.isin(every.length, lengths)
-        for rough, lengths in FIELDS_TRIED[: errors.measured.version]
+        (every.field == CORRELATIONS.index(rough)) & np.isin(every.length, lengths) for rough, lengths in FIELDS_TRIED
     ]
     few = (np.any(some, axis=0) & np.isin(every.size, sizes)) | (every.size == 0.0)
     return np.flatnonzero(few & (every.camera == 1.0) & (every.tool == 1.0))

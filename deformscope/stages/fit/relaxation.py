@@ -18,9 +18,6 @@ OPEN = 0.15
 """Probability of unseen relaxation from which intervals are open at that end. At .25 a quarter of the intervals of
 power laws without a reason stay closed; at .1 half of those of two branches are open (`studies.creep`, seeds 3000 to
 3059)."""
-NEWEST_RELAXATION = 3
-"""How intervals of relaxation end. 1, as in older recordings: open with a reason. 2: open from the probability `OPEN`
-on. 3: branches of a recovery that outlast the record are a model of their own; a touch is as in 2."""
 SLOW_LEAST, SLOW_SHARE = 0.03, 0.2
 """Strength of a branch that outlasts the record, and its share of all strengths, from which it matters: a fainter one
 may be a drift of the sensor."""
@@ -122,11 +119,10 @@ def seen_of(
     endless: BoolArray,
     weight: FloatArray,
     record_s: float,
-    version: int = NEWEST_RELAXATION,
     open_from: float = OPEN,
 ) -> RelaxationSeen:
     """Whether relaxation ends within a record, of draws: strength, retarded_s (d, b); endless, weight (d,), which adds
-    up to 1. version: see `NEWEST_RELAXATION`; open_from: probability from which intervals are open"""
+    up to 1. open_from: probability from which intervals are open"""
     slow = np.where(retarded_s / (1.0 + strength) > record_s, strength, 0.0)
     most, all_of_it = slow.max(axis=1, initial=0.0), np.maximum(strength.sum(axis=1), 1e-12)
     outlasts = ~endless & (slow.sum(axis=1) > np.maximum(SLOW_LEAST, SLOW_SHARE * all_of_it))
@@ -144,7 +140,7 @@ def seen_of(
         reasons=reasons,
         short_record=short,
         no_plateau=no_end,
-        open=version > 1 and short + no_end > open_from,
+        open=short + no_end > open_from,
         within=within,
         share=counted / (1.0 + counted),
     )

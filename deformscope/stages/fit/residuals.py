@@ -81,7 +81,7 @@ class Explanation:
 class Residuals:
     """One observation: its free particles that count, its errors, and the effect of its held particles."""
 
-    def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator, version: int) -> None:
+    def __init__(self, seen: Observation, body: Msm, rng: np.random.Generator) -> None:
         self.seen, self.body = seen, body
         judged: IntArray = np.flatnonzero(seen.free_observed)
         if judged.size > MOST_PARTICLES:
@@ -106,9 +106,8 @@ class Residuals:
             spacing=body.scale,
             floor=floor,
             loose=None if seen.loose is None or sketched else np.isin(seen.held, seen.loose),
-            touched=None if sketched or version == 1 else np.isin(seen.held, seen.touched),
+            touched=None if sketched else np.isin(seen.held, seen.touched),
             shift=TOOL_SHIFT * body.scale if seen.held_shift is None else seen.held_shift,
-            version=version,
         )
         self.errors = ErrorModel(self.measured)
         self.chosen: IntArray = np.arange(len(self.errors.hypotheses.size))
@@ -229,8 +228,7 @@ class Residuals:
         freedom, q = TEMPER * residual.shape[1] * residual.shape[2], onto.shape[2]
         covariance = self.errors.projected(onto, response, self.kept, amplitude)
         # where there is next to no noise, errors of a tool outweigh it by more than numbers resolve
-        if self.measured.version > 1:
-            covariance += RESOLVED * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / q * np.eye(q)
+        covariance += RESOLVED * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / q * np.eye(q)
         covariance *= one.white[:, None, None] ** 2
         chi2 = np.einsum("fi,hij,fj->hf", z, np.linalg.inv(covariance), z)
         log_det = np.linalg.slogdet(covariance)[1][:, None]

@@ -14,7 +14,7 @@ import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.results.declared import FROM_ZERO, LATER, derived, reported
+from deformscope.results.declared import derived, reported
 from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.touches import FIRST_REGIONS
@@ -62,7 +62,7 @@ class TouchEstimate:
     usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
     """
 
-    number: int = field(metadata=FROM_ZERO)
+    number: int
     xyz_m: FloatArray = field(metadata=reported(key="xy_m", unit="m", json=lambda xyz_m: xyz_m[:2]))
     normal: FloatArray
     approach_m: FloatArray
@@ -275,7 +275,7 @@ class MapEstimate:
     level_loss: FloatArray | None = None
     level_loss_interval: FloatArray | None = None
     isopleths: FloatArray | None = None
-    at_least: bool = field(default=False, metadata=LATER)
+    at_least: bool = False
 
     @property
     def mapped(self) -> str:
@@ -341,7 +341,7 @@ class DetectionLimit:
     deepest_m: float | None = None
 
     @property
-    @derived(older_key="lumps")
+    @derived()
     def inclusions(self) -> list[MissProbability]:
         """Each size with its probability."""
         return [*map(MissProbability, self.lump_radius_m, self.lump_probability)]
@@ -369,7 +369,7 @@ class InclusionsResult:
     """
 
     @property
-    @derived(older_key="lumps")
+    @derived()
     def found(self) -> list[dict[str, Any]]:
         """Each inclusion that was found."""
         names = ("centre_m", "within_m", "radius_m", "radius_interval_m", "stiff", "probability", "depth")

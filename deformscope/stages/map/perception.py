@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.results.declared import FROM_ZERO
 from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.gaussian_process import Kernel
@@ -110,7 +109,7 @@ class TouchPerception:
     stiffness: value that the map uses, with a weight of 1 / log_sd squared; beta: training data of the field of beta
     """
 
-    number: int = field(metadata=FROM_ZERO)
+    number: int
     masks: PixelMasks | None
     surface: TouchSurface | None
     error: Curve | None

@@ -22,7 +22,7 @@ from deformscope.errors import InputError
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, RelatedTouches, Repeats, labels_of
+from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, RelatedTouches, labels_of
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
@@ -52,10 +52,6 @@ LABEL_CELL_M = 0.025
 LEVEL_WORTH = 0.02
 """Weight of a nat about the levels relative to the share of cells with the right label."""
 
-NEWEST_PLAN = 3
-"""Version of `PlanOptions` that new explorations have. From 3 on, the probability of
-"3 regions or more" is that of as many or more (`RegionMap.claimed`), in earlier versions that of exactly as many."""
-
 
 @dataclass(frozen=True, slots=True)
 class FieldKernel:
@@ -83,8 +79,6 @@ class PlanOptions:
     inclusion_m: radius of the smallest inclusions that are sought; unmet: probability of an undetected inclusion below
     which the search ends. `sure`, `unmet` and `least_gain` were chosen on tuning seeds (`studies.seeds`); missed: where
     inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)
-    version: version of the expected readings of touches: 1 (older recordings) shares scatter with earlier touches only
-    at the same places, 2 also near them
     """
 
     planner: Planner = "regions"
@@ -97,11 +91,10 @@ class PlanOptions:
     threshold: float = 0.06
     least_gain: float = 0.007
     sure: float = 0.7
-    budget: int = 12
+    budget: int = 8
     inclusion_m: float = INCLUSION_M
     unmet: float = 0.08
     missed: float = 0.05
-    version: int = NEWEST_PLAN
 
     def __post_init__(self) -> None:
         if self.planner not in PLANNERS:
@@ -156,10 +149,10 @@ def plan_touch(
     made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
     tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
     excluded = exclusions(places, made, posterior.grid, reachable, options)
-    again = posterior.repeats(places, 0.5 * options.cell_m)
+    at_m, again = posterior.repeated(places, 0.5 * options.cell_m)
     if options.planner == "regions" and len(touched) >= options.fill:
         failed = exclusions(places, made[len(touched) :], posterior.grid, reachable, options) == TOUCHED_BEFORE
-        excluded[(again.share > 0.0) & (excluded == TOUCHED_BEFORE) & ~failed] = ALLOWED
+        excluded[again & (excluded == TOUCHED_BEFORE) & ~failed] = ALLOWED
     cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
     if options.planner == "thesis":
         variance, before = ((thesis or ThesisField()).at(places).deviation / SIGMA_E) ** 2, 1.0
@@ -179,10 +172,10 @@ def plan_touch(
     target, reason = None, f"stopped: {stop}"
     if allowed.any():
         best = int(np.nanargmax(np.where(allowed, score, -np.inf)))
-        target = again.at_m[best]
+        target = at_m[best]
         if stop is None:
             reason = _why(posterior, options, unit, float(gain[best]), float(cost[best]))
-            reason = "the same place again: " * bool(again.share[best] > 0.0) + reason
+            reason = "the same place again: " * bool(again[best]) + reason
     shape = grid.shape
     return TouchChoice(
         grid=grid,
@@ -197,7 +190,7 @@ def plan_touch(
     )
 
 
-def information(hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float) -> FloatArray:
+def information(hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float) -> FloatArray:
     """(p,) mutual information of touches and the surface [nat].
 
     It is the entropy of the reading over all hypotheses less that under each (Lindley 1956), computed in bins, which
@@ -209,9 +202,7 @@ def information(hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches,
     return cast(FloatArray, np.maximum(entropy + weight @ xlogy(chance, chance).sum(axis=0), 0.0))
 
 
-def label_gain(
-    hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, cells_m: FloatArray, blur_m: float
-) -> FloatArray:
+def label_gain(hypotheses: RegionHypotheses, touches: RelatedTouches, cells_m: FloatArray, blur_m: float) -> FloatArray:
     """(p,) expected increase, by each of some touches, of the share of cells (c, 2) with the right label.
 
     A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
@@ -240,7 +231,7 @@ def label_gain(
 
 
 def level_information(
-    hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float, known_sd: float
+    hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float, known_sd: float
 ) -> FloatArray:
     """(p,) information of touches about the levels, if the map is known [nat]; more precision than `known_sd` adds
     little."""
@@ -249,7 +240,7 @@ def level_information(
 
 
 def _outcomes(
-    hypotheses: RegionHypotheses, touches: Repeats | RelatedTouches, blur_m: float, count: int
+    hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float, count: int
 ) -> tuple[FloatArray, FloatArray]:
     """(count, h, p) probability of each outcome of a touch under each hypothesis, and the hypotheses' weights (h,)."""
     mean, _, sd, weight = touches.expected(hypotheses, blur_m)
@@ -332,10 +323,8 @@ def _gain(
         gain[allowed] = _inclusion_gain(posterior, options.inclusion_m, places[allowed])
         # a search for the boundaries of what nothing speaks for would only stall
         if posterior.probability["1"] <= 0.5:
-            touches: Repeats | RelatedTouches = posterior.repeats(places[allowed], 0.5 * options.cell_m)
-            if options.version > 1:
-                touches = posterior.related(touches.at_m)
-            gain[allowed] += _region_gain(posterior, touches, cost[allowed])
+            at_m, _ = posterior.repeated(places[allowed], 0.5 * options.cell_m)
+            gain[allowed] += _region_gain(posterior, posterior.related(at_m), cost[allowed])
     return gain, "label", gain / cost
 
 
@@ -345,7 +334,7 @@ def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: Float
     return cast(FloatArray, INCLUSION_WORTH * np.mean(chance, axis=0))
 
 
-def _region_gain(posterior: RegionPosterior, touches: Repeats | RelatedTouches, cost: FloatArray) -> FloatArray:
+def _region_gain(posterior: RegionPosterior, touches: RelatedTouches, cost: FloatArray) -> FloatArray:
     """(p,) expected gain of a touch in labels, and in uncertain levels; the labels' part only at the places that
     are most informative of levels."""
     hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m

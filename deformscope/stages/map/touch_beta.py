@@ -47,8 +47,6 @@ FEWEST = 20
 
 THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
 """Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
-COARSE_CANDIDATES = 50
-"""Values of beta over `BOUNDS` of recordings without them."""
 
 THESIS_NOTE = (
     "a trend of this beta with firmness is an effect of the contact patch, which grows with the dent. One "
@@ -217,8 +215,8 @@ def dent_of(
 
 
 def swept_betas(step: float) -> FloatArray:
-    """(b,) values of the sweep: 0, step, 2 step... below 1 (Algorithm 3); with a step of 0 the coarse sweep."""
-    return step * np.arange(np.ceil(1.0 / step - 1e-9)) if step else np.linspace(*BOUNDS, COARSE_CANDIDATES)
+    """(b,) values of the sweep: 0, step, 2 step... below 1 (Algorithm 3)."""
+    return step * np.arange(np.ceil(1.0 / step - 1e-9))
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +246,7 @@ def thesis_beta(
     *,
     thickness_m: float | None = None,
     cluster_size: int | None = CLUSTER_SIZE,
-    step: float = 0.0,
+    step: float = THESIS_STEP,
 ) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 

@@ -241,13 +241,13 @@ class _AxisFit:
             each = zip(self.seen, self.bodies, shapes, strict=True)
             return [body.relax(shape[one.held], beta).settled for one, body, shape in each]
 
-        bulge = bulging(self.seen, self.bodies, -np.expm1(-tried.mean(axis=1)), self.model.version)
+        bulge = bulging(self.seen, self.bodies, -np.expm1(-tried.mean(axis=1)))
         yield from swapped_axes(self.seen, simulate, bulge)
         if any(body.cluster_count < 2 for body in self.bodies):
             return
         rng, bodies, first = np.random.default_rng(0), [], 0
         for row, one in enumerate(self.seen):
-            part, body = Residuals(one, self.bodies[row], rng, self.model.version), self.bodies[row]
+            part, body = Residuals(one, self.bodies[row], rng), self.bodies[row]
             count = int(self.judged[row].sum()) * one.rest.shape[1]
             slope = best.jacobian[first : first + count].T.reshape(len(best.at), -1, one.rest.shape[1])
             first += count

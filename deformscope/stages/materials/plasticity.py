@@ -31,7 +31,6 @@ from deformscope.stages.fit.doubts import (
 )
 from deformscope.stages.fit.estimate import Doubt, relative_verdict
 from deformscope.stages.fit.least_squares import Minimum, Noise
-from deformscope.stages.fit.model import NEWEST_FIT
 from deformscope.stages.fit.motion import Motion
 from deformscope.stages.fit.noise import independent, shared_over
 from deformscope.stages.fit.residuals import Residuals
@@ -76,7 +75,7 @@ class YieldOptions:
 
     beta: None = fitted together with the yield strain; creep: "none" (loads act until the body rests), "fit", or a rate
     [1/s]; maximum: bound of the plastic strain; level: level of the intervals; seed: seed of the noise of held
-    positions; version: see `NEWEST_FIT`
+    positions
     """
 
     beta: float | None = None
@@ -87,7 +86,6 @@ class YieldOptions:
     level: float = 0.9
     seed: int = 0
     device: str = "cpu"
-    version: int = NEWEST_FIT
 
     def __post_init__(self) -> None:
         if self.beta is not None and not 0.0 <= self.beta <= BETA_LIMIT:
@@ -509,10 +507,9 @@ class _YieldFit:
         rows = np.flatnonzero(self.judged.any(axis=1))
         frames = [self.frame(row) for row in rows]
         ratio = residual_ratio(frames, list(simulated[rows]), self.resolved)
-        left_is_noise, seen = ratio is not None and ratio < LIKE_NOISE, frames if self.options.version > 2 else ()
         found = [
             *not_converged(converged),
-            *little_explained(explained, left_is_noise=left_is_noise, seen=seen),
+            *little_explained(explained, left_is_noise=ratio is not None and ratio < LIKE_NOISE, seen=frames),
             *value_at_end("yield strain", value, (ends[0], high), (0.0, np.inf)),
             *noise_contradicted(ratio, self.motion.noise_source),
             *shape_doubts(frames),
@@ -557,16 +554,14 @@ class _YieldFit:
             return [states[:, at] for at in rows]
 
         bodies = [self.body.holding(one.held) for one in frames]
-        yield from swapped_axes(frames, simulate, bulging(frames, bodies, tried, self.options.version))
+        yield from swapped_axes(frames, simulate, bulging(frames, bodies, tried))
         if self.body.cluster_count < 2:
             return
         # at the frame with the largest motion: errors of all frames are much the same
         moved = np.where(self.judged[:, :, None], self.motion.position - self.motion.rest, 0.0)
         row = int(np.sum(moved**2, axis=(1, 2)).argmax())
         one = self.frame(row)
-        part = Residuals(
-            one, self.body.holding(one.held), np.random.default_rng(self.options.seed), self.options.version
-        )
+        part = Residuals(one, self.body.holding(one.held), np.random.default_rng(self.options.seed))
 
         def history(betas: FloatArray, held: FloatArray | None = None) -> FloatArray:
             size, every = len(betas), self.prescribed()

@@ -36,8 +36,6 @@ from deformscope.stages.fit.creep_spectra import (
 )
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.relaxation import (
-    NEWEST_RELAXATION,
-    OPEN,
     kept_of,
     mean_relaxation_s,
     relaxation_modes,
@@ -89,13 +87,12 @@ def fit_recovery(
     largest: float = 1.0,
     level: float = 0.9,
     seed: int = 0,
-    version: int = NEWEST_RELAXATION,
 ) -> RecoveryEstimate:
     """Fit the law to shares (T,) of the largest displacement.
 
     time_s: (T,) rising [s]; loaded: last frame at the deepest; released: first frame without a contact, None: found as
     the frame from which the law holds without a force; force_n: (T,) force of the tool [N], and the deviation of one
-    sample; largest: largest displacement of the pressed particles; version: see `NEWEST_RELAXATION`.
+    sample; largest: largest displacement of the pressed particles.
 
     Raises InputError if too little was recorded after the release, and no force before it.
     """
@@ -108,7 +105,7 @@ def fit_recovery(
         came = f"{last + 1 - released} of {last + 1}"
         hint = "record on after the tool is off: some times as long as the recovery takes"
         raise InputError(f"{LEAST_AFTER} frames or more after the release", came, hint)
-    law = _RecoveryLaw(time_s, amplitude, released, force_n, force_sd_n, version)
+    law = _RecoveryLaw(time_s, amplitude, released, force_n, force_sd_n)
     models = [(spectrum, kept) for spectrum in law.spectra for kept in (False, True)]
     law.widen(law.best(law.spectra[2], kept=True), law.spectra[2])
     draws = [
@@ -120,12 +117,11 @@ def fit_recovery(
         for name in ("strength", "retarded_s", "mean_s", "kept", "stiffness", "endless")
     )
     watched_s, record_s = law.watched_s, law.record_s
-    open_from = OPEN_RECOVERY if version > 2 else OPEN
-    seen = seen_of(every, retarded_s, endless, weight, record_s, version, open_from)
+    seen = seen_of(every, retarded_s, endless, weight, record_s, OPEN_RECOVERY)
     share, creeps = seen.share, every.any(axis=1)
     judged = weight * (seen.within if not seen.reasons else 1.0)
     # a closed interval is of what relaxes within the record
-    shared = judged if version > 2 and not seen.open else weight
+    shared = judged if not seen.open else weight
     verdict = _verdict(share, kept, weight)
     mean_time = median_and_interval(mean_s[creeps], judged[creeps], level)
     if not seen.reasons and verdict not in ("elastic", "plastic") and mean_time[1][1] > record_s:
@@ -137,7 +133,7 @@ def fit_recovery(
         relaxed = Number(relaxed.interval[1] if seen.reasons else relaxed.value, (0.0, relaxed.interval[1]))
     stays, (least, most) = median_and_interval(kept, weight, level)
     unseen = weight * ~seen.within
-    if version > 2 and (seen.reasons or seen.open) and unseen.any():  # a part of the set may be a slow recovery
+    if (seen.reasons or seen.open) and unseen.any():  # a part of the set may be a slow recovery
         least = min(least, median_and_interval(kept, unseen, level)[1][0])
     middle = int(np.argmax([one.log_evidence for one in draws]))
     simulated = np.full(len(time_s), np.nan)
@@ -255,7 +251,6 @@ class _RecoveryLaw:
         released: int,
         force_n: FloatArray | None = None,
         force_sd_n: float = 0.0,
-        version: int = 1,
     ) -> None:
         self._time, self._amplitude, self._released = time_s, amplitude, released
         self._most = np.maximum.accumulate(np.maximum(amplitude, 0.0))
@@ -266,7 +261,7 @@ class _RecoveryLaw:
         self.watched_s = float(time_s[-1] - time_s[min(released, len(time_s) - 1)])
         held_s = float(time_s[released - 1] - time_s[self.pressed])
         self.record_s = max(self.watched_s, held_s if force_n is not None else 0.0)
-        outlasts = OUTLASTS if version > 2 and self.record_s > 0.0 else 0.0
+        outlasts = OUTLASTS if self.record_s > 0.0 else 0.0
         every = np.array([[fast, slow]] * MOST_BRANCHES)
         self.spectra: list[Spectrum] = [
             _RangedBranches(count, every[:count], 0.5**count * (1.0 - (outlasts if count else 0.0)))

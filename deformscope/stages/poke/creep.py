@@ -22,17 +22,15 @@ measured forces on the approach less that on the retract.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.results.declared import LATER
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.fit.relaxation import (
-    NEWEST_RELAXATION,
     ForceKept,
     RelaxationSeen,
     kept_of,
@@ -118,10 +116,10 @@ class CreepFit:
     speed_m_s: float
     verdict: CreepBehaviour
     why: str = ""
-    reasons: tuple[Doubt, ...] = field(default=(), metadata=LATER)
-    force_kept: tuple[ForceKept, ...] = field(default=(), metadata=LATER)
-    short_record: float = field(default=0.0, metadata=LATER)
-    no_plateau: float = field(default=0.0, metadata=LATER)
+    reasons: tuple[Doubt, ...] = ()
+    force_kept: tuple[ForceKept, ...] = ()
+    short_record: float = 0.0
+    no_plateau: float = 0.0
     viscous: float | None = None
     plastic: float | None = None
     slipping: float | None = None
@@ -176,7 +174,6 @@ def fit_creep(
     arm: ArmCompliance | None = None,
     radius_m: float | None = None,
     clock_sd_s: float = 0.0,
-    version: int = NEWEST_RELAXATION,
 ) -> CreepFit:
     """Fit the law to a touch that came down, held and, if it was recorded, went back.
 
@@ -184,7 +181,6 @@ def fit_creep(
     radius_m: radius of a ball, whose dents are not small relative to it; None: the law is a power law at all depths
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
-    version: see `NEWEST_RELAXATION`.
 
     Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
     """
@@ -199,7 +195,7 @@ def fit_creep(
     law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m)
     draws = law.posterior()
     held_s = float(time_s[held - 1] - time_s[loading - 1])
-    seen = seen_of(draws.strength, draws.retarded_s, draws.endless, draws.weight, held_s, version)
+    seen = seen_of(draws.strength, draws.retarded_s, draws.endless, draws.weight, held_s)
     # without a reason, verdict and time are of what relaxes within the hold
     weight = draws.weight
     judged = weight * (seen.within if not seen.reasons else 1.0)

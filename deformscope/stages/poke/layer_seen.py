@@ -1,7 +1,7 @@
 """Thickness of the touched foam, and its source: stated, or measured from its top and the table around it.
 
 table = find_table(points_m, size_m=(0.6, 0.4))            # None where the camera sees none
-known_layer(heights_m, table, stated_m=None, relief=True)     # its thickness is None: it is not known
+known_layer(heights_m, table, stated_m=None)                  # its thickness is None: it is not known
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ def find_table(points_m: FloatArray, size_m: tuple[float, float]) -> TableSeen |
     return TableSeen(float(middle), 0.5 * float(high - low))
 
 
-def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None, relief: bool) -> KnownLayer:
+def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: float | None) -> KnownLayer:
     """Thickness and shape of foam with surface heights (n,) [m] at possible touches. stated_m: its stated thickness, if
-    any: the foam then lies at z = 0; relief: whether its shape is used"""
+    any: the foam then lies at z = 0"""
     mean_m, range_m = float(height_m.mean()), float(np.ptp(height_m))
     if stated_m is not None:
         even_m = UNEVEN * stated_m
-        return KnownLayer(stated_m, uneven=relief and (range_m > even_m or abs(mean_m - stated_m) > 2.0 * even_m))
+        return KnownLayer(stated_m, uneven=range_m > even_m or abs(mean_m - stated_m) > 2.0 * even_m)
     thickness_m = 0.0 if table is None else mean_m - table.height_m
     if table is None or thickness_m <= 2.0 * table.sd_m:
         return KnownLayer(None)
@@ -69,7 +69,7 @@ def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: floa
         thickness_m=thickness_m,
         sd_m=table.sd_m,
         table_m=table.height_m,
-        uneven=relief and range_m > UNEVEN * thickness_m,
+        uneven=range_m > UNEVEN * thickness_m,
     )
 
 

@@ -249,7 +249,7 @@ class Profile:
             if taken != end and self.errors.mean(axis=1)[place] < CLEAR * self.errors.mean(axis=1).min():
                 self._take(np.linspace(taken, end, BEYOND + 1)[1:])
         self.aee = self.errors.mean(axis=1)
-        self.felt = law.beta if fit.version == 1 else max(law.beta, min(FELT, fit.beta_range[1]))
+        self.felt = max(law.beta, min(FELT, fit.beta_range[1]))
         slopes = fit.theta_fitted and self.felt > 0.0
         self.by_theta = [self._slope(one, law) for one in fit.posed] if slopes else None
 

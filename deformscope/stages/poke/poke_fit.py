@@ -53,10 +53,6 @@ BETA_RANGE = (0.0, 0.99)
 FARTHEST = np.array([-np.log1p(-BETA_RANGE[1]), 1.0])
 """The largest -log(1 - beta) and theta."""
 
-NEWEST = 2
-"""Options of the fit of layers. 1, as in older recordings: rounds find the slip of a tip's particles, and theta's
-effect is evaluated at the best beta, however small it is there."""
-
 MOST_LAWS = 15
 """Laws that are tried for each cluster size, and one more where a step is refused."""
 SLOPE_STEP = 0.03
@@ -196,7 +192,6 @@ class PosedPoke:
         size: int,
         precision: Precision,
         device: str,
-        version: int,
     ):
         self.poke, self.size, self.thickness = poke, size, surface.thickness
         self.scene, layers = scene_below(surface, poke.at, poke.tip, spacing, size)
@@ -207,7 +202,7 @@ class PosedPoke:
             below = _covered(poke.touched[:, :2], upper, self.scene.spacing)
         self.touched = self.scene.open[below]
         law = Law(0.0, cluster_size=size)
-        self.body = hold(self.scene, self.touched, law, precision, device, slips=poke.tip.slips and version > 1)
+        self.body = hold(self.scene, self.touched, law, precision, device, slips=poke.tip.slips)
         rest = self.scene.rest[self.touched]
         self.at = rest + _between(poke.touched[:, :2], poke.touched_by, rest[:, :2])
         weights, inside = layers.interpolation(poke.points[:, :2], flat_edge(poke.at, poke.tip))
@@ -396,7 +391,7 @@ class ShapeFit:
 class PokesFit:
     """Layers fitted to pokes. spacing: spacing of the lattice [m]; tried: every cluster size, the best first; shaped:
     (q,) the pokes whose surface beta and theta were fitted to; posed: the pokes on the lattice of the best size;
-    beta_range: range in which beta was sought; theta_fitted: False = it was given; version: see `NEWEST`"""
+    beta_range: range in which beta was sought; theta_fitted: False = it was given"""
 
     surface: MeasuredSurface
     pokes: tuple[SeenPoke, ...]
@@ -406,7 +401,6 @@ class PokesFit:
     posed: tuple[PosedPoke, ...]
     beta_range: tuple[float, float]
     theta_fitted: bool
-    version: int = NEWEST
 
     @property
     def best(self) -> ShapeFit:
@@ -429,14 +423,13 @@ def fit_pokes(
     theta: float | None = None,
     precision: Precision = "float32",
     device: str = "cpu",
-    version: int = NEWEST,
     progress: Progress | None = None,
 ) -> PokesFit:
     """Fit the layers below a surface to one or several pokes of it.
 
     spacing: spacing of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3
     and 4 and then on in the direction that is better; beta_range: (low, high) range in which beta is sought; theta:
-    fixed if given; version: see `NEWEST`; progress: called with (what, done, all)
+    fixed if given; progress: called with (what, done, all)
     """
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing
@@ -456,7 +449,7 @@ def fit_pokes(
         tick(0)
 
         def pose(place: int, size: int = size) -> PosedPoke:
-            made = PosedPoke(surface, pokes[place], fine, size, precision, device, version)
+            made = PosedPoke(surface, pokes[place], fine, size, precision, device)
             made.state = settled.get(place)
             return made
 
@@ -481,7 +474,6 @@ def fit_pokes(
         posed=tuple(best_posed),
         beta_range=beta_range,
         theta_fitted=theta is None,
-        version=version,
     )
 
 

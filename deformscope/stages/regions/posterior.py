@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.regions.partitions import FAMILY_SHARES, Partitions, draw, propose
-from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_SHARED, TouchErrorModel
+from deformscope.stages.regions.touch_error import LAW_SD, TouchErrorModel
 from deformscope.stages.regions.touches import FIRST_REGIONS, MapGrid, StiffnessSample
 
 RegionMapKind = Literal["regions", "gradual"]
@@ -57,8 +57,6 @@ PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
 about 0.6 m."""
 LINEARISED = 2
 """Number of estimates of the levels before a contact's stiffness is linearized about them."""
-SAME_M = 1e-3
-"""Touches that are so near each other are of one place."""
 RIGID_SDS = 2.0
 """Levels within this many deviations below the bound of rigid touches count as rigid."""
 SCATTER_MAPS = 100
@@ -164,11 +162,11 @@ class RegionMap:
         """Whether there may be more regions: three and more are not distinguished reliably (`studies regions`)."""
         return self.region_count >= FIRST_REGIONS
 
-    def claimed(self, *, or_more: bool = True) -> float:
-        """Probability of the verdict and `region_count`. or_more: the probability of as many or more where that is
-        possible"""
+    @property
+    def claimed(self) -> float:
+        """Probability of the verdict and `region_count`; of as many or more where that is possible."""
         k = self.region_count
-        if or_more and self.more_possible:
+        if self.more_possible:
             return sum(share for number, share in self.probability.items() if number.isdigit() and int(number) >= k)
         return self.probability[str(k or "gradual")]
 
@@ -211,34 +209,6 @@ class RegionHypotheses:
 
 
 @dataclass(frozen=True, slots=True)
-class Repeats:
-    """Predictions of touches at the places of earlier touches, whatever the map.
-
-    at_m: (p, 2) place of the earlier touch, or the place itself without one; value: (p,) mean log stiffness that was
-    measured there; share: (p,) share of a reading's deviation from the map that is expected again, 0 without an earlier
-    touch; sd: (p,) standard deviation of the remaining part
-    """
-
-    at_m: FloatArray
-    value: FloatArray
-    share: FloatArray
-    sd: FloatArray
-
-    def take(self, index: IntArray) -> Repeats:
-        """The repeats at the places of these indices."""
-        return Repeats(at_m=self.at_m[index], value=self.value[index], share=self.share[index], sd=self.sd[index])
-
-    def expected(
-        self, hypotheses: RegionHypotheses, blur_m: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Under each hypothesis mean, variance due to the levels and total deviation (h, p) of touches' readings, and
-        its weight (h,): a repeat is expected to repeat a part of the earlier deviation."""
-        mean, variance, weight = hypotheses.predict(self.at_m, blur_m)
-        variance = variance * (1.0 - self.share) ** 2
-        return mean + self.share * (self.value - mean), variance, np.sqrt(variance + self.sd**2), weight
-
-
-@dataclass(frozen=True, slots=True)
 class RelatedTouches:
     """Touches at places `at_m` (p, 2), which share scatter with those made so far, at `readings`, the more the nearer
     they are. The deviation of a neighbour is expected again, so that a touch next to it adds little information.
@@ -256,7 +226,8 @@ class RelatedTouches:
     def expected(
         self, hypotheses: RegionHypotheses, blur_m: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """See `Repeats`: the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
+        """Under each hypothesis mean, variance due to the levels and total deviation (h, p) of the readings, and its
+        weight (h,): the predictive distribution given the map and its scatter (universal kriging, Cressie 1993,
         3.4.2)."""
         made, places = self.readings, np.concatenate([self.at_m, self.readings.xy_m])
         new, measured, shared = len(self.at_m), made.value + made.centre, self.prior.error.shared(self.at_m, made.xy_m)
@@ -638,29 +609,15 @@ class RegionPosterior:
         known = [touch.log_sd for touch in self.touches if not touch.rigid]
         return float(np.hypot(self.scatter, np.median(known))) if known else self.prior.error.touch_sd
 
-    def repeats(self, places_m: FloatArray, within_m: float) -> Repeats:
-        """Repeats of touches at places (p, 2) [m]. Each repeats the nearest earlier touch, if that is this near along x
-        and along y, and did not touch something rigid.
-
-        Touches of one place share a part of their scatter (`touch_error`), so that a repeat is worth less than a touch
-        elsewhere: the mean of m readings has the variance q s^2 + ((1 - q) s^2 + own^2) / m, and the expected error of
-        the next reading is the share q s^2 of it.
-        """
-        sd = self.touch_sd
-        at, value = np.array(places_m, np.float64), np.zeros(len(places_m))
-        share, left = np.zeros(len(places_m)), np.full(len(places_m), sd)
-        xy_m = np.array([touch.xy_m for touch in self.touches]).reshape(-1, 2)
-        together = SCATTER_SHARED * self.scatter**2
-        for number, touch in enumerate(self.touches):
-            here = (np.abs(places_m - touch.xy_m) <= within_m).all(axis=1)
-            same = np.hypot(*(xy_m - xy_m[number]).T) < SAME_M
-            if not here.any() or touch.rigid:
-                continue
-            again = together / (together + (sd**2 - together) / same.sum())
-            at[here], share[here] = touch.xy_m, again
-            value[here] = np.mean([one.log_stiffness for one, its in zip(self.touches, same, strict=True) if its])
-            left[here] = np.sqrt(sd**2 - again * together)
-        return Repeats(at, value, share, left)
+    def repeated(self, places_m: FloatArray, within_m: float) -> tuple[FloatArray, BoolArray]:
+        """Places (p, 2) [m] of touches at places (p, 2), and which (p,) repeat an earlier touch: one that is this near
+        along x and along y, and did not touch something rigid."""
+        at, again = np.array(places_m, np.float64), np.zeros(len(places_m), dtype=bool)
+        for touch in self.touches:
+            if not touch.rigid:
+                here = (np.abs(places_m - touch.xy_m) <= within_m).all(axis=1)
+                at[here], again[here] = touch.xy_m, True
+        return at, again
 
     def related(self, places_m: FloatArray) -> RelatedTouches:
         """Touches at places (p, 2) [m], given those made so far."""

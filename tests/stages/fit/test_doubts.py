@@ -134,14 +134,6 @@ def test_what_only_trembles_did_not_move() -> None:
     assert reason.code == "little-explained"
 
 
-@pytest.mark.parametrize("version", [1, 2])
-def test_older_fits_of_what_did_not_move_explain_little_as_recorded(version: int) -> None:
-    moved = seen_sheet(0.6)
-    found = fitted(dataclasses.replace(moved, deformed=moved.rest, noise=None), Model(version=version))
-    assert (found.verdict, codes(found.reasons)[0]) == ("unidentified", "little-explained")
-    assert "nothing-moved" not in codes(found.reasons)
-
-
 def test_particles_of_images_that_stay_are_named_with_the_flag_that_leaves_them_out() -> None:
     seen = seen_sheet(0.6)
     stays = seen.rest[:, 0] < np.quantile(seen.rest[:, 0], 0.5)
@@ -167,10 +159,10 @@ def test_a_value_on_the_end_of_its_interval_says_where_the_likelihood_is() -> No
     assert not list(value_at_end("beta", 0.0, (0.0, 0.3), (0.0, 0.99)))  # a bound of the range is no end
 
 
-@pytest.mark.parametrize(("low", "version", "named"), [(0.5, 3, False), (0.5, 2, True), (0.7, 3, True)])
-def test_a_value_on_the_end_of_a_wide_interval_is_one_of_many_that_fit(low: float, version: int, named: bool) -> None:
+@pytest.mark.parametrize(("low", "named"), [(0.5, False), (0.7, True)])
+def test_a_value_on_the_end_of_a_wide_interval_is_one_of_many_that_fit(low: float, named: bool) -> None:
     known = Identifiability(rise=9.0, explained=1.0, deviation=0.1, misfit=0.0)
-    found = found_in_numbers("beta", 0.8, (low, 0.8), BOUNDS, known, converged=True, rank=1.0, version=version)
+    found = found_in_numbers("beta", 0.8, (low, 0.8), BOUNDS, known, converged=True, rank=1.0)
     assert codes(found) == ["value-at-interval-end"] * named
 
 

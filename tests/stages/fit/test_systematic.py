@@ -10,8 +10,9 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
+from deformscope.stages.fit import noise
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
-from deformscope.stages.fit.noise import OFFS, ErrorModel, Measured
+from deformscope.stages.fit.noise import OFFS, SCALE_ROUNDS, ErrorModel, Measured
 from deformscope.stages.fit.systematic import camera_modes, tool_modes
 
 
@@ -36,23 +37,22 @@ def test_a_camera_that_is_off_moves_everything_in_proportion_to_the_place() -> N
     assert left[0] < 1e-20
 
 
-def _measured(version: int, count: int = 7) -> tuple[Measured, FloatArray]:
+def _measured(count: int = 7) -> tuple[Measured, FloatArray]:
     """Places and noise of some particles, and how the held ones move the others, (count, 2, 6)."""
     rng = np.random.default_rng(1)
     rest, held = rng.random((count, 2)), rng.random((3, 2)) + np.array([2.0, 0.0])
     given = rest, held, np.full(count, 0.1), np.full(3, 0.2), True, 0.3, 1e-9
     touched = np.array([True, True, False])
-    return Measured(*given, touched=touched, shift=0.05, version=version), 0.3 * rng.standard_normal((count, 2, 6))
+    return Measured(*given, touched=touched, shift=0.05), 0.3 * rng.standard_normal((count, 2, 6))
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_products_are_those_of_the_whole_covariance(version: int) -> None:
-    measured, response = _measured(version)
+def test_products_are_those_of_the_whole_covariance() -> None:
+    measured, response = _measured()
     errors = ErrorModel(measured)
     every = errors.hypotheses
     residual = np.random.default_rng(2).standard_normal((2, 7, 2))
     rows = np.flatnonzero(every.held & (every.size == 0.0))
-    assert len(rows) == (1 if version == 2 else len(OFFS))
+    assert len(rows) == len(OFFS)
     assert np.exp(every.log_prior).sum() == pytest.approx(1.0)
     found = errors.products(residual, response, rows)
     flat, each = response.reshape(14, 6), residual.reshape(2, 14)
@@ -65,11 +65,14 @@ def test_products_are_those_of_the_whole_covariance(version: int) -> None:
         assert found.log_det[at] == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-8)
 
 
-def test_a_camera_that_is_off_does_not_enlarge_the_noise_by_which_its_errors_are_measured() -> None:
-    """The scale of white noise is found of what errors of tool and camera leave."""
+def test_a_camera_that_is_off_does_not_enlarge_the_noise_by_which_its_errors_are_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The scale of white noise is found of what errors of tool and camera leave, in rounds."""
     scales = []
-    for version in (2, 3):
-        measured, response = _measured(version, 60)
+    for rounds in (1, SCALE_ROUNDS):
+        monkeypatch.setattr(noise, "SCALE_ROUNDS", rounds)
+        measured, response = _measured(60)
         measured = dataclasses.replace(measured, noise=np.full(60, 2e-4), held_noise=np.full(3, 2e-4))
         errors = ErrorModel(measured)
         every = errors.hypotheses
@@ -97,11 +100,8 @@ def _pulled(shift_m: float, noise_m: float = 1e-4) -> Observation:
 
 def test_what_a_tool_is_off_by_is_found_with_the_parameter() -> None:
     """1 mm against the push: taken for another beta where the residuals are projected on what beta can change."""
-    seen = _pulled(-1e-3)
-    fits = [calibrate([seen], FitOptions(Model(cluster_size=3, version=at), candidates=40)) for at in (2, 3)]
-    before, now = (one.estimate.interval for one in fits)
-    assert before[0] > 0.6
-    assert now[0] <= 0.6 <= now[1]
+    found = calibrate([_pulled(-1e-3)], FitOptions(Model(cluster_size=3), candidates=40)).estimate
+    assert found.interval[0] <= 0.6 <= found.interval[1]
 
 
 def test_a_tool_that_is_off_is_no_reason_to_blame_single_particles_where_registration_may_be() -> None:

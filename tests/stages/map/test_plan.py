@@ -28,8 +28,14 @@ from deformscope.stages.map.plan import (
     plan_touch,
 )
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, RegionPrior, Repeats
-from deformscope.stages.regions.touch_error import SCATTER_SHARED, TouchErrorModel
+from deformscope.stages.regions.posterior import (
+    RegionHypotheses,
+    RegionPosterior,
+    RegionPrior,
+    RelatedTouches,
+    _readings,
+)
+from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
 GRID = MapGrid(cell_m=0.01)
@@ -118,9 +124,10 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     other = int(np.argmax((labels != labels[one]).sum(axis=1)))
     pair = maps.take(np.array([one, other]))
     level = np.array([[0.0, 0.5], [0.0, 0.5]])
-    hypotheses = RegionHypotheses(((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),), (), True)
-    count = len(places)
-    new = Repeats(places, np.zeros(count), np.zeros(count), np.full(count, 0.2))
+    weighed = ((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),)
+    hypotheses = RegionHypotheses(weighed, (), True, (np.zeros(2),))
+    prior = RegionPrior(mixed_share=0.0)
+    new = RelatedTouches(places, _readings((), prior), prior, 0.2)
     found = information(hypotheses, new, 0.012)
 
     mean = np.log(pair.shares(places, 0.012) @ np.exp(level[0]))[..., None]
@@ -258,29 +265,11 @@ def test_a_touch_may_be_repeated_at_its_very_place_and_says_less_than_one_beside
 
     # the place itself is touched, not its cell's middle; and it was as good as known what it reads
     off = xy[5]
-    again = posterior.repeats(np.array([[0.31, 0.31], off, [0.4, 0.2]]), 0.01)
-    np.testing.assert_array_equal(again.at_m, [off, off, [0.4, 0.2]])
-    np.testing.assert_array_equal(again.share > 0.0, [True, True, False])
-    assert again.value[0] == 0.0
-    assert again.sd[0] < again.sd[2] == posterior.touch_sd
-    once, new = (information(posterior.hypotheses(), one, 0.0075)[0] for one in (again, _new(off, posterior.touch_sd)))
+    at_m, again = posterior.repeated(np.array([[0.31, 0.31], off, [0.4, 0.2]]), 0.01)
+    np.testing.assert_array_equal(at_m, [off, off, [0.4, 0.2]])
+    np.testing.assert_array_equal(again, [True, True, False])
+    once, new = information(posterior.hypotheses(), posterior.related(at_m[1:]), 0.0075)
     assert 0.0 < once < new
-
-
-def _new(xy_m: np.ndarray, sd: float) -> Repeats:
-    return Repeats(xy_m[None], np.zeros(1), np.zeros(1), np.full(1, sd))
-
-
-def test_what_a_repeat_is_expected_to_read_is_the_conditional_of_correlated_errors() -> None:
-    posterior = mapped([StiffnessSample(np.array([0.3, 0.2]), value, 0.05) for value in (0.1, 0.2)])
-    again = posterior.repeats(np.array([[0.3, 0.2]]), 0.0)
-    scatter, own = posterior.scatter**2, posterior.touch_sd**2 - posterior.scatter**2
-    cov = SCATTER_SHARED * scatter + ((1.0 - SCATTER_SHARED) * scatter + own) * np.eye(3)
-    known = cov[:2, :2]
-    # what is expected of the third of three readings, all of one level, given the first two
-    np.testing.assert_allclose(np.linalg.solve(known, cov[:2, 2]).sum(), again.share[0])
-    np.testing.assert_allclose(cov[2, 2] - cov[2, :2] @ np.linalg.solve(known, cov[:2, 2]), again.sd[0] ** 2)
-    assert again.value[0] == pytest.approx(0.15)
 
 
 def test_what_touches_near_others_are_expected_to_read_is_the_conditional_of_one_gaussian() -> None:
@@ -317,8 +306,9 @@ def test_a_touch_next_to_others_of_its_material_says_less_than_one_between_them_
     value = [-0.4, 0.0, 0.02, -0.02, 2.5, 2.5, -0.3]
     posterior = mapped([StiffnessSample(one, read, 0.03) for one, read in zip(xy, value, strict=True)])
     new = np.array([(0.29, 0.29), (0.31, 0.33), (0.2, 0.2)])
-    hypotheses, blur = posterior.hypotheses(), posterior.prior.blur_m
-    alone = information(hypotheses, posterior.repeats(new, 0.01), blur)
-    known = information(hypotheses, posterior.related(new), blur)
+    hypotheses, blur = replace(posterior.hypotheses(), smooth=()), posterior.prior.blur_m
+    related = posterior.related(new)
+    alone = information(hypotheses, replace(related, readings=_readings((), posterior.prior)), blur)
+    known = information(hypotheses, related, blur)
     assert (known[:2] < 0.8 * alone[:2]).all()
     assert known[2] == pytest.approx(alone[2], rel=0.25)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.relaxation import DOUBTED, NEWEST_RELAXATION, OPEN
+from deformscope.stages.fit.relaxation import DOUBTED, OPEN, seen_of
+from deformscope.stages.poke import creep
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepFit, cycle_loss, fit_creep
 
@@ -23,7 +25,6 @@ def touch(
     hold_s: float,
     noise_m: float = 0.0,
     load_s: float = LOAD_S,
-    **how: int,
 ) -> CreepFit:
     """A ball pressed with a force that rises and stays, on E(t) / E0 = 1 - sum g + sum g exp(-t / tau), by a Volterra
     equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p."""
@@ -51,7 +52,7 @@ def touch(
     felt = force + 0.01 * random.standard_normal(len(force))
     loading = 30 + round(load_s * RATE_HZ) + 1
     arm = ArmCompliance(1e-4, 1e-6)
-    return fit_creep(time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=arm, **how)
+    return fit_creep(time, -z[:, None] * UP, felt[:, None] * UP, UP, loading=loading, held=len(time), arm=arm)
 
 
 @pytest.mark.parametrize(
@@ -130,8 +131,10 @@ def test_a_hold_says_only_what_it_saw_and_always_the_force_that_is_kept(
     assert reason in fit.brief
 
 
-def test_intervals_open_where_the_relaxed_state_may_be_unseen() -> None:
-    opened, before = (touch((0.3,), (1.0,), 3.0, noise_m=5e-5, version=version) for version in (NEWEST_RELAXATION, 1))
+def test_intervals_open_where_the_relaxed_state_may_be_unseen(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = touch((0.3,), (1.0,), 3.0, noise_m=5e-5)
+    monkeypatch.setattr(creep, "seen_of", partial(seen_of, open_from=1.0))
+    before = touch((0.3,), (1.0,), 3.0, noise_m=5e-5)
     assert OPEN < opened.short_record + opened.no_plateau < DOUBTED
     assert (opened.reasons, before.reasons) == ((), ())
     assert before.relaxed_interval is not None

@@ -38,17 +38,16 @@ def test_no_table_is_made_up_from_the_surface_or_from_what_stands_beside_it() ->
 
 
 def test_stated_thickness_is_that_of_a_level_surface_and_the_seen_one_counts_where_it_is_uneven() -> None:
-    assert known_layer(LEVEL, None, stated_m=0.05, relief=True) == KnownLayer(0.05)
-    assert known_layer(np.linspace(0.02, 0.05, 9), None, stated_m=0.05, relief=True).uneven
-    assert known_layer(LEVEL, None, stated_m=0.03, relief=True).uneven  # not as thick as stated
-    assert not known_layer(np.linspace(0.02, 0.05, 9), None, stated_m=0.05, relief=False).uneven
+    assert known_layer(LEVEL, None, stated_m=0.05) == KnownLayer(0.05)
+    assert known_layer(np.linspace(0.02, 0.05, 9), None, stated_m=0.05).uneven
+    assert known_layer(LEVEL, None, stated_m=0.03).uneven  # not as thick as stated
 
 
 def test_thickness_that_nobody_stated_is_taken_from_the_table_or_is_not_known() -> None:
     table = TableSeen(-0.004, 0.001)
-    assert known_layer(LEVEL, table, stated_m=None, relief=True).thickness_m == pytest.approx(0.054)
-    assert known_layer(LEVEL, None, stated_m=None, relief=True) == KnownLayer(None)
-    assert known_layer(np.full(9, 0.001), TableSeen(0.0, 0.001), stated_m=None, relief=True) == KnownLayer(None)
+    assert known_layer(LEVEL, table, stated_m=None).thickness_m == pytest.approx(0.054)
+    assert known_layer(LEVEL, None, stated_m=None) == KnownLayer(None)
+    assert known_layer(np.full(9, 0.001), TableSeen(0.0, 0.001), stated_m=None) == KnownLayer(None)
 
 
 def test_modulus_has_an_interval_by_stiffness_and_by_thickness_and_is_not_known_without() -> None:

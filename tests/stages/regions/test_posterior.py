@@ -223,9 +223,9 @@ def test_more_regions_than_are_told_apart_are_named() -> None:
     assert set(shown.probability) == {"1", "2", "3", "gradual"}
     some = {"1": 0.01, "2": 0.04, "3": 0.5, "4": 0.3, "5": 0.1, "gradual": 0.05}
     shown = replace(shown, probability=some)
-    assert shown.claimed() == pytest.approx(0.9)
-    assert (shown.claimed(or_more=False), replace(shown, region_count=2).claimed()) == (0.5, 0.04)
-    assert replace(shown, region_count=0, verdict="gradual").claimed() == 0.05
+    assert shown.claimed == pytest.approx(0.9)
+    assert replace(shown, region_count=2).claimed == 0.04
+    assert replace(shown, region_count=0, verdict="gradual").claimed == 0.05
 
 
 def test_regions_that_are_not_followed_have_their_share_of_the_most_that_are() -> None:
