@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -11,6 +12,17 @@ def printable(text: str) -> str:
     """Text of files, devices and paths for a terminal or a page. Control characters, those that reverse the direction
     of text, and bytes that are not UTF-8 become escapes, as in Python's `repr`; line breaks and tabs stay."""
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+class _Printable(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
+def show_remarks() -> None:
+    """Print the library's remarks so that no text in them controls the terminal: in each process, as it begins."""
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(_Printable())
 
 
 class InputError(Exception):

@@ -74,7 +74,8 @@ def read_file(path: str | Path, what: str, hint: str = "") -> bytes:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file that replaces `path` when it is complete; an error leaves `path` unchanged."""
+    """A file that replaces `path` when it is complete; an error leaves `path` unchanged. Raises OSError with its
+    name."""
     if path.exists() and not path.is_file():  # a device or a pipe cannot be replaced, only written to
         with path.open("wb") as stream:
             yield stream
@@ -87,6 +88,9 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         draft.replace(path)
+    except OSError as error:  # of a full disk, which names no file
+        error.filename = error.filename or str(path)
+        raise
     finally:
         draft.unlink(missing_ok=True)
 

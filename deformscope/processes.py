@@ -15,6 +15,8 @@ from multiprocessing.connection import Connection, wait
 from types import ModuleType
 from typing import Any
 
+from deformscope.errors import show_remarks
+
 SPAWN = multiprocessing.get_context("spawn")
 """Start method of processes: locks of other threads do not survive a fork."""
 END_S = 5.0
@@ -109,6 +111,7 @@ def follow_parent(*pipes: Connection) -> None:
     leaves signals to its parent. A Ctrl-C at a terminal reaches all of them."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    show_remarks()
     threading.Thread(target=_end_with, args=pipes, name="parent", daemon=True).start()
 
 

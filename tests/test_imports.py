@@ -34,7 +34,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "bench_cases": (),
     "errors": (),
     "plain": (),
-    "processes": (),
+    "processes": ("errors",),
     "version": (),
     "executor": ("errors", "processes", "version"),
     # What is reported of a result, declared where its dataclass is.

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
-import logging
 import os
 import re
 import select
@@ -27,7 +26,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from deformscope.cli.examples import EXAMPLES
-from deformscope.errors import InputError, printable
+from deformscope.errors import InputError, printable, show_remarks
 from deformscope.version import __version__
 
 if TYPE_CHECKING:
@@ -173,8 +172,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
     """The exit status of a dispatcher of command lines, as in `main`."""
-    if logging.lastResort is not None:
-        logging.lastResort.setFormatter(_Printable())
+    show_remarks()
     with _ended_by_signals() as signals:
         status = _status(dispatch, args, signals)
         if "deformscope.page.server.page_server" in sys.modules and status < EXIT_SIGNALLED:
@@ -182,13 +180,6 @@ def guarded(dispatch: Callable[[list[str]], int], args: list[str]) -> int:
 
             keep_page()
     return EXIT_SIGNALLED + signals[0] if signals else status
-
-
-class _Printable(logging.Formatter):
-    """Makes the library's remarks readable on a terminal."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
 
 
 @contextlib.contextmanager

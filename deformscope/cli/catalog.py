@@ -7,7 +7,7 @@ deformscope catalog compare first.rrd second.rrd
 
 from __future__ import annotations
 
-from deformscope.cli.common import fit_progress, say, show, write_file, write_json, wrote
+from deformscope.cli.common import fit_progress, keep_page, say, show, write_file, write_json, wrote
 from deformscope.config import CatalogConfig, CompareConfig
 
 
@@ -27,6 +27,8 @@ def run(config: CatalogConfig) -> None:
         wrote("page", config.folder / PAGE)
     if config.json is not None:
         write_json(found.as_json(), config.json)
+    if config.serve:
+        keep_page(wanted=True)
 
 
 def compare(config: CompareConfig) -> None:

@@ -91,7 +91,7 @@ class CatalogConfig(CommandOptions):
     page: bool = False
     """Write DIR/catalog.html too: a picture of each recording, with a link that opens it."""
     serve: bool = False
-    """Serve that page to browsers of this machine, at a terminal until Ctrl-C: a click plays the recording."""
+    """Serve that page to browsers of this machine until Ctrl-C: a click plays the recording."""
     workers: flags.SomeFlag = None
     """Number of processes that read recordings; default: the cores of this machine."""
     json: flags.JsonFlag = None

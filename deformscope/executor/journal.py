@@ -65,9 +65,13 @@ class Journal(contextlib.AbstractContextManager["Journal"]):
         OSError."""
         text = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in lines).encode()
         self._file.truncate(self._end)
-        if os.write(self._file.fileno(), text) < len(text):
-            self._file.truncate(self._end)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
+        try:
+            if os.write(self._file.fileno(), text) < len(text):
+                self._file.truncate(self._end)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            error.filename = str(self.path)
+            raise
         self._end += len(text)
 
     def __exit__(self, *raised: object) -> None:

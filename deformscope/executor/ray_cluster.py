@@ -87,7 +87,7 @@ def _check_answer(address: str) -> None:
         raise InputError("HOST:PORT or ray://HOST:PORT after --address", repr(address))
     try:
         socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, ValueError) as error:
         raise _nobody(address, str(getattr(error, "strerror", None) or error).lower()) from error
 
 

@@ -52,12 +52,20 @@ def _batch(rows: list[Mapping[str, Any]]) -> pa.Table:
 def _array(values: list[Any]) -> pa.Array:
     try:
         return pa.array(values)
+    except UnicodeEncodeError:  # of a name that is not UTF-8
+        return pa.array([to_utf8(one) if isinstance(one, str) else one for one in values])
     except (pa.ArrowTypeError, pa.ArrowInvalid, OverflowError):
         return _text(values)
 
 
 def _text(values: list[Any]) -> pa.Array:
-    return pa.array([one if one is None or isinstance(one, str) else json.dumps(one) for one in values], pa.string())
+    texts = [to_utf8(one) if isinstance(one, str) else None if one is None else json.dumps(one) for one in values]
+    return pa.array(texts, pa.string())
+
+
+def to_utf8(text: str) -> str:
+    """A text of a table: bytes that are not UTF-8, as in names of files, are escapes."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def _part(batch: pa.Table, name: str) -> pa.ChunkedArray:

@@ -25,23 +25,23 @@ class CatalogServer(PageServer):
 
     def __init__(self, title: str, html: str, recordings: Sequence[Path]) -> None:
         super().__init__(title)
-        self._html, self._recordings = html, recordings
-        self._played: dict[int, ASGIApp] = {}
+        self._html, self._recordings = html, {str(number): path for number, path in enumerate(recordings)}
+        self._played: dict[str, ASGIApp] = {}
 
     def routes(self) -> ASGIApp:
         return self._route
 
     async def _route(self, scope: Scope, receive: Receive, send: Send) -> None:
         number, slash, rest = scope["path"].removeprefix("/").partition("/")
-        if number.isascii() and number.isdecimal() and slash and int(number) < len(self._recordings):
-            app = await self._play(int(number))
+        if slash and number in self._recordings:
+            app = await self._play(number)
             await app({**scope, "path": f"/{rest}", "raw_path": f"/{rest}".encode()}, receive, send)
         elif scope["type"] == "http" and scope["path"] == "/":
             await HTMLResponse(self._html, headers={"content-security-policy": POLICY})(scope, receive, send)
         elif scope["type"] == "http":
             await PlainTextResponse("no such page\n", 404)(scope, receive, send)
 
-    async def _play(self, number: int) -> ASGIApp:
+    async def _play(self, number: str) -> ASGIApp:
         if number not in self._played:
             path = self._recordings[number]
             page = PageServer(path.name, path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,7 +17,7 @@ import pyarrow as pa
 from deformscope.errors import InputError
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import compute
-from deformscope.files.result_table import make_table, read_table, select_rows, write_table
+from deformscope.files.result_table import make_table, read_table, select_rows, to_utf8, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Link, Section, Table, html_report
@@ -98,7 +99,14 @@ def catalogued_paths(source: Path, where: str) -> list[Path]:
     folder = source.parent if source.suffix == ".parquet" else source
     if source.suffix == ".parquet" and source.name != INDEX:
         raise InputError(f"a folder, or the {INDEX} in it", source.name, where=source)
-    return [folder / path for path in catalogue(folder, where).table["path"].to_pylist()]
+    return [_file(folder, path) for path in catalogue(folder, where).table["path"].to_pylist()]
+
+
+def _file(folder: Path, name: str) -> Path:
+    """The recording of a row."""
+    if (path := folder / name).exists():
+        return path
+    return next((one for one in folder.rglob("*") if to_utf8(str(one.relative_to(folder))) == name), path)
 
 
 def _index(folder: Path, workers: int | None, progress: Progress | None) -> tuple[pa.Table, int]:
@@ -110,7 +118,7 @@ def _index(folder: Path, workers: int | None, progress: Progress | None) -> tupl
     for one in sorted(found, key=lambda one: (str(one.parent), natural_key(one))):
         name = str(one.relative_to(folder))
         rows[name] = {"path": name, "status": UNREAD} | _stated(one)
-        row = by_path.get(name, {"status": UNREAD})
+        row = by_path.get(to_utf8(name), {"status": UNREAD})
         if row["status"] not in (UNREAD, "being written") and all(row.get(key) == rows[name][key] for key in STATED):
             rows[name] = row
         else:
@@ -157,7 +165,7 @@ def catalog_page(
     links are the places of recordings on a page that is served, not files"""
     rows = found.table.slice(0, PAGE_ROWS).to_pylist()
     pictures = {row["path"]: found.folder / PICTURES / f"{row['sha256']}.png" for row in rows if row["sha256"]}
-    left = [(str(found.folder / name), str(png)) for name, png in pictures.items() if not png.exists()]
+    left = [(str(_file(found.folder, name)), str(png)) for name, png in pictures.items() if not png.exists()]
     if left:
         (found.folder / PICTURES).mkdir(exist_ok=True)
         with open_workers("local", None, workers, len(left), apart=True) as several:
@@ -169,7 +177,8 @@ def catalog_page(
     for number, row in enumerate(rows):
         png = pictures.get(row["path"])
         picture = png.read_bytes() if png is not None and png.exists() else b""
-        link = Link(row["path"], f"{number}/" if served else quote(row["path"]), picture)
+        path = quote(os.fsencode(_file(found.folder, row["path"]).relative_to(found.folder)))
+        link = Link(row["path"], f"{number}/" if served else path, picture)
         cells.append((link, *(cell_text(row[name]) for name in names)))
     more = f", of which the first {PAGE_ROWS} are shown" if found.table.num_rows > PAGE_ROWS else ""
     words = f"{found.table.num_rows} recordings{more}. A picture opens its recording"
@@ -182,7 +191,7 @@ def serve_page(found: CatalogResult, workers: int | None = None, progress: Progr
     from deformscope.page.catalog_page import serve_catalog
 
     html = catalog_page(found, served=True, workers=workers, progress=progress)
-    paths = [found.folder / name for name in found.table["path"].slice(0, PAGE_ROWS).to_pylist()]
+    paths = [_file(found.folder, name) for name in found.table["path"].slice(0, PAGE_ROWS).to_pylist()]
     return serve_catalog(found.folder.name, html, paths).address
 
 

@@ -32,7 +32,7 @@ from deformscope.executor.journal import Journal
 from deformscope.executor.local import one_thread as one_thread
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import TaskOutcome, compute
-from deformscope.file_io import make_folder, resolve
+from deformscope.file_io import make_folder, replacing, resolve
 from deformscope.files.result_table import make_table, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.distributions import distributions_png
@@ -191,7 +191,8 @@ def sweep_on(
         finally:  # also what is there where it is broken off
             found = SweepResult(out, _results(journal, plan), computed, time.monotonic() - began)
             write_table(found.table, out / RESULTS)
-            (out / OVERVIEW).write_text(_overview(found), encoding="utf-8")
+            with replacing(out / OVERVIEW) as file:
+                file.write(_overview(found).encode())
     return found
 
 

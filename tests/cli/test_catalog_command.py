@@ -7,6 +7,9 @@ import json
 import os
 import re
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -176,7 +179,7 @@ def test_a_served_page_plays_a_recording_that_is_clicked(folder: Path, listed: o
         assert (status, b'data-recording="recording.rrd"' in playing) == (200, True)
         assert asked(f"{page.address}0/recording.rrd") == (200, (folder / "older" / "rig.rrd").read_bytes())
         assert asked(f"{page.address}1/")[0] == 422
-        assert [asked(f"{page.address}{path}")[0] for path in ("2/", "-1/", "0", "catalog.parquet")] == [404] * 4
+        assert [asked(f"{page.address}{path}")[0] for path in ("2/", "-1/", "0", "9" * 5000 + "/")] == [404] * 4
         stranger = page.address.rsplit("/", 2)[0]
         assert [asked(f"{stranger}/{path}")[0] for path in ("", "0/", "guessed/0/")] == [403] * 3
 
@@ -188,6 +191,46 @@ def asked(address: str) -> tuple[int, bytes]:
     except HTTPError as error:
         with error:
             return error.code, error.read()
+
+
+def test_names_that_are_not_utf_8_are_listed_swept_drawn_and_linked(tmp_path: Path) -> None:
+    name = os.fsdecode(b"caf\xe9.rrd")
+    copy(SHIPPED / "tension.rrd", tmp_path / "plain.rrd")
+    copy(SHIPPED / "tension.rrd", tmp_path / name)
+    found = catalog(tmp_path, "--page")
+    assert {one["path"]: one["status"] for one in found["recordings"]} == dict.fromkeys(
+        ("plain.rrd", r"caf\udce9.rrd"), "whole"
+    )
+    assert catalog(tmp_path)["read"] == 0
+    assert 'href="caf%E9.rrd"' in (tmp_path / "catalog.html").read_text()
+    options = SweepConfig(source=tmp_path / "catalog.parquet", command=("calibrate", "beta"))
+    assert {one.name for one in find_sources(options)} == {"plain.rrd", name}
+
+
+def test_no_text_of_a_recording_controls_the_terminal_of_whoever_draws_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copy(SHIPPED / "tension.rrd", tmp_path / "r.rrd")
+    add_discard(tmp_path / "r.rrd", {"reason": "\x1b]0;owned\x07"})
+    catalog(tmp_path, "--page")
+    said = capfd.readouterr()
+    assert "is discarded: all of it: \\x1b]0;owned" in said.err
+    assert not {"\x1b", "\x07"} & {*said.out, *said.err}
+
+
+@pytest.mark.parametrize("ends", [signal.SIGINT, signal.SIGTERM])
+def test_a_catalog_is_served_until_it_is_ended_without_a_terminal_too(tmp_path: Path, ends: signal.Signals) -> None:
+    copy(SHIPPED / "tension.rrd", tmp_path / "r.rrd")
+    command = [sys.executable, "-m", "deformscope", "catalog", str(tmp_path), "--serve", "--workers", "1"]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as ran:
+        assert ran.stderr is not None
+        line = next(one for one in ran.stderr if "until Ctrl-C" in one)
+        assert asked(line.split()[-1])[0] == 200
+        assert ran.poll() is None
+        ran.send_signal(ends)
+        assert ran.wait(PATIENCE_S) == (0 if ends == signal.SIGINT else 128 + ends)
 
 
 def compared(first: Path, second: Path, tmp_path: Path) -> dict[str, Any]:

@@ -382,9 +382,10 @@ def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: py
     assert f"{kept} of {kept} tasks are done" in (out / "index.html").read_text()
 
 
-def test_a_full_disk_ends_it_in_one_line(pairs: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("room", [1000, 3000])
+def test_a_full_disk_ends_it_in_one_line(room: int, pairs: Path, tmp_path: Path) -> None:
     """By a limit on the size of files, which the system refuses alike."""
-    limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))\n"
+    limited = f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
     limited += "from deformscope.cli import main; sys.exit(main(sys.argv[1:]))"
     flags = ["--match", "p1.npz", "--workers", "1", "--out", str(tmp_path / "out"), "--", *FIT]
     command = [sys.executable, "-c", limited, "sweep", str(pairs), *flags]
@@ -393,4 +394,5 @@ def test_a_full_disk_ends_it_in_one_line(pairs: Path, tmp_path: Path) -> None:
     )
     assert ran.returncode == 2
     assert [line for line in ran.stderr.splitlines() if "error" in line] == [ran.stderr.splitlines()[-1]]
-    assert "the system refused" in ran.stderr
+    written = r"(tasks\.jsonl|results\.parquet|index\.html)"
+    assert re.search(rf"the system refused: .* \| {tmp_path}/out/{written}$", ran.stderr.strip())
