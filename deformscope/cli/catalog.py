@@ -28,7 +28,7 @@ def run(config: CatalogConfig) -> None:
     if config.json is not None:
         write_json(found.as_json(), config.json)
     if config.serve:
-        keep_page(wanted=True)
+        keep_page(served=True)
 
 
 def compare(config: CompareConfig) -> None:

@@ -121,12 +121,12 @@ def at_terminal() -> bool:
     return sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
 
-def keep_page(*, wanted: bool = False) -> None:
-    """A page stays open until Ctrl-C if it is wanted, or a person is at a terminal; else, and then, the page's server
-    ends."""
+def keep_page(*, served: bool = False) -> None:
+    """A page stays open until Ctrl-C if a command is to serve it, or a person is at a terminal; else, and then, the
+    page's server ends."""
     from deformscope.page.server.page_server import end_pages, running_pages
 
-    if (wanted or at_terminal()) and (pages := running_pages()):
+    if (served or at_terminal()) and (pages := running_pages()):
         with suppress(KeyboardInterrupt):
             say(f"the page stays open until Ctrl-C: {', '.join(page.address for page in pages)}")
             while running_pages():
