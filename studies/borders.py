@@ -23,8 +23,8 @@ from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.reproduce.closed_form_table import run_closed_form
 from deformscope.reproduce.table41_runs import TableJob
+from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import Family
-from deformscope.stages.regions.posterior import RegionPrior
 from studies.quantities import Rate, by, of_cases
 from studies.seeds import reported
 

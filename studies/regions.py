@@ -37,14 +37,9 @@ from deformscope.pictures.report import Table
 from deformscope.reproduce.closed_form_table import FIT_SD, LOG_N_PER_MM_60
 from deformscope.stages.map.map_score import Z_90, TrueMap, match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
+from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import (
-    SLOPES_PER_M,
-    SMOOTH_LENGTHS_M,
-    SMOOTH_SDS,
-    RegionPosterior,
-    RegionPrior,
-)
+from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M, SMOOTH_SDS, RegionPosterior
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from studies.independent.random_maps import random_surface

@@ -22,7 +22,8 @@ from deformscope.experiments.search import InclusionSearch, RegionSearch, Surfac
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
 from deformscope.stages.map.thesis_field import ThesisField
-from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior
+from deformscope.stages.regions.levels import RegionPrior
+from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 

@@ -8,7 +8,7 @@ import pytest
 from deformscope.lab.scenes import built_in
 from deformscope.reproduce.closed_form_table import MOST_LOG, RIGID_LOG, _felt, run_closed_form, true_log_stiffness
 from deformscope.reproduce.table41_runs import TableJob
-from deformscope.stages.regions.posterior import RegionPrior
+from deformscope.stages.regions.levels import RegionPrior
 
 
 def test_a_contact_feels_what_is_around_it() -> None:

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom
 
 from deformscope.lab.session_errors import LabErrors
-from deformscope.stages.regions.posterior import RegionPrior
+from deformscope.stages.regions.levels import RegionPrior
 from studies.independent.random_maps import random_surface
 from studies.quantities import rows
 from studies.regions import (

@@ -22,7 +22,9 @@ from deformscope.errors import InputError
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
-from deformscope.stages.regions.posterior import RegionHypotheses, RegionPosterior, RelatedTouches, labels_of
+from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
+from deformscope.stages.regions.levels import labels_of
+from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 

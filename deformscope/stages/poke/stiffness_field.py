@@ -19,15 +19,9 @@ from scipy.special import logsumexp, stdtr
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.poke.mixture import quantile
-from deformscope.stages.regions.posterior import (
-    PRIOR_EXTENT_M,
-    PRIOR_MARGIN_M,
-    RegionPosterior,
-    RegionPrior,
-    SmoothField,
-    SmoothKernel,
-    SurfaceKind,
-)
+from deformscope.stages.regions.levels import RegionPrior
+from deformscope.stages.regions.posterior import PRIOR_EXTENT_M, PRIOR_MARGIN_M, RegionPosterior, SurfaceKind
+from deformscope.stages.regions.smooth import SmoothField, SmoothKernel
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 

@@ -27,14 +27,10 @@ from deformscope.stages.map.plan import (
     label_gain,
     plan_touch,
 )
+from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
+from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import (
-    RegionHypotheses,
-    RegionPosterior,
-    RegionPrior,
-    RelatedTouches,
-    _readings,
-)
+from deformscope.stages.regions.posterior import RegionPosterior, _readings
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 

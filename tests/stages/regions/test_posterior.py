@@ -11,9 +11,11 @@ from scipy.stats import multivariate_normal, norm
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.regions import posterior as posterior_module
+from deformscope.stages.regions import levels
+from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import Family, draw
-from deformscope.stages.regions.posterior import RegionPosterior, RegionPrior, _kept
+from deformscope.stages.regions.posterior import RegionPosterior
+from deformscope.stages.regions.resampling import resampled
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from tests.cases import slow_but
@@ -50,8 +52,8 @@ def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
     shares = rng.dirichlet(np.ones(k), (4, 6))
     prior = RegionPrior(least_contrast=0.0, mixed_share=0.0, forces_add=False)
     before = prior.level_sd**2 * np.eye(k) + prior.common_sd**2
-    readings = posterior_module._readings(touches(rng.standard_normal(6)), prior)
-    found, level, cov = posterior_module._levels(shares, readings, prior)
+    readings = levels.readings_of(touches(rng.standard_normal(6)), prior)
+    found, level, cov = levels.levels_of(shares, readings, prior)
 
     for one in range(4):
         joint = shares[one] @ before @ shares[one].T + np.diag(readings.variance)
@@ -65,16 +67,16 @@ def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
 def test_memory_of_the_factors_is_bounded_and_the_maps_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     """All maps at once against a few at a time, to the last bit."""
     rng, prior, sizes = np.random.default_rng(0), RegionPrior(), list[int]()
-    readings = posterior_module._readings(touches(rng.standard_normal(8)), prior)
+    readings = levels.readings_of(touches(rng.standard_normal(8)), prior)
     shares = rng.dirichlet(np.ones(3), (50, 8))
-    whole = posterior_module._by_scatter(shares, readings, prior)
-    at_once = posterior_module._levels_of
-    monkeypatch.setattr(posterior_module, "FACTORS_BYTES", 8 * 8**2 * whole.shape[0] * 7)
+    whole = levels.log_likelihood_by_scatter(shares, readings, prior)
+    at_once = levels._block_levels
+    monkeypatch.setattr(levels, "FACTORS_BYTES", 8 * 8**2 * whole.shape[0] * 7)
     monkeypatch.setattr(
-        posterior_module, "_levels_of", lambda shares, *given: (sizes.append(len(shares)), at_once(shares, *given))[1]
+        levels, "_block_levels", lambda shares, *given: (sizes.append(len(shares)), at_once(shares, *given))[1]
     )
 
-    np.testing.assert_array_equal(posterior_module._by_scatter(shares, readings, prior), whole)
+    np.testing.assert_array_equal(levels.log_likelihood_by_scatter(shares, readings, prior), whole)
     assert sizes == [7] * 7 + [1]
 
 
@@ -86,8 +88,8 @@ def test_under_a_contact_forces_add() -> None:
     prior = RegionPrior(least_contrast=0.0, mixed_share=0.0)
     felt = np.log(shares[0] @ np.exp(at))
     off = 0.03 * np.random.default_rng(1).standard_normal(6)
-    readings = posterior_module._readings(touches(felt + off), prior)
-    found, level, cov = posterior_module._levels(shares, readings, prior)
+    readings = levels.readings_of(touches(felt + off), prior)
+    found, level, cov = levels.levels_of(shares, readings, prior)
 
     axis = np.linspace(-0.25, 0.25, 201)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2) + at - readings.centre
@@ -111,9 +113,9 @@ def test_where_touches_were_made_says_nothing_of_the_levels() -> None:
     gained = []
     for more in (0, 2):
         values = np.array([0.0, 0.02, 0.4, 0.38, 3.0, 3.0] + more * [3.0])
-        readings = posterior_module._readings(touches(values, sd=0.05), prior := RegionPrior())
+        readings = levels.readings_of(touches(values, sd=0.05), prior := RegionPrior())
         evidence = [
-            posterior_module._levels(np.vstack([some, np.tile(some[-1], (more, 1))])[None], readings, prior, 0.05)[0][0]
+            levels.levels_of(np.vstack([some, np.tile(some[-1], (more, 1))])[None], readings, prior, 0.05)[0][0]
             for some in (three, two)
         ]
         gained.append(evidence[0] - evidence[1])
@@ -125,8 +127,8 @@ def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
     rng = np.random.default_rng(0)
     shares = np.repeat([[1.0, 0.0], [0.0, 1.0]], 2, axis=0)[None]
     prior = RegionPrior(least_contrast=0.4, mixed_share=0.0)
-    readings = posterior_module._readings(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
-    found, _, _ = posterior_module._levels(shares, readings, prior)
+    readings = levels.readings_of(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
+    found, _, _ = levels.levels_of(shares, readings, prior)
 
     drawn = rng.standard_normal((400_000, 2)) + prior.common_sd * rng.standard_normal((400_000, 1))
     drawn = drawn[np.abs(drawn[:, 0] - drawn[:, 1]) > 0.4]
@@ -141,9 +143,9 @@ def test_evidence_of_the_particles_is_that_of_the_prior(regions: int) -> None:
     """Sequential importance sampling with moves, against the plain mean over very many prior maps."""
     seen = halves(0.6)[:5]
     prior = RegionPrior()
-    readings = posterior_module._readings(seen, prior)
+    readings = levels.readings_of(seen, prior)
     maps = draw(np.random.default_rng(99), regions, GRID.size_m, 20_000)
-    plain = posterior_module._log_likelihood(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
+    plain = levels.log_likelihood_of(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
     expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
 
     found = [posterior(seen, seed=seed, particle_count=600)._followed(regions).log_evidence for seed in range(2)]
@@ -195,10 +197,10 @@ def test_three_materials_are_no_more(seed: int) -> None:
 def test_maps_of_more_regions_count_where_each_is_met() -> None:
     """Their evidence is that of very many prior maps, those that the touches do not meet every region of left out."""
     seen, prior = quadrants()[:6], RegionPrior()
-    readings = posterior_module._readings(seen, prior)
+    readings = levels.readings_of(seen, prior)
     maps = draw(np.random.default_rng(98), 4, GRID.size_m, 40_000)
     shares = maps.shares(readings.xy_m, prior.blur_m)
-    plain = posterior_module._log_likelihood(shares, readings, prior)
+    plain = levels.log_likelihood_of(shares, readings, prior)
     met = shares.sum(axis=1).min(axis=1) >= 0.5
     expected = np.log(np.mean(np.exp(plain - plain.max()) * met)) + plain.max()
     every = [posterior(seen, seed=seed, particle_count=600) for seed in range(2)]
@@ -353,8 +355,8 @@ def test_an_arm_that_is_off_moves_all_touches_together() -> None:
         StiffnessSample(one.xy_m, one.log_stiffness, one.log_sd, arm_sd=float(shift))
         for one, shift in zip(touches(rng.standard_normal(6)), arm, strict=False)
     ]
-    readings = posterior_module._readings(seen, prior)
-    found, level, cov = posterior_module._levels(shares, readings, prior, 0.1)
+    readings = levels.readings_of(seen, prior)
+    found, level, cov = levels.levels_of(shares, readings, prior, 0.1)
 
     related = TouchErrorModel().related(np.array(SPREAD[:6]))
     joint = shares[0] @ before @ shares[0].T + np.outer(arm, arm) + 0.05**2 * np.eye(6) + 0.1**2 * related
@@ -407,7 +409,7 @@ def test_maps_that_are_kept_weigh_what_they_did_and_no_family_dies_out() -> None
     with np.errstate(divide="ignore"):
         log_weight = np.log(weight / weight.sum())
 
-    kept, logs = _kept(log_weight, family, 300, 0.5)
+    kept, logs = resampled(log_weight, family, 300, 0.5)
 
     share = {kind: np.exp(log_weight[family == kind]).sum() for kind in (Family.LINE, Family.RING)}
     for kind, expected in share.items():
