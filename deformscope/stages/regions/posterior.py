@@ -6,9 +6,9 @@ of touches the levels are integrated in closed form (a contact's stiffness is li
 values), and summed over the scatter. The maps are particles that every touch reweights and that move under the prior
 when few are left (iterated batch importance sampling, Chopin 2002). This also gives their evidence, which determines
 the number of regions. Four are followed once three are the most likely, five once four have some probability; until
-then they count as explaining the touches as well as the largest number that is followed. Of more than three regions,
-only those count that a touch lies in: a further one with hardly any effect would cost no evidence. A surface whose
-stiffness changes smoothly is the rival hypothesis (`smooth`); where it wins, the verdict is "gradual".
+then they count as explaining the touches as well as the largest number that is followed. A map of more than three
+regions counts by those that a touch lies in: a further one with hardly any effect would cost no evidence. A surface
+whose stiffness changes smoothly is the rival hypothesis (`smooth`); where it wins, the verdict is "gradual".
 """
 
 from __future__ import annotations
