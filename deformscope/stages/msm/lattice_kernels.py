@@ -244,9 +244,24 @@ def pass_helpers_for(dim: int, scalar: Any, width: int, window: int) -> PassHelp
             moves = vecs.with_row(moves, k, vecs.row(moves, k) + lane(motion.push[k]))
         return vecs.add(u, one, vecs.scale(moves, particle_own(free, cell, grid.abreast)))
 
-    maps = rows_for(dim * dim, width, scalar)
-    shared = (dim, scalar, width, 0 < window <= BOTH, numbers, lanes, vecs, maps, types)
-    return PassHelpers(*shared, middle, cells_of, run_of, plane_share, share_of, particle_own, ahead)
+    return PassHelpers(
+        dim=dim,
+        scalar=scalar,
+        width=width,
+        both=0 < window <= BOTH,
+        numbers=numbers,
+        lanes=lanes,
+        vecs=vecs,
+        maps=rows_for(dim * dim, width, scalar),
+        types=types,
+        middle=middle,
+        cells_of=cells_of,
+        run_of=run_of,
+        plane_share=plane_share,
+        share_of=share_of,
+        particle_own=particle_own,
+        ahead=ahead,
+    )
 
 
 def windows_fast_for(helpers: PassHelpers) -> Any:

@@ -62,7 +62,8 @@ def resident_for(dim: int, scalar: Any, width: int, window: int) -> Resident:
         if thread == 0:
             f.put(newton.parts, (row * newton.groups + group) * wp.static(width), v)
 
-    return Resident(dim, scalar, width, window, lattice_functions_for(dim, scalar, width, window), f, meet, keep)
+    lattice = lattice_functions_for(dim, scalar, width, window)
+    return Resident(dim, scalar, width, window, lattice=lattice, newton=f, meet=meet, keep=keep)
 
 
 def operate_for(given: Resident) -> Any:
