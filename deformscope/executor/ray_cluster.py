@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import os
 import socket
+import sys
+import threading
 import time
 from collections.abc import Callable, Collection
+from concurrent.futures import Future
 from typing import Any
 
 from deformscope.errors import InputError
@@ -15,6 +19,11 @@ from deformscope.processes import RENEW_S
 
 ANSWER_S = 5.0
 """Time within which a cluster's address must answer."""
+JOIN_S = 25.0
+"""Time within which a cluster must take this process. Ray itself tries for minutes."""
+ONE_MACHINE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Where this is 0, Ray takes the loopback's address as that of this machine, on any system."""
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
 COUNT_S = 5.0
 """Period of counting the cores, because nodes come and go."""
 
@@ -27,14 +36,28 @@ class RayWorkers:
         """address: HOST:PORT of a cluster that this machine is part of, or ray://HOST:PORT of any; limit: tasks under
         way at most. Raises InputError if nothing answers."""
         os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-        try:
-            import ray
-        except ImportError as error:
+        os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "fatal")  # its lines would hide the one of an error
+        if importlib.util.find_spec("ray") is None:
             hint = "pip install 'deformscope[ray]', or --executor local"
-            raise InputError("the package ray for --executor ray", "none here", hint) from error
+            raise InputError("the package ray for --executor ray", "none here", hint)
         _check_answer(address)
+        _stay_on_loopback(address)
+        import ray
+
+        joined = Future[None]()
+
+        def join() -> None:
+            try:
+                ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+                joined.set_result(None)
+            except BaseException as error:
+                joined.set_exception(error)
+
+        threading.Thread(target=join, daemon=True).start()
         try:
-            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+            joined.result(JOIN_S)
+        except TimeoutError as error:
+            raise _nobody(address, f"none that takes this process within {JOIN_S:g} s") from error
         except Exception as error:  # of many kinds, also of another version of Ray or Python
             raise _nobody(address, " ".join(str(error).split())[:300]) from error
         self._ray: Any = ray  # its types are known where it is installed
@@ -91,5 +114,24 @@ def _check_answer(address: str) -> None:
         raise _nobody(address, str(getattr(error, "strerror", None) or error).lower()) from error
 
 
+def _stay_on_loopback(address: str) -> None:
+    """Ray takes this machine's other address in place of a loopback address, also where the cluster listens on the
+    loopback alone (2.60, `ray._private.services.resolve_ip_for_localhost`). The variable, which Ray reads as it is
+    imported, keeps it there."""
+    host, _, port = address.rpartition(":")
+    if host not in LOOPBACK:
+        return
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        try:
+            one.connect(("8.8.8.8", 80))  # as Ray finds its own address; no packet is sent
+            socket.create_connection((one.getsockname()[0], int(port)), ANSWER_S).close()
+        except OSError:
+            if "ray" in sys.modules and os.environ.get(ONE_MACHINE) != "0":
+                hint = f"{ONE_MACHINE}=0 in the environment, as Ray was imported before"
+                raise InputError("a cluster on this machine's own address", "loopback alone", hint, address) from None
+            os.environ[ONE_MACHINE] = "0"
+
+
 def _nobody(address: str, came: str) -> InputError:
-    return InputError("a Ray cluster that answers", came, "ray start --head, and --address with its address", address)
+    hint = "--address with the address that ray start --head prints, or ray://HOST:10001 outside of the cluster"
+    return InputError("a Ray cluster that answers", came, hint, address)

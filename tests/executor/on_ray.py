@@ -1,18 +1,22 @@
 """Tasks, and a sweep, on a Ray cluster of two nodes on this machine's loopback, one of which is killed midway in each;
-what came of it, as JSON. `python -m tests.executor.on_ray FOLDER`: nothing of Ray stays in the process of a test."""
+what came of it, as JSON. Nothing of Ray stays in the process of a test.
+
+python -m tests.executor.on_ray FOLDER typed|computed
+"""
 
 from __future__ import annotations
 
 import json
 import os
 import resource
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
 
-# The last has the driver look for its node on the loopback, as Ray does on systems with other firewalls.
+# The last has this process look for its node on the loopback, as Ray does on systems with other firewalls.
 os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 
 import numpy as np
@@ -22,9 +26,13 @@ import deformscope as ds
 from deformscope.errors import InputError
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import OtherVersion, compute, run_attempt
+from deformscope.file_io import sample_path
+from deformscope.files.result_table import read_table
 
+TYPED = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+"""The environment of a shell."""
 STORE_BYTES = 200_000_000
-TASKS, FILES = 200, 1000
+TASKS, FILES, PAIRS = 200, 300, 8
 
 
 def traced(task: tuple[str, int]) -> tuple[int, int]:
@@ -65,10 +73,46 @@ def swept(cluster: Cluster, node: dict[str, object], folder: Path) -> dict[str, 
     return {"equal": equal, "lines": len(lines), "seconds": found.seconds}
 
 
-def main(folder: str) -> None:
-    """Two cores a node: four workers at most."""
+def typed(cluster: Cluster, node: dict[str, object], folder: Path) -> dict[str, object]:
+    """The documented line in a process of its own, as from a shell, with a node killed midway, and the same without a
+    cluster."""
+    with np.load(sample_path("pair") / "pair.npz") as pair:
+        rest, deformed = pair["rest"], pair["deformed"]
+        for number in range(PAIRS):
+            arrays = {name: pair[name] for name in pair.files} | {
+                "deformed": rest + (1 - number / 99) * (deformed - rest)
+            }
+            np.savez(folder / f"{number}.npz", **arrays)
+    second = cluster.add_node(**node)
+    cluster.wait_for_nodes()
+    line = [sys.executable, "-m", "deformscope", "sweep", str(folder), "--out"]
+    fit = ["--", "calibrate", "beta", "--method", "gradient"]
+    out, alone = folder / "out", folder / "alone"
+    on_ray = [*line, str(out), "--executor", "ray", "--address", cluster.address, *fit]
+    with subprocess.Popen(on_ray, env=TYPED, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as ran:
+        journal = out / "tasks.jsonl"
+        while ran.poll() is None and not (journal.exists() and journal.read_bytes().count(b"\n") >= PAIRS // 4):
+            time.sleep(0.02)
+        cluster.remove_node(second, allow_graceful=False)
+        said = ran.communicate()[1]
+    subprocess.run([*line, str(alone), "--workers", "1", *fit], env=TYPED, capture_output=True, check=True)
+    values = [
+        {row["source"]: row["beta"] for row in read_table(one / "results.parquet").to_pylist()} for one in (out, alone)
+    ]
+    return {"status": ran.returncode, "said": said, "equal": values[0] == values[1], "count": len(values[0])}
+
+
+def main(folder: str, part: str) -> None:
+    """Two cores a node: four workers at most. part: `typed`, or the rest"""
     node = {"num_cpus": 2, "object_store_memory": STORE_BYTES, "node_ip_address": "127.0.0.1"}
     cluster = Cluster(initialize_head=True, head_node_args=node | {"include_dashboard": False})
+    told = typed(cluster, node, Path(folder)) if part == "typed" else computed(cluster, node, folder)
+    print(json.dumps(told))
+    cluster.shutdown()
+
+
+def computed(cluster: Cluster, node: dict[str, object], folder: str) -> dict[str, object]:
+    """Tasks and a sweep from this process."""
     second = cluster.add_node(**node)
     cluster.wait_for_nodes()
     found = {}
@@ -85,7 +129,7 @@ def main(folder: str) -> None:
             other = str(error)
     files = swept(cluster, node, Path(tempfile.mkdtemp(dir=folder)))
     attempts = Counter(line for path in Path(folder).glob("attempts-*") for line in path.read_text().splitlines())
-    told = {
+    return {
         "right": [n for n, one in found.items() if one.value is not None and one.value[0] == n**2],
         "refused": {n: one.reasons for n, one in found.items() if one.error is not None},
         "again": {n: one.reasons for n, one in found.items() if one.error is None and one.reasons},
@@ -95,9 +139,7 @@ def main(folder: str) -> None:
         "swept": files,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
     }
-    print(json.dumps(told))
-    cluster.shutdown()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])
