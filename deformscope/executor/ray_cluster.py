@@ -6,11 +6,10 @@ import importlib.util
 import logging
 import os
 import socket
+import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Collection
-from concurrent.futures import Future
 from typing import Any
 
 from deformscope.errors import InputError
@@ -23,6 +22,7 @@ JOIN_S = 25.0
 """Time within which a cluster must take this process. Ray itself tries for minutes."""
 ONE_MACHINE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """Where this is 0, Ray takes the loopback's address as that of this machine, on any system."""
+TRY = "import sys, ray; ray.init(address=sys.argv[1], log_to_driver=False)"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 COUNT_S = 5.0
 """Period of counting the cores, because nodes come and go."""
@@ -36,7 +36,6 @@ class RayWorkers:
         """address: HOST:PORT of a cluster that this machine is part of, or ray://HOST:PORT of any; limit: tasks under
         way at most. Raises InputError if nothing answers."""
         os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-        os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "fatal")  # its lines would hide the one of an error
         if importlib.util.find_spec("ray") is None:
             hint = "pip install 'deformscope[ray]', or --executor local"
             raise InputError("the package ray for --executor ray", "none here", hint)
@@ -44,19 +43,10 @@ class RayWorkers:
         _stay_on_loopback(address)
         import ray
 
-        joined = Future[None]()
-
-        def join() -> None:
-            try:
-                ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
-                joined.set_result(None)
-            except BaseException as error:
-                joined.set_exception(error)
-
-        threading.Thread(target=join, daemon=True).start()
-        try:
-            joined.result(JOIN_S)
-        except TimeoutError as error:
+        try:  # in a process that can be ended: this call prints lines, and nothing else ends it
+            subprocess.run([sys.executable, "-Pc", TRY, address], capture_output=True, timeout=JOIN_S, check=False)
+            ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+        except subprocess.TimeoutExpired as error:
             raise _nobody(address, f"none that takes this process within {JOIN_S:g} s") from error
         except Exception as error:  # of many kinds, also of another version of Ray or Python
             raise _nobody(address, " ".join(str(error).split())[:300]) from error
