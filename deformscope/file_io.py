@@ -6,6 +6,7 @@ import difflib
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import datetime
 from importlib import resources
 from pathlib import Path
@@ -14,6 +15,8 @@ from typing import BinaryIO
 from deformscope.errors import InputError
 
 SAMPLE_SCHEME = "sample:"
+_largest = ContextVar("largest", default=(1 << 30, "a smaller one"))
+"""Most bytes that one thing in a file may take unpacked, and what to try with a larger one."""
 
 
 def resolve(path: str | Path) -> Path:
@@ -93,6 +96,31 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         raise
     finally:
         draft.unlink(missing_ok=True)
+
+
+@contextmanager
+def none_larger(size_bytes: int, hint: str) -> Iterator[None]:
+    """Within it `check_size` refuses anything larger, with this hint."""
+    before = _largest.set((size_bytes, hint))
+    try:
+        yield
+    finally:
+        _largest.reset(before)
+
+
+def largest_bytes() -> int:
+    """The bound of `check_size` [bytes]."""
+    return _largest.get()[0]
+
+
+def check_size(what: str, size_bytes: float, where: object = "") -> None:
+    """Raises InputError for a size, declared or found, that nothing from a file may take in memory: a few bytes can
+    stand for any number of them."""
+    most_bytes, hint = _largest.get()
+    if size_bytes > most_bytes:
+        most_mb, came_mb = (f"{size / 1e6:.4g} MB" for size in (most_bytes, size_bytes))
+        came_mb = "more" if came_mb == most_mb else came_mb
+        raise InputError(f"{what} in up to {most_mb} of memory", came_mb, hint, where)
 
 
 def make_folder(path: Path) -> None:

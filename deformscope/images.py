@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import zlib
@@ -13,8 +14,13 @@ import numpy.typing as npt
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.file_io import read_file
+from deformscope.file_io import check_size, read_file
 
+LARGEST_OTHER = 3 * 16383**2
+"""Bytes of the largest WebP: what an image may take of a kind whose size is not read before it is decoded."""
+JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+"""Markers of a JPEG's segment with its size."""
+TIFF_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 JPEG_QUALITY = 90
 NOISY = (
@@ -38,6 +44,7 @@ def decode_image(encoded: bytes, where: object) -> ImageArray:
         raise InputError("an image", "an empty file", where=where)
     if encoded.startswith(PNG_SIGNATURE):
         encoded = _bare_png(encoded, where)
+    check_size("an image", _unpacked_bytes(encoded), where)
     try:
         image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     except cv2.error as error:
@@ -76,6 +83,32 @@ def to_rgb(bgr: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]) -> ImageArray:
     """OpenCV's (H, W, 3) BGR as RGB."""
     swapped: ImageArray = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)  # type: ignore[assignment]
     return swapped
+
+
+def _unpacked_bytes(encoded: bytes) -> int:
+    """Bytes of an image's pixels as RGB, by its head; twice as many may come with 16 bits."""
+    try:
+        if encoded.startswith(PNG_SIGNATURE):
+            width, height, bits = struct.unpack_from(">IIB", encoded, 16)
+            return int(width * height * 3 * max(bits, 8) // 8)
+        if encoded.startswith(b"\xff\xd8"):
+            place = 2
+            while (kind := encoded[place + 1]) not in JPEG_FRAMES:
+                place += 1 if kind == 0xFF else 2 + int.from_bytes(encoded[place + 2 : place + 4])
+            return 3 * math.prod(map(int, struct.unpack_from(">HH", encoded, place + 5)))
+        if order := TIFF_ORDERS.get(encoded[:4]):
+            (place,) = struct.unpack_from(f"{order}I", encoded, 4)
+            (count,) = struct.unpack_from(f"{order}H", encoded, place)
+            found = 3
+            for at in range(place + 2, place + 2 + 12 * count, 12):
+                tag, kind = struct.unpack_from(f"{order}HH", encoded, at)
+                if tag in (256, 257):  # width and height
+                    (side,) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", encoded, at + 8)
+                    found *= int(side)
+            return found
+    except (IndexError, struct.error):  # cut off, which its decoder says
+        return 0
+    return LARGEST_OTHER
 
 
 def _bare_png(encoded: bytes, where: object) -> bytes:

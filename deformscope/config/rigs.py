@@ -255,6 +255,9 @@ class ImportConfig(RecordedOptions):
     """With --pairs: every n-th frame is left out of the motion, for tests."""
     particles: Annotated[int, flags.least(8)] = 300
     """With --pairs: largest number of vertices per mesh, spread evenly."""
+    largest_mb: Annotated[int, flags.least(1)] = 128
+    """Most memory for an image, a cloud of points, a compressed part of a bag or a table's columns [MB]: a larger one,
+    declared or unpacked, is refused."""
     stages: OmitArgPrefixes[StageOptions] = field(default_factory=StageOptions)
     output: OmitArgPrefixes[ViewOptions] = field(default_factory=ViewOptions)
 

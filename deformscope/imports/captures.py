@@ -117,7 +117,7 @@ class _Clock:
     def at(self, message: Message, event: object) -> int:
         """The time of a piece [ns]. event: decoded from it, None = none"""
         if message.log_ns:
-            if (ns := message.log_ns + self._offset_ns) < self._now_ns:
+            if (ns := self._stream.moved_ns(message.log_ns)) < self._now_ns:
                 came = f"one {(self._now_ns - ns) / 1e9:.4g} s before the last"
                 raise InputError(f"stamps of {self._stream.device} that only rise", came, "a part of it")
             self._now_ns = ns

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -16,12 +15,13 @@ import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.file_io import check_size
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, HandFrame, Kind, TactileFrame, WrenchFrame
 from deformscope.images import PNG_SIGNATURE, decode_image, read_image
 from deformscope.imports.import_map import ASKED, MappedStream
+from deformscope.imports.point_files import read_points
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
-from deformscope.recording.utf8_path import utf8_path
 from deformscope_drivers.clock import Stamp
 
 KINDS: dict[Kind, type] = {
@@ -81,6 +81,9 @@ ARM_SIZES: dict[str, int | None] = {"position_m": None, "rotation_rad": None, "f
 """Vectors of an arm's frame, and the length of those that a source may lack."""
 DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
 COLOR_ENCODINGS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
+AXES = ("x", "y", "z")
+LONGEST_PX = 65_500
+"""Longest side of an image: that of a JPEG."""
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
@@ -178,7 +181,7 @@ class FrameBuilder:
             return _MAKE[self.stream.kind](self, row, At(stamp, index, [one.value for one in messages.values()], pose))
         except KeyError as error:
             raise self.stream.missing(f"columns.{error.args[0]}", "the source's field that holds it", "") from error
-        except (ArithmeticError, IndexError, TypeError, ValueError) as error:  # as of sizes that do not fit together
+        except (ArithmeticError, IndexError, RecursionError, TypeError, ValueError) as error:  # as of sizes that differ
             came = f"in frame {index}: {' '.join(str(error).split())[:160]}"
             raise InputError(f"a {self.stream.kind} frame of {self.stream.device}", came, "its columns") from error
 
@@ -255,7 +258,8 @@ def _arm(self: FrameBuilder, row: Row, at: At) -> Frame | None:
         if set(self.joints) != set(named) and not self.stream.joints:
             came = f"{', '.join(self.joints)}, then {', '.join(named)}"
             raise self.stream.missing("joints", "names of the arm's, in their order", came)
-        order = [named.index(name) for name in self.joints]
+        places = {name: at for at, name in reversed(list(enumerate(named)))}
+        order = [places[name] for name in self.joints]
         row = {name: np.asarray(value)[order] if np.size(value) > 1 else value for name, value in row.items()}
     row, pose = {name: value for name, value in row.items() if np.size(value)}, at.pose
     if "qw" in row:
@@ -323,6 +327,9 @@ def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any]:
         else:
             continue
         color, depth = (color, image) if is_depth else (image, depth)
+    for image in (color, depth):
+        if image is not None and not all(1 <= side <= LONGEST_PX for side in image.shape[:2]):
+            raise ValueError(f"expected sides of 1 to {LONGEST_PX} px; got {' x '.join(map(str, image.shape[:2]))}")
     return color, depth
 
 
@@ -334,15 +341,7 @@ def _of_file(stream: MappedStream, path: Path) -> Any:
         return read_image(path)
     if (unit := stream.units.get("points", "")) not in SI or SI[unit][0] != "m":
         raise stream.missing("units.points", "m, cm, mm or um", unit)
-    import open3d as o3d
-
-    points = np.asarray(o3d.io.read_point_cloud(utf8_path(path), remove_nan_points=False).points) * SI[unit][1]
-    head = path.read_bytes()[:4096].decode("latin-1")
-    size = [re.search(rf"^{name} (\d+)$", head, re.MULTILINE) for name in ("HEIGHT", "WIDTH")]
-    height, width = (int(one[1]) if one is not None else 1 for one in size)
-    if not len(points):
-        raise InputError("points", "a damaged or empty file, or one of another kind", where=path)
-    return depth_of_points(stream, points.reshape((height, width, 3) if height * width == len(points) else (1, -1, 3)))
+    return depth_of_points(stream, read_points(path) * SI[unit][1])
 
 
 def _raw_image(stream: MappedStream, value: Any) -> Any:
@@ -350,32 +349,42 @@ def _raw_image(stream: MappedStream, value: Any) -> Any:
     order = ">" if value.is_bigendian else "<"
     if value.encoding in DEPTH_ENCODINGS:
         kind = np.dtype(f"{order}{'f4' if value.encoding == '32FC1' else 'u2'}")
-        rows = np.frombuffer(value.data, np.uint8).reshape(value.height, value.step)[:, : value.width * kind.itemsize]
+        rows = _rows(value, value.width * kind.itemsize, value.step)
         return np.ascontiguousarray(rows).view(kind).astype(kind.newbyteorder("="))
     if value.encoding not in COLOR_ENCODINGS:
         known = ", ".join((*DEPTH_ENCODINGS, *COLOR_ENCODINGS))
         raise InputError(f"images of {stream.device} encoded as {known}", repr(value.encoding))
     channels = COLOR_ENCODINGS[value.encoding]
-    rows = np.frombuffer(value.data, np.uint8).reshape(value.height, value.step)[:, : value.width * channels]
+    rows = _rows(value, value.width * channels, value.step)
     image = rows.reshape(value.height, value.width, channels)
     image = image[..., 2::-1] if value.encoding.startswith("bgr") else image[..., :3]
     return np.ascontiguousarray(image[..., 0] if channels == 1 else image)
 
 
+def _rows(value: Any, used: int, stride: int) -> Any:
+    """(H, used) bytes of a message with rows `stride` bytes apart. Raises ValueError if they are not its bytes."""
+    if used > stride or value.height * stride != len(value.data):
+        rows = f"{value.height} rows of {used} bytes each, {stride} bytes apart"
+        raise ValueError(f"expected {rows}, as the message says; got {len(value.data)} bytes")
+    return np.asarray(value.data, np.uint8).reshape(value.height, stride)[:, :used]
+
+
 def _cloud_depth(stream: MappedStream, value: Any) -> Any:
     """Distances of a message of points along z [m]: (H, W) in their order, or projected into the camera of the map."""
     of = {one.name: one for one in value.fields}
+    if missing := [axis for axis in AXES if axis not in of]:
+        raise ValueError(f"expected fields x, y and z; got no {missing[0]} in {', '.join(of) or 'none'}")
+    for one in value.fields:
+        size = np.dtype(POINT_TYPES.get(one.datatype, "V0")).itemsize * max(one.count, 1)
+        if not size or one.offset + size > value.point_step or (one.count > 1 and one.name in AXES):
+            came = f"{one.count} of type {one.datatype} from byte {one.offset} on"
+            raise ValueError(f"expected {one.name} within the {value.point_step} bytes of its point; got {came}")
+    rows = _rows(value, value.width * value.point_step, value.row_step)
     order = ">" if value.is_bigendian else "<"
-    kind = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [order + POINT_TYPES[of[axis].datatype] for axis in "xyz"],
-            "offsets": [of[axis].offset for axis in "xyz"],
-            "itemsize": value.point_step,
-        }
-    )
-    rows = np.frombuffer(value.data, np.uint8).reshape(value.height, value.row_step)
-    points = np.ascontiguousarray(rows[:, : value.width * value.point_step]).view(kind)
+    formats = [order + POINT_TYPES[of[axis].datatype] for axis in AXES]
+    offsets = [of[axis].offset for axis in AXES]
+    kind = np.dtype({"names": AXES, "formats": formats, "offsets": offsets, "itemsize": value.point_step})
+    points = np.ascontiguousarray(rows).view(kind)
     return depth_of_points(stream, np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=-1))
 
 
@@ -391,10 +400,12 @@ def depth_of_points(stream: MappedStream, points_m: FloatArray) -> FloatArray:
     (fx, fy), (cx, cy), (width, height) = stream.focal_px, stream.center_px, stream.size_px  # type: ignore[misc]
     x, y, z = points_m.reshape(-1, 3)[np.isfinite(points_m.reshape(-1, 3)).all(axis=1)].T
     x, y, z = x[z > 0], y[z > 0], z[z > 0]
-    column, row = np.rint(fx * x / z + cx).astype(np.int64), np.rint(fy * y / z + cy).astype(np.int64)
+    with np.errstate(all="ignore"):  # beside the axis, near it, and where the map's camera is none
+        column, row = np.rint(fx * x / z + cx), np.rint(fy * y / z + cy)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    check_size("an image of size_px", 8.0 * height * width, stream.device)
     depth = np.full((height, width), np.inf)
-    np.minimum.at(depth, (row[inside], column[inside]), z[inside])
+    np.minimum.at(depth, (row[inside].astype(np.int64), column[inside].astype(np.int64)), z[inside])
     return depth
 
 

@@ -72,6 +72,13 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         """Offset of its stamps [ns]."""
         return round(float(self.offset_s or 0.0) * 1e9)
 
+    def moved_ns(self, ns: float) -> int:
+        """A stamp of the source with its offset [ns]. Raises InputError for one that no recording has."""
+        if not abs(moved := ns + self.offset_ns) < MOST_NS or not abs(ns) < MOST_NS:
+            hint = "another time_unit, or offset_s"
+            raise InputError(f"times of {self.device} below {MOST_NS} ns", f"{moved:.4g}", hint)
+        return round(ns) + self.offset_ns
+
     def missing(self, key: str, expected: str, came: object = ASKED) -> InputError:
         """The error that asks for a key."""
         return InputError(f"{key} of {self.device} in the map: {expected}", f"{came!r}" if came else "none", HOW)
@@ -113,13 +120,17 @@ def read_map(path: Path) -> ImportMap:
             raise ValueError("unknown field `rig`: its sections are at the top level")
         rig = {name: said.pop(name) for name in SECTIONS if isinstance(said.get(name), dict)}
         found = msgspec.convert(said | {"rig": rig}, ImportMap)
-    except (ValueError, msgspec.ValidationError) as error:
+    except (RecursionError, ValueError, msgspec.ValidationError) as error:
         raise InputError("a map (TOML)", " ".join(str(error).split()), HOW, path) from error
     names = [stream.device for stream in found.streams]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError("each device once in the map", f"{twice[0]!r} twice", where=path)
     if not names:
         raise InputError("a map with [[streams]]", "none", HOW, path)
+    shape = rig.get("shape", {})
+    if named := next((one for one in ("urdf", "gripper") if one in shape), ""):
+        hint = "the map without it: it may be another's, and names no file of this machine"
+        raise InputError(f"[shape] in the map without {named}", repr(shape[named]), hint, path)
     for stream in found.streams:
         if stream.offset_s == ASKED:
             raise stream.missing("offset_s", "seconds to add to its stamps, which are of another clock")

@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -22,8 +22,9 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
 
-MESH = re.compile(r"mesh-f(\d+)\.obj$")
+MESH = re.compile(r"mesh-f(\d{1,9})\.obj$")
 MM = 1e-3
+FARTHEST_MM = 1e6
 STANDS = 0.05
 """Share of the height, from below, whose particles rest on the table."""
 TOUCHED, PRESSED_M = 0.8, 1e-3
@@ -35,7 +36,7 @@ Four: TypeAlias = tuple[float, float, float, float]
 
 
 class _Reading(msgspec.Struct):
-    frame: int
+    frame: Annotated[int, msgspec.Meta(ge=-(10**9), le=10**9)]
     forces: list[float]
 
     def __post_init__(self) -> None:
@@ -123,7 +124,7 @@ def _read(path: Path, kinds: Mapping[str, Any]) -> Any:
     for kind in kinds.values():
         try:
             return msgspec.json.decode(raw, type=kind)
-        except msgspec.DecodeError as error:
+        except (msgspec.DecodeError, RecursionError) as error:
             came = came or " ".join(str(error).split())
     raise InputError(f"{' or '.join(kinds)} in JSON", came, where=path)
 
@@ -135,8 +136,8 @@ def _vertices(path: Path) -> FloatArray:
         found = np.array(rows, dtype=np.float64)
     except ValueError:
         found = np.zeros(0)
-    if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all():
-        raise InputError("a mesh with vertices (v x y z)", "none, or no numbers", where=path)
+    if found.ndim != 2 or found.shape[1] != 3 or not np.abs(found).max(initial=0.0) <= FARTHEST_MM:
+        raise InputError("a mesh with vertices (v x y z)", f"none, or not within {FARTHEST_MM:g} mm of 0", where=path)
     return found * MM
 
 

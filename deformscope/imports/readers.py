@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import re
 from collections import Counter
@@ -15,16 +16,23 @@ from typing import Any, Protocol
 import pyarrow as pa
 
 from deformscope.errors import InputError
+from deformscope.file_io import check_size, largest_bytes
 from deformscope.files.sources import natural_key
+from deformscope.imports.unpacked import bounded, check_overlap
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
 from deformscope.recording.utf8_path import utf8_path
 
 BAGS = (".bag", ".mcap", ".db3")
 TABLES = (".csv", ".parquet")
 FILES = (".png", ".tif", ".tiff", ".jpg", ".pcd", ".ply")
-CANDUMP = re.compile(r"\((\d+)\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]+)#([0-9A-Fa-f]*)(\s+[RT])?\s*$")
+CANDUMP = re.compile(r"\((\d{1,12})\.(\d+)\)\s+(\S+)\s+([0-9A-Fa-f]{1,8})#([0-9A-Fa-f]*)(\s+[RT])?\s*$")
 TABLE_TYPES = ("csv", "parquet")
-BATCH_ROWS = 4096
+BATCH_ROWS = 64
+"""Rows that are read together: a column's text, however long, comes once with each."""
+COLUMN_BYTES = 1 << 15
+"""Memory of a table's column, besides its values."""
+RATIO = 100
+"""A column's values are larger than its bytes by more only where few bytes stand for many."""
 PACKAGE = "deformscope_msgs/msg/"
 """Package of the messages in deformscope's own exports."""
 
@@ -113,18 +121,27 @@ def _opened_bag(path: Path) -> Iterator[Reader]:
     except ImportError:
         missing = "pip install 'deformscope[import]'"
         raise InputError("the package rosbags", "none", missing) from None
-    try:
-        bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        bag.open()
-    except Exception as error:  # rosbags and what it reads with have errors of many kinds
-        raise _unreadable(path, error) from error
-    try:
-        yield BagReader(path, bag)
-    finally:
-        bag.close()
+    with bounded():
+        try:
+            bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            bag.open()
+        except Exception as error:  # rosbags and what it reads with have errors of many kinds
+            raise _unreadable(path, error) from error
+        try:
+            stores = [getattr(one, "storage", None) for one in bag.readers]  # of ROS 1: none
+            for one in itertools.chain.from_iterable(getattr(each, "storages", [each]) for each in stores):
+                chunks = getattr(one, "chunks", ())
+                check_overlap(
+                    [(at.message_start_time, at.message_end_time, at.uncompressed_size) for at in chunks], path
+                )
+            yield BagReader(path, bag)
+        finally:
+            bag.close()
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
+    if isinstance(error, InputError):  # of `bounded`
+        return InputError.about(error, path)
     came = "one that is truncated or damaged: " + (" ".join(str(error).split())[:160] or type(error).__name__)
     return InputError("a complete bag", came, "mcap recover, or rosbag reindex", path)
 
@@ -167,16 +184,18 @@ class BagReader:
 def _metadata(path: Path) -> Manifest:
     """Description in an export of ours; empty without the package or the description."""
     try:
-        from mcap.reader import make_reader
+        from mcap.reader import SeekingReader
     except ImportError:
         return Manifest()
     with path.open("rb") as file:
         try:
-            metadata = [one for one in make_reader(file).iter_metadata() if one.name == "deformscope"]
+            reader = SeekingReader(file, record_size_limit=largest_bytes())
+            found = reader.iter_metadata() if reader.get_summary() else ()  # without it, it would unpack every chunk
+            said = next((one.metadata for one in found if one.name == "deformscope"), {})
+            about = {name: json.loads(value) for name, value in said.items()}
         except Exception as error:
             raise _unreadable(path, error) from error
-    said = metadata[0].metadata if metadata else {}
-    return read_manifest({name: json.loads(value) for name, value in said.items()}, path)
+    return read_manifest(about, path)
 
 
 class ByteReader:
@@ -263,8 +282,10 @@ class FolderReader:
             if name in self._tables:
                 with self._opened(name) as (_, _, batches):
                     for batch in batches:
-                        for row in _in_ns(batch).to_pylist():
-                            yield Message(name, 0, row)
+                        times = _in_ns(batch)
+                        for at in range(0, len(times), BATCH_ROWS):
+                            for row in times.slice(at, BATCH_ROWS).to_pylist():
+                                yield Message(name, 0, row)
 
     def _own(self, name: str) -> ExportedStream:
         """Description of a table in an export's manifest; empty for others."""
@@ -286,8 +307,12 @@ class FolderReader:
         try:
             if path.suffix.lower() == ".parquet":
                 with parquet.ParquetFile(path) as file:
-                    yield file.schema_arrow, file.metadata.num_rows, file.iter_batches(BATCH_ROWS)
+                    rows = _batch_rows(file.metadata, self._tables[name])
+                    yield file.schema_arrow, file.metadata.num_rows, file.iter_batches(rows)
                 return
+            with path.open("rb") as text:
+                head = next(itertools.islice(text, self._skip_rows, None), b"")
+            _check_columns(head.count(b",") + 1, self._tables[name])
             read = csv.ReadOptions(skip_rows=self._skip_rows, block_size=1 << 22)
             with csv.open_csv(path, read_options=read) as file:
                 types = csv.ConvertOptions(column_types=self._types(name, file.schema))
@@ -308,9 +333,32 @@ def _manifest(path: Path) -> Manifest:
     """Description in an export of ours; empty if the file is another's."""
     try:
         found = json.loads(path.read_bytes())
+    except RecursionError as error:
+        came = "one nested too deeply"
+        raise InputError("a description of an export", came, "the folder without it, or a new export", path) from error
     except (OSError, ValueError):
         found = {}
     return read_manifest(found, path)
+
+
+def _check_columns(count: int, path: Path) -> None:
+    check_size(f"a table, of {count} columns,", count * COLUMN_BYTES, path)
+
+
+def _batch_rows(about: Any, path: Path) -> int:
+    """How many rows of a Parquet file are read together, by its metadata. Raises InputError for a file that a few bytes
+    make large."""
+    _check_columns(about.num_columns, path)
+    longest = 1
+    for group in map(about.row_group, range(about.num_row_groups)):
+        for column in map(group.column, range(group.num_columns)):
+            size = max(
+                column.total_uncompressed_size, 8 * (column.num_values if column.num_values > group.num_rows else 0)
+            )
+            if size > RATIO * column.total_compressed_size:
+                check_size(f"column {column.path_in_schema}", size, path)
+            longest = max(longest, size if column.physical_type.endswith("BYTE_ARRAY") else 1)
+    return min(BATCH_ROWS, largest_bytes() // longest + 1)
 
 
 def _has_ns(kind: pa.DataType) -> bool:

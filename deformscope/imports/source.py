@@ -6,6 +6,7 @@ import heapq
 import itertools
 import math
 import operator
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from deformscope.file_io import read_file
 from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host_ns
 from deformscope.imports.captures import CaptureStream, Counted, check_capture
 from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
-from deformscope.imports.import_map import ASKED, MOST_NS, ImportMap, MappedStream
+from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
 from deformscope.imports.readers import TABLE_TYPES, FolderReader, Message, Reader
 from deformscope.recording.export.manifest import DRIVER
 from deformscope.recording.item_source import ItemSource
@@ -210,10 +211,7 @@ class _Stream(Counted):
 
     def _when(self, message: Message, at: int = 0) -> int:
         """A message's stamp [ns]. at: its place among those of its topic"""
-        ns = self._stamp_ns(message, at)
-        if not abs(ns) < MOST_NS:
-            raise InputError(f"times of {self.stream.device} below {MOST_NS} ns", f"{ns:.4g}", "another time_unit")
-        return round(ns) + self.stream.offset_ns
+        return self.stream.moved_ns(self._stamp_ns(message, at))
 
     def _stamp_ns(self, message: Message, at: int) -> int | float:
         """Time in the source [ns]."""
@@ -280,7 +278,8 @@ def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]
     text = read_file(path, f"times of {stream.device}, a text file").decode("utf-8", "replace")
     rows = [line.replace(",", " ").split() for line in text.splitlines() if line.strip() and not line.startswith("#")]
     try:
-        stamps = [(row[0], (int if row[-1].lstrip("-").isdigit() else float)(row[-1])) for row in rows]
+        whole = re.compile(r"-?\d{1,24}", re.ASCII)
+        stamps = [(row[0], (int if whole.fullmatch(row[-1]) else float)(row[-1])) for row in rows]
     except ValueError as error:
         raise InputError(f"a stamp at the end of each line of {stream.time}", str(error), where=path) from error
     named = dict(stamps) if all(len(row) > 1 for row in rows) else {}

@@ -186,7 +186,10 @@ def describe(section: ShapeSection, chain: Chain | None, folder: Path) -> RobotD
 
 
 def _file(folder: Path, name: str) -> Path:
-    return folder / Path(name).expanduser()
+    try:
+        return folder / Path(name).expanduser()
+    except RuntimeError as error:  # ~NAME of nobody
+        raise InputError("a URDF that can be read", " ".join(str(error).split()), where=name) from error
 
 
 def _cable(number: int, section: ShapeSection, chain: Chain | None) -> DescribedCable:

@@ -111,10 +111,13 @@ def _in_order(joints: list[UrdfJoint], links: list[str], path: Path) -> tuple[st
     if len(roots) != 1 or len(children) != len(joints):
         came = f"{len(roots)} of {len(links)} links have no parent"
         raise InputError("a URDF whose links form one tree", came, where=path)
+    below: dict[str, list[UrdfJoint]] = {}
+    for joint in joints:
+        below.setdefault(joint.parent, []).append(joint)
     ordered: list[UrdfJoint] = []
     level = roots
     while level:
-        found = [joint for name in level for joint in joints if joint.parent == name]
+        found = [joint for name in level for joint in below.get(name, ())]
         ordered += found
         level = [joint.child for joint in found]
     if len(ordered) != len(joints) or {joint.child for joint in ordered} - set(links):

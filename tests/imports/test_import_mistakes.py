@@ -98,6 +98,16 @@ def test_values_that_none_can_mean_are_one_line(name: str, tmp_path: Path, capfd
     assert words in refused(csv(tmp_path / "t.csv", rows), text, tmp_path / "r.rrd", capfd)
 
 
+@pytest.mark.parametrize("key", ["urdf", "gripper"])
+def test_a_map_names_no_file_of_this_machine(key: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """It may be another's; where the file is a URDF, nothing reads it either."""
+    (tmp_path / "own.urdf").write_text("<robot name='x'><link name='a'/></robot>")
+    for name in ("/etc/passwd", str(tmp_path / "own.urdf"), "file:///etc/passwd"):
+        text = f"{map_of(AXES)}[shape]\n{key} = '{name}'\n"
+        error = refused(csv(tmp_path / "t.csv"), text, tmp_path / "r.rrd", capfd)
+        assert f"expected [shape] in the map without {key}; got '{name}' | try: the map without it" in error
+
+
 @pytest.mark.parametrize("timed", [True, False])
 def test_a_frame_of_two_long_tables(timed: bool, tmp_path: Path) -> None:
     source = tmp_path / "two"

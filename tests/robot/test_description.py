@@ -178,6 +178,9 @@ def test_entities_are_refused_whatever_the_file_is_written_in(folder: Path) -> N
         (GRIPPER.replace("jaw.stl", "../../etc/passwd.stl"), "meshes below"),
         (GRIPPER.replace("jaw.stl", "/etc/passwd.stl"), "meshes below"),
         (GRIPPER.replace("jaw.stl", "package://mine/../../jaw.stl"), "meshes below"),
+        (GRIPPER.replace("jaw.stl", "package://mine//etc/passwd"), "meshes below"),
+        (GRIPPER.replace("jaw.stl", "file:///etc/passwd"), "meshes below"),
+        (GRIPPER.replace("jaw.stl", "file:///etc/../etc/passwd.stl"), "meshes below"),
         (GRIPPER.replace("jaw.stl", "other.stl"), "no file"),
         (GRIPPER.replace("jaw.stl", "jaw.dae"), "a mesh file"),
         (GRIPPER.replace("0.08 0.06 0.04", "0.08 nan 0.04"), "3 numbers"),
@@ -215,6 +218,8 @@ def test_what_cannot_be_is_said() -> None:
         describe(ShapeSection(urdf="a.urdf"), None, Path())
     with pytest.raises(InputError, match="no such file"):
         describe(ShapeSection(urdf="a.urdf"), J2N6S300, Path())
+    with pytest.raises(InputError, match=r"a URDF that can be read.*home directory"):
+        describe(ShapeSection(gripper="~nobody-of-this-name/a.urdf"), None, Path())
 
 
 def test_a_rig_file_describes_its_robot_beside_itself(folder: Path) -> None:
