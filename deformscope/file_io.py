@@ -15,8 +15,8 @@ from typing import BinaryIO
 from deformscope.errors import InputError
 
 SAMPLE_SCHEME = "sample:"
-_largest = ContextVar("largest", default=(1 << 30, "a smaller one"))
-"""Most bytes that one thing in a file may take unpacked, and what to try with a larger one."""
+_largest = ContextVar("largest", default=1 << 30)
+"""Most bytes that one thing in a file may take in memory."""
 
 
 def resolve(path: str | Path) -> Path:
@@ -99,28 +99,23 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def none_larger(size_bytes: int, hint: str) -> Iterator[None]:
-    """Within it `check_size` refuses anything larger, with this hint."""
-    before = _largest.set((size_bytes, hint))
+def none_larger(size_bytes: int) -> Iterator[None]:
+    """Within it `check_size` refuses anything larger."""
+    before = _largest.set(size_bytes)
     try:
         yield
     finally:
         _largest.reset(before)
 
 
-def largest_bytes() -> int:
-    """The bound of `check_size` [bytes]."""
-    return _largest.get()[0]
-
-
-def check_size(what: str, size_bytes: float, where: object = "") -> None:
-    """Raises InputError for a size, declared or found, that nothing from a file may take in memory: a few bytes can
-    stand for any number of them."""
-    most_bytes, hint = _largest.get()
-    if size_bytes > most_bytes:
+def check_size(what: str, size_bytes: float, where: object = "") -> int:
+    """The most bytes that one thing in a file may take in memory. Raises InputError for a larger size, declared or
+    found: a few bytes can stand for any number."""
+    if size_bytes > (most_bytes := _largest.get()):
         most_mb, came_mb = (f"{size / 1e6:.4g} MB" for size in (most_bytes, size_bytes))
-        came_mb = "more" if came_mb == most_mb else came_mb
-        raise InputError(f"{what} in up to {most_mb} of memory", came_mb, hint, where)
+        came, hint = "more" if came_mb == most_mb else came_mb, "a smaller one, or a higher --largest-mb of import"
+        raise InputError(f"{what} in up to {most_mb} of memory", came, hint, where)
+    return most_bytes
 
 
 def make_folder(path: Path) -> None:

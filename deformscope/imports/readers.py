@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import pyarrow as pa
 
 from deformscope.errors import InputError
-from deformscope.file_io import check_size, largest_bytes
+from deformscope.file_io import check_size
 from deformscope.files.sources import natural_key
 from deformscope.imports.unpacked import bounded, check_overlap
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
@@ -128,12 +128,8 @@ def _opened_bag(path: Path) -> Iterator[Reader]:
         except Exception as error:  # rosbags and what it reads with have errors of many kinds
             raise _unreadable(path, error) from error
         try:
-            stores = [getattr(one, "storage", None) for one in bag.readers]  # of ROS 1: none
-            for one in itertools.chain.from_iterable(getattr(each, "storages", [each]) for each in stores):
-                chunks = getattr(one, "chunks", ())
-                check_overlap(
-                    [(at.message_start_time, at.message_end_time, at.uncompressed_size) for at in chunks], path
-                )
+            for one in bag.readers:
+                check_overlap(getattr(one, "storage", None), path)
             yield BagReader(path, bag)
         finally:
             bag.close()
@@ -189,7 +185,7 @@ def _metadata(path: Path) -> Manifest:
         return Manifest()
     with path.open("rb") as file:
         try:
-            reader = SeekingReader(file, record_size_limit=largest_bytes())
+            reader = SeekingReader(file, record_size_limit=check_size("", 0))
             found = reader.iter_metadata() if reader.get_summary() else ()  # without it, it would unpack every chunk
             said = next((one.metadata for one in found if one.name == "deformscope"), {})
             about = {name: json.loads(value) for name, value in said.items()}
@@ -312,7 +308,8 @@ class FolderReader:
                 return
             with path.open("rb") as text:
                 head = next(itertools.islice(text, self._skip_rows, None), b"")
-            _check_columns(head.count(b",") + 1, self._tables[name])
+            columns = head.count(b",") + 1
+            check_size(f"a table, of {columns} columns,", columns * COLUMN_BYTES, self._tables[name])
             read = csv.ReadOptions(skip_rows=self._skip_rows, block_size=1 << 22)
             with csv.open_csv(path, read_options=read) as file:
                 types = csv.ConvertOptions(column_types=self._types(name, file.schema))
@@ -341,24 +338,19 @@ def _manifest(path: Path) -> Manifest:
     return read_manifest(found, path)
 
 
-def _check_columns(count: int, path: Path) -> None:
-    check_size(f"a table, of {count} columns,", count * COLUMN_BYTES, path)
-
-
 def _batch_rows(about: Any, path: Path) -> int:
     """How many rows of a Parquet file are read together, by its metadata. Raises InputError for a file that a few bytes
     make large."""
-    _check_columns(about.num_columns, path)
+    most = check_size(f"a table, of {about.num_columns} columns,", about.num_columns * COLUMN_BYTES, path)
     longest = 1
     for group in map(about.row_group, range(about.num_row_groups)):
         for column in map(group.column, range(group.num_columns)):
-            size = max(
-                column.total_uncompressed_size, 8 * (column.num_values if column.num_values > group.num_rows else 0)
-            )
+            values = column.num_values if column.num_values > group.num_rows else 0  # of lists
+            size = max(column.total_uncompressed_size, 8 * values)
             if size > RATIO * column.total_compressed_size:
                 check_size(f"column {column.path_in_schema}", size, path)
             longest = max(longest, size if column.physical_type.endswith("BYTE_ARRAY") else 1)
-    return min(BATCH_ROWS, largest_bytes() // longest + 1)
+    return min(BATCH_ROWS, most // longest + 1)
 
 
 def _has_ns(kind: pa.DataType) -> bool:

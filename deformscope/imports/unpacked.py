@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import bz2
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
-from deformscope.file_io import check_size, largest_bytes
+from deformscope.file_io import check_size
 
 
 @contextlib.contextmanager
@@ -37,24 +38,24 @@ def _unpack(make: Callable[[], Any]) -> Callable[..., bytes]:
     """A function that unpacks frames, one after the other. make: makes the decompressor of a frame"""
 
     def unpack(data: bytes, declared_bytes: int = 0) -> bytes:
-        check_size("a compressed part", declared_bytes)
-        found, size, most = [], 0, largest_bytes()
+        most, found = check_size("a compressed part", declared_bytes), b""
         while data:
             frame = make()
-            found.append(frame.decompress(data, most + 1 - size))
-            check_size("a compressed part", size := size + len(found[-1]))
+            found += frame.decompress(data, most + 1 - len(found))
+            check_size("a compressed part", len(found))
             if not frame.eof:
                 raise ValueError("a compressed part that ends early")
             data = frame.unused_data or b""
-        return b"".join(found)
+        return found
 
     return unpack
 
 
-def check_overlap(spans: Sequence[tuple[int, int, int]], where: object) -> None:
-    """rosbags keeps all chunks whose times overlap. spans: first and last time of each, and its unpacked size [bytes].
-    Raises InputError where those of one time are too large together."""
-    size, ends = 0, [change for first, last, one in spans for change in ((first, one), (last + 1, -one))]
-    for _, change in sorted(ends):
-        size += change
+def check_overlap(storage: Any, where: object) -> None:
+    """Raises InputError where chunks of one time are too large together: rosbags unpacks all those of an MCAP whose
+    times overlap."""
+    chunks = [one for each in getattr(storage, "storages", [storage]) for one in getattr(each, "chunks", ())]
+    begins = [(one.message_start_time, one.uncompressed_size) for one in chunks]
+    ends = [(one.message_end_time + 1, -one.uncompressed_size) for one in chunks]
+    for size in itertools.accumulate(change for _, change in sorted(begins + ends)):
         check_size("chunks of one time, together", size, where)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -48,7 +47,7 @@ class Inspected:
 
 def inspect_source(config: ImportConfig) -> Inspected:
     """Read a source once, and propose a map."""
-    with _bounded(config), open_reader(config.source) as reader:
+    with none_larger(config.largest_mb * 10**6), open_reader(config.source) as reader:
         found = inspect(reader)
         asked = propose(reader, found)
     lines = ["# " + "\\n".join(printable(one.to_text()).split("\n")) for one in found]
@@ -58,10 +57,6 @@ def inspect_source(config: ImportConfig) -> Inspected:
         for one in found
     ]
     return Inspected(facts, "\n".join([*lines, "", asked.to_toml()]))
-
-
-def _bounded(config: ImportConfig) -> AbstractContextManager[None]:
-    return none_larger(config.largest_mb * 10**6, f"--largest-mb above {config.largest_mb}, if it is to be so large")
 
 
 def import_source(config: ImportConfig) -> RecordResult:
@@ -75,7 +70,7 @@ def import_source(config: ImportConfig) -> RecordResult:
         "import": {"source": config.source.name, "map": config.map.read_text(encoding="utf-8")},
     }
     with (
-        _bounded(config),
+        none_larger(config.largest_mb * 10**6),
         open_reader(config.source, asked.skip_rows, [one.time for one in asked.streams]) as reader,
         ImportSource(reader, asked) as source,
     ):

@@ -8,6 +8,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -143,7 +144,7 @@ def test_a_compressed_part_is_unpacked_up_to_the_bound(tmp_path: Path, capfd: py
     asked = ["import", str(bag), "--map", str(tmp_path / "map.toml"), "--record", str(tmp_path / "r.rrd")]
     assert main([*asked, "--largest-mb", "4"]) == 2
     error = capfd.readouterr().err
-    assert "in up to 4 MB of memory; got 5.001 MB | try: --largest-mb above 4" in error
+    assert "in up to 4 MB of memory; got 5.001 MB | try: a smaller one, or a higher --largest-mb of import" in error
     assert not (tmp_path / "r.rrd").exists()
     assert main(["import", "--inspect", str(bag), "--largest-mb", "4"]) == 2
     assert main([*asked, "--largest-mb", "20"]) == 0
@@ -171,7 +172,7 @@ def test_a_part_larger_than_it_declares_is_not_unpacked(kind: str) -> None:
         return vars(ros2)["zstd"].decompress  # type: ignore[no-any-return]
 
     plain, made = function(), frames(kind)(bytes(3_000_000))
-    with bounded(), none_larger(2_000_000, "more"):
+    with bounded(), none_larger(2_000_000):
         with pytest.raises(InputError, match="a compressed part in up to 2 MB of memory; got more"):
             function()(made)
         if kind != "bz2":
@@ -187,11 +188,17 @@ def test_a_part_larger_than_it_declares_is_not_unpacked(kind: str) -> None:
 def test_chunks_of_one_time_are_bounded_together() -> None:
     from deformscope.imports.unpacked import check_overlap
 
-    with none_larger(10, "more"):
-        check_overlap([(at, at + 1, 5) for at in range(0, 20, 2)], "bag")
-        check_overlap([(0, 5, 5), (5, 9, 5)], "bag")
-        with pytest.raises(InputError, match="chunks of one time, together"):
-            check_overlap([(0, 5, 5), (5, 9, 5), (5, 5, 1)], "bag")
+    def storage(*spans: tuple[int, int, int]) -> Any:
+        names = ("message_start_time", "message_end_time", "uncompressed_size")
+        return SimpleNamespace(chunks=[SimpleNamespace(**dict(zip(names, one, strict=True))) for one in spans])
+
+    with none_larger(10):
+        check_overlap(storage(*((at, at + 1, 5) for at in range(0, 20, 2))), "bag")
+        check_overlap(storage((0, 5, 5), (5, 9, 5)), "bag")
+        for one in (storage((0, 5, 5), (5, 9, 5), (5, 5, 1)), SimpleNamespace(storages=[storage((0, 5, 11))])):
+            with pytest.raises(InputError, match="chunks of one time, together"):
+                check_overlap(one, "bag")
+        check_overlap(None, "bag of ROS 1")
 
 
 def png(height: int, width: int) -> bytes:
@@ -220,9 +227,10 @@ def tiff(height: int, width: int) -> bytes:
 @pytest.mark.parametrize("make", [png, jpeg, tiff])
 def test_an_image_is_not_decoded_beyond_the_bound(make: Callable[[int, int], bytes]) -> None:
     assert decode_image(make(4, 6), "one").shape == (4, 6)
-    with none_larger(3_000_000, "--largest-mb"):
+    with none_larger(3_000_000):
         with pytest.raises(
-            InputError, match=re.escape("an image in up to 3 MB of memory; got 3.003 MB | try: --largest-mb | one")
+            InputError,
+            match=re.escape("an image in up to 3 MB of memory; got 3.003 MB | try: a smaller one"),
         ):
             decode_image(make(1000, 1001), "one")
         assert decode_image(cv2.imencode(f".{make.__name__}", np.zeros((1000, 1000), np.uint8))[1].tobytes(), "").size
@@ -233,7 +241,7 @@ def test_an_image_is_not_decoded_beyond_the_bound(make: Callable[[int, int], byt
 def test_an_image_whose_size_is_not_read_is_taken_where_any_would_be() -> None:
     encoded = cv2.imencode(".webp", np.zeros((4, 6, 3), np.uint8))[1].tobytes()
     assert decode_image(encoded, "one").shape == (4, 6, 3)
-    with none_larger(10**8, "more"), pytest.raises(InputError, match="an image in up to 100 MB of memory; got 805"):
+    with none_larger(10**8), pytest.raises(InputError, match="an image in up to 100 MB of memory; got 805"):
         decode_image(encoded, "one")
 
 
@@ -255,7 +263,7 @@ def test_very_many_columns_are_refused_by_their_number(tmp_path: Path, capfd: py
         ]
         assert main([*asked, "--largest-mb", "3"]) == 2
         assert (
-            "a table, of 100 columns, in up to 3 MB of memory; got 3.277 MB | try: --largest-mb"
+            "a table, of 100 columns, in up to 3 MB of memory; got 3.277 MB | try: a smaller one"
             in capfd.readouterr().err
         )
         assert main([*asked, "--largest-mb", "4"]) == 0
@@ -280,7 +288,7 @@ def test_the_same_text_in_every_row_is_not_unpacked_at_once(tmp_path: Path) -> N
     pq.write_table(pa.table({"t": np.arange(500) / 10.0, "note": texts}), tmp_path / "t.parquet", store_schema=False)
     assert (tmp_path / "t.parquet").stat().st_size < 2_000_000
     before = pa.total_allocated_bytes()
-    with none_larger(20_000_000, "more"), open_reader(tmp_path / "t.parquet") as reader:
+    with none_larger(20_000_000), open_reader(tmp_path / "t.parquet") as reader:
         used = [pa.total_allocated_bytes() - before for _ in reader.messages(["t.parquet"])]
     assert len(used) == 500
     assert max(used) < 100_000_000
@@ -417,7 +425,8 @@ def test_files_of_points_are_taken_as_they_are(kind: str, tmp_path: Path) -> Non
 
 def test_the_bound_is_stated_with_what_came() -> None:
     check_size("a thing", 1 << 30)
-    with none_larger(1_000_000, "--largest-mb"), pytest.raises(InputError) as caught:
+    with none_larger(1_000_000), pytest.raises(InputError) as caught:
         check_size("a thing", 1_000_001, "here")
-    assert str(caught.value) == "expected a thing in up to 1 MB of memory; got more | try: --largest-mb | here"
+    hint = "a smaller one, or a higher --largest-mb of import"
+    assert str(caught.value) == f"expected a thing in up to 1 MB of memory; got more | try: {hint} | here"
     check_size("a thing", 1_000_001)
