@@ -1,7 +1,12 @@
-"""Files of points (PCD, PLY): Open3D reads them after what they declare was compared with the bytes they have."""
+"""Files of points, PCD and PLY, as they are: no value is taken from beyond the bytes of the file.
+
+Open3D 0.20 takes float64 of a binary PCD as 0, and what its memory held for the points that a shorter file lacks.
+"""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,72 +14,100 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.file_io import check_size
-from deformscope.recording.utf8_path import utf8_path
 
-HEAD_BYTES = 1 << 16
+AXES = ("x", "y", "z")
 POINT_BYTES = 72
-"""Memory of a point: Open3D's place, colour and normal in float64."""
-
-PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2}
-PLY_BYTES |= {"int": 4, "uint": 4, "float": 4, "int32": 4, "uint32": 4, "float32": 4, "double": 8, "float64": 8}
+"""Memory of a point, with its copies."""
+PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
+PLY_TYPES |= {f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)}
 
 
 def read_points(path: Path) -> FloatArray:
     """(H, W, 3) points in the file's unit; H = 1 if they have no order. Raises InputError for a file that does not have
     the points that it declares."""
-    import open3d as o3d
-
-    with path.open("rb") as file:
-        head, size = file.read(HEAD_BYTES), path.stat().st_size
+    check_size("a file of points", path.stat().st_size, path)
     try:
-        height, width = _pcd(head, size) if path.suffix.lower() == ".pcd" else (1, _ply(head, size))
-    except (IndexError, KeyError, ValueError) as error:
+        return (_pcd if path.suffix.lower() == ".pcd" else _ply)(path.read_bytes())
+    except InputError as error:
+        raise InputError.about(error, path) from error
+    except (IndexError, KeyError, TypeError, ValueError) as error:
         came = f"one without or with a wrong {' '.join(str(error).split())[:120]}"
         raise InputError("a PCD or PLY file with the points that it declares", came, "write it again", path) from error
-    check_size(f"a file of {height * width} points", height * width * POINT_BYTES, path)
-    points = np.asarray(o3d.io.read_point_cloud(utf8_path(path), remove_nan_points=False).points)
-    if not 0 < len(points) == height * width:
-        came = f"{len(points)}, as of a damaged or empty file, or one of another kind"
-        raise InputError(f"{height * width} points, as the file declares", came, "write it again", path)
-    return points.reshape(height, width, 3)
 
 
-def _pcd(head: bytes, size: int) -> tuple[int, int]:
-    """Height and width. Raises ValueError or KeyError for sizes that are not those of a file of this size [bytes]."""
-    lines, _, body = head.partition(b"\nDATA ")
-    kind, _, body = body.partition(b"\n")
+def _pcd(raw: bytes) -> FloatArray:
+    lines, _, body = raw.partition(b"\nDATA ")
+    form, _, body = body.partition(b"\n")
     said = {words[0]: words[1:] for line in lines.decode("latin-1").splitlines() if (words := line.split())}
-    fields, sizes = said["FIELDS"], [int(one) for one in said["SIZE"]]
+    fields = said["FIELDS"]
+    kinds = [f"<{kind.lower()}{size}" for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     counts = [int(one) for one in said.get("COUNT", ["1"] * len(fields))]
     width, height, points = (int(" ".join(said[name])) for name in ("WIDTH", "HEIGHT", "POINTS"))
-    if not {"x", "y", "z"} <= {*fields} or not len(fields) == len(sizes) == len(counts) == len(said["TYPE"]):
-        raise ValueError("FIELDS, SIZE, TYPE, COUNT: of each field, with x, y and z")
-    if not {*sizes} <= {1, 2, 4, 8} or min(*counts, width, height) < 1 or points != width * height:
-        raise ValueError("SIZE, COUNT, WIDTH, HEIGHT, or POINTS, which are WIDTH times HEIGHT")
-    needed = points * sum(each * count for each, count in zip(sizes, counts, strict=True))
-    if kind.strip() == b"ascii":
-        needed = 2 * points * sum(counts) - 1
-    elif kind.strip() == b"binary_compressed":
-        packed, unpacked = np.frombuffer(body, "<u4", 2).tolist()
-        if unpacked != needed:
-            raise ValueError(f"unpacked size: {unpacked} bytes of {needed}")
-        check_size("compressed points", unpacked)
-        needed = packed + 8
-    if (left := size - (len(head) - len(body))) < needed:
-        raise ValueError(f"size: {left} bytes of {needed}")
-    return height, width
+    if min(*counts, width, height) < 1 or points != width * height:
+        raise ValueError("COUNT, WIDTH, HEIGHT, or POINTS, which are WIDTH times HEIGHT")
+    places, each = [fields.index(axis) for axis in AXES], list(zip(kinds, counts, strict=True))
+    if form.strip() != b"binary_compressed":
+        return _points(body, points, each, places, form.strip() == b"ascii").reshape(height, width, 3)
+    sizes = [points * np.dtype(kind).itemsize * count for kind, count in each]
+    packed, unpacked = np.frombuffer(body, "<u4", 2).tolist()
+    if unpacked != sum(sizes) or packed > len(body) - 8:
+        raise ValueError(f"size: {packed} bytes packed, {unpacked} unpacked, of {len(body) - 8} and {sum(sizes)}")
+    check_size("compressed points", unpacked)
+    plain, begins = _unpack_lzf(body[8 : 8 + packed], unpacked), np.cumsum([0, *sizes])
+    columns = [np.frombuffer(plain, each[at][0], points * each[at][1], begins[at])[:: each[at][1]] for at in places]
+    return np.stack(columns, axis=-1).astype(np.float64).reshape(height, width, 3)
 
 
-def _ply(head: bytes, size: int) -> int:
-    """The number of points. Raises ValueError or KeyError for sizes that are not those of a file of this size."""
-    lines, end, body = head.partition(b"\nend_header")
-    needed = points = count = 0
-    for words in (line.split() for line in lines.decode("latin-1").splitlines()):
-        if words[:1] == ["element"] and len(words) == 3:
-            count = int(words[2])
-            points = count if words[1] == "vertex" else points
-        elif words[:1] == ["property"]:
-            needed += count * (2 if b"\nformat ascii" in lines else PLY_BYTES[words[1 + (words[1] == "list")]])
-    if not end or count < 0 or size - (len(head) - len(body)) < needed:
-        raise ValueError(f"size: {size - len(head) + len(body)} bytes of {needed}" if end else "end_header")
-    return points
+def _ply(raw: bytes) -> FloatArray:
+    lines, _, body = raw.partition(b"\nend_header")
+    words = [line.split() for line in lines.decode("latin-1").splitlines()]
+    starts = [at for at, line in enumerate(words) if line[:1] == ["element"]]
+    if words[starts[0]][1] != "vertex":
+        raise ValueError("element vertex, the first")
+    given = [line for line in words[starts[0] : [*starts, len(words)][1]] if line[:1] == ["property"]]
+    form = next(line[1] for line in words if line[:1] == ["format"])
+    order = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
+    each = [(order + PLY_TYPES[kind], 1) for _, kind, _ in given]
+    places = [[name for *_, name in given].index(axis) for axis in AXES]
+    return _points(body.partition(b"\n")[2], int(words[starts[0]][2]), each, places, form == "ascii")[None]
+
+
+def _points(
+    body: bytes, points: int, each: Sequence[tuple[str, int]], places: Sequence[int], is_ascii: bool
+) -> FloatArray:
+    """(points, 3). each: type and count of each of a point's values; places: places of x, y and z among them. Raises
+    ValueError for fewer points."""
+    if points < 1:
+        raise ValueError(f"number of points: {points}")
+    check_size(f"a file of {points} points", points * POINT_BYTES)
+    if is_ascii:
+        table, begins = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=points), np.cumsum([0, *(n for _, n in each)])
+        if table.shape != (points, begins[-1]):
+            raise ValueError(f"number of values: {table.shape}, of {(points, int(begins[-1]))}")
+        return np.asarray(table[:, begins[list(places)]])
+    layout = np.dtype([(str(at), kind, (count,)) for at, (kind, count) in enumerate(each)])
+    table = np.frombuffer(body, layout, points)
+    return np.stack([table[str(at)][:, 0].astype(np.float64) for at in places], axis=-1)
+
+
+def _unpack_lzf(packed: bytes, size: int) -> bytes:
+    """Raises ValueError or IndexError if it is not of this size. Source: LibLZF's format."""
+    found, place = bytearray(), 0
+    while place < len(packed) and len(found) <= size:
+        control, place = packed[place], place + 1
+        if control < 32:  # as it is
+            found += packed[place : place + control + 1]
+            place += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length, place = length + packed[place], place + 1
+        start, place = len(found) - 1 - ((control & 31) << 8 | packed[place]), place + 1
+        if start < 0:
+            raise ValueError("compressed points")
+        again = found[start : start + length + 2]
+        found += (again * (length + 2))[: length + 2] if len(again) < length + 2 else again
+    if len(found) != size:
+        raise ValueError(f"size of compressed points: {len(found)} of {size}")
+    return bytes(found)

@@ -23,6 +23,7 @@ from deformscope.file_io import check_size, none_larger
 from deformscope.images import decode_image
 from deformscope.imports.frame_builder import FrameBuilder
 from deformscope.imports.import_map import MappedStream
+from deformscope.imports.point_files import read_points
 from deformscope.imports.readers import Message, Topic, open_reader
 from deformscope_drivers.clock import Stamp
 from tests.imports.foreign_files import stores
@@ -421,6 +422,74 @@ def test_files_of_points_are_taken_as_they_are(kind: str, tmp_path: Path) -> Non
     depth: Any = frame.depth  # type: ignore[union-attr]
     assert depth.max() == 5000
     assert depth.shape == ((2, 3) if kind == "pcd" else (4, 6))
+
+
+def pcd_of(form: str, kind: str, values: Any, fields: str = "x y z", counts: str = "1 1 1") -> bytes:
+    """Points (n, 3) of one kind, by rows."""
+    table = np.asarray(values, f"<{kind.lower()}")
+    each = [" ".join([one] * len(fields.split())) for one in (kind[1], kind[0])]
+    head = (
+        f"VERSION .7\nFIELDS {fields}\nSIZE {each[0]}\nTYPE {each[1]}\nCOUNT {counts}\nWIDTH {len(table)}\nHEIGHT 1\n"
+    )
+    rows = "\n".join(" ".join(map(str, row)) for row in table.tolist()) + "\n"
+    body = table.tobytes() if form == "binary" else rows.encode()
+    return f"{head}VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(table)}\nDATA {form}\n".encode() + body
+
+
+@pytest.mark.parametrize("form", ["binary", "ascii"])
+@pytest.mark.parametrize("kind", ["F4", "F8", "I1", "I2", "I4", "I8", "U1", "U8"])
+def test_points_of_any_type_are_read(form: str, kind: str, tmp_path: Path) -> None:
+    """Open3D 0.20 takes eight bytes in binary as 0."""
+    (tmp_path / "a.pcd").write_bytes(pcd_of(form, kind, [[1, 2, 3], [4, 5, 100]]))
+    assert read_points(tmp_path / "a.pcd").tolist() == [[[1, 2, 3], [4, 5, 100]]]
+    wide = pcd_of(form, kind, [[9, 9, 3, 2, 1], [9, 9, 6, 5, 4]], "_ z y x", "2 1 1 1")
+    (tmp_path / "a.pcd").write_bytes(wide)
+    assert read_points(tmp_path / "a.pcd").tolist() == [[[1, 2, 3], [4, 5, 6]]]
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("axes", ["xyz", "zyx", "yzx"])
+def test_vertices_are_read_by_their_names(form: str, axes: str, tmp_path: Path) -> None:
+    """Open3D 0.20 takes what its memory held where z is not the last."""
+    kinds = dict(zip("xyz", ("double", "float", "short"), strict=True))
+    order = "<" if "little" in form else ">"
+    body = b""
+    for row in ({"x": 1, "y": 2, "z": 3}, {"x": 4, "y": 5, "z": 6}):
+        if form == "ascii":
+            body += " ".join(str(row[axis]) for axis in axes).encode() + b"\n"
+        else:
+            numpy = {"double": "f8", "float": "f4", "short": "i2"}
+            body += b"".join(np.array([row[axis]], order + numpy[kinds[axis]]).tobytes() for axis in axes)
+    head = f"ply\nformat {form} 1.0\ncomment made\nelement vertex 2\n"
+    head += "".join(f"property {kinds[axis]} {axis}\n" for axis in axes)
+    head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_bytes(head.encode() + body + (b"3 0 1 1\n" if form == "ascii" else bytes(13)))
+    assert read_points(tmp_path / "a.ply").tolist() == [[[1, 2, 3], [4, 5, 6]]]
+
+
+def test_a_file_with_a_line_less_is_refused(tmp_path: Path) -> None:
+    """Open3D 0.20 takes what its memory held for the points that are not there."""
+    path = tmp_path / "a.pcd"
+    whole = pcd_of("ascii", "F4", [[1.123456, 2.123456, 3.123456]] * 5)
+    for damaged in (whole[: whole.rstrip().rindex(b"\n")], whole.replace(b"\n1.", b"\n,", 1)):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="a PCD or PLY file with the points that it declares"):
+            read_points(path)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("ending", ["pcd", "ply"])
+def test_points_are_those_that_open3d_wrote(ending: str, compressed: bool, tmp_path: Path) -> None:
+    import open3d as o3d
+
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.normal(size=(300, 3)), np.zeros((300, 3)), np.repeat(rng.normal(size=(3, 3)), 100, 0)])
+    made = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float32)))
+    made.colors = o3d.utility.Vector3dVector(rng.uniform(size=points.shape))
+    path = tmp_path / f"a.{ending}"
+    for is_ascii in (False, True):
+        assert o3d.io.write_point_cloud(str(path), made, write_ascii=is_ascii, compressed=compressed)
+        np.testing.assert_allclose(read_points(path)[0], points, rtol=1e-5, atol=1e-6)
 
 
 def test_the_bound_is_stated_with_what_came() -> None:
