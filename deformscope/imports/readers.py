@@ -18,7 +18,7 @@ import pyarrow as pa
 from deformscope.errors import InputError
 from deformscope.file_io import check_size
 from deformscope.files.sources import natural_key
-from deformscope.imports.unpacked import bounded, check_overlap
+from deformscope.imports.unpacked import bounded, check_chunks
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
 from deformscope.recording.utf8_path import utf8_path
 
@@ -129,7 +129,7 @@ def _opened_bag(path: Path) -> Iterator[Reader]:
             raise _unreadable(path, error) from error
         try:
             for one in bag.readers:
-                check_overlap(getattr(one, "storage", None), path)
+                check_chunks(getattr(one, "storage", None), path)
             yield BagReader(path, bag)
         finally:
             bag.close()
@@ -138,7 +138,9 @@ def _opened_bag(path: Path) -> Iterator[Reader]:
 def _unreadable(path: Path, error: Exception) -> InputError:
     if isinstance(error, InputError):  # of `bounded`
         return InputError.about(error, path)
-    came = "one that is truncated or damaged: " + (" ".join(str(error).split())[:160] or type(error).__name__)
+    came = "one that is truncated or damaged, or not of ROS: " + (
+        " ".join(str(error).split())[:160] or type(error).__name__
+    )
     return InputError("a complete bag", came, "mcap recover, or rosbag reindex", path)
 
 

@@ -51,11 +51,14 @@ def _unpack(make: Callable[[], Any]) -> Callable[..., bytes]:
     return unpack
 
 
-def check_overlap(storage: Any, where: object) -> None:
+def check_chunks(storage: Any, where: object) -> None:
     """Raises InputError where chunks of one time are too large together: rosbags unpacks all those of an MCAP whose
-    times overlap."""
-    chunks = [one for each in getattr(storage, "storages", [storage]) for one in getattr(each, "chunks", ())]
-    begins = [(one.message_start_time, one.uncompressed_size) for one in chunks]
-    ends = [(one.message_end_time + 1, -one.uncompressed_size) for one in chunks]
+    times overlap. Without an index of messages, which it takes for no messages, it reads chunk by chunk."""
+    found = [each.chunks for each in getattr(storage, "storages", [storage]) if hasattr(each, "chunks")]
+    for chunks in found:
+        if not any(one.channel_count for one in chunks):
+            chunks.clear()
+    begins = [(one.message_start_time, one.uncompressed_size) for chunks in found for one in chunks]
+    ends = [(one.message_end_time + 1, -one.uncompressed_size) for chunks in found for one in chunks]
     for size in itertools.accumulate(change for _, change in sorted(begins + ends)):
         check_size("chunks of one time, together", size, where)

@@ -187,19 +187,42 @@ def test_a_part_larger_than_it_declares_is_not_unpacked(kind: str) -> None:
 
 
 def test_chunks_of_one_time_are_bounded_together() -> None:
-    from deformscope.imports.unpacked import check_overlap
+    from deformscope.imports.unpacked import check_chunks
 
     def storage(*spans: tuple[int, int, int]) -> Any:
-        names = ("message_start_time", "message_end_time", "uncompressed_size")
-        return SimpleNamespace(chunks=[SimpleNamespace(**dict(zip(names, one, strict=True))) for one in spans])
+        names = ("message_start_time", "message_end_time", "uncompressed_size", "channel_count")
+        return SimpleNamespace(
+            chunks=[SimpleNamespace(**dict(zip(names, (*one, {1: 1}), strict=True))) for one in spans]
+        )
 
     with none_larger(10):
-        check_overlap(storage(*((at, at + 1, 5) for at in range(0, 20, 2))), "bag")
-        check_overlap(storage((0, 5, 5), (5, 9, 5)), "bag")
+        check_chunks(storage(*((at, at + 1, 5) for at in range(0, 20, 2))), "bag")
+        check_chunks(storage((0, 5, 5), (5, 9, 5)), "bag")
         for one in (storage((0, 5, 5), (5, 9, 5), (5, 5, 1)), SimpleNamespace(storages=[storage((0, 5, 11))])):
             with pytest.raises(InputError, match="chunks of one time, together"):
-                check_overlap(one, "bag")
-        check_overlap(None, "bag of ROS 1")
+                check_chunks(one, "bag")
+        check_chunks(None, "bag of ROS 1")
+
+
+@pytest.mark.parametrize("index", ["MESSAGE", "CHUNK", "NONE"])
+def test_an_mcap_without_an_index_of_its_messages_is_read(index: str, tmp_path: Path) -> None:
+    """The index is optional; rosbags 0.11.9 takes none for no messages."""
+    pytest.importorskip("rosbags")
+    writers = pytest.importorskip("mcap.writer")
+    left_out = writers.IndexType.ALL & ~writers.IndexType[index] if index != "NONE" else writers.IndexType.NONE
+    kind, store = "geometry_msgs/msg/PointStamped", stores()[1]
+    with (tmp_path / "bag.mcap").open("wb") as file:
+        writer = writers.Writer(file, index_types=left_out)
+        writer.start(profile="ros2", library="another")
+        schema = writer.register_schema(kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode())
+        channel = writer.register_channel("/x", "cdr", schema)
+        for at in range(5):
+            point = store.types["geometry_msgs/msg/Point"](at, 0.0, 0.0)
+            raw = bytes(store.serialize_cdr(store.types[kind](header(), point), kind))
+            writer.add_message(channel, log_time=10**18 + at, publish_time=0, data=raw)
+        writer.finish()
+    with open_reader(tmp_path / "bag.mcap") as reader:
+        assert [message.get("point.x") for message in reader.messages(["/x"])] == [0, 1, 2, 3, 4]
 
 
 def png(height: int, width: int) -> bytes:
