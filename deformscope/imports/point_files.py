@@ -1,4 +1,4 @@
-"""Files of points, PCD and PLY, as they are: no value is taken from beyond the bytes of the file.
+"""Points of PCD and PLY files: no value comes from beyond the bytes of the file.
 
 Open3D 0.20 takes float64 of a binary PCD as 0, and what its memory held for the points that a shorter file lacks.
 """

@@ -53,7 +53,7 @@ def _unpack(make: Callable[[], Any]) -> Callable[..., bytes]:
 
 def check_chunks(storage: Any, where: object) -> None:
     """Raises InputError where chunks of one time are too large together: rosbags unpacks all those of an MCAP whose
-    times overlap. Without an index of messages, which it takes for no messages, it reads chunk by chunk."""
+    times overlap. An MCAP without an index of messages is read chunk by chunk: rosbags would find none in it."""
     found = [each.chunks for each in getattr(storage, "storages", [storage]) if hasattr(each, "chunks")]
     for chunks in found:
         if not any(one.channel_count for one in chunks):
