@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def _points(
 ) -> FloatArray:
     """(points, 3). each: type and count of each of a point's values; places: places of x, y and z among them. Raises
     ValueError for fewer points."""
-    if points < 1:
+    if points < 1 or (is_ascii and not body.strip()):
         raise ValueError(f"number of points: {points}")
     check_size(f"a file of {points} points", points * POINT_BYTES)
     if is_ascii:
@@ -87,8 +88,8 @@ def _points(
             raise ValueError(f"number of values: {table.shape}, of {(points, int(begins[-1]))}")
         return np.asarray(table[:, begins[list(places)]])
     layout = np.dtype([(str(at), kind, (count,)) for at, (kind, count) in enumerate(each)])
-    table = np.frombuffer(body, layout, points)
-    return np.stack([table[str(at)][:, 0].astype(np.float64) for at in places], axis=-1)
+    rows: Any = np.frombuffer(body, layout, points)
+    return np.stack([rows[str(at)][:, 0].astype(np.float64) for at in places], axis=-1)
 
 
 def _unpack_lzf(packed: bytes, size: int) -> bytes:

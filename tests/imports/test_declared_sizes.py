@@ -494,7 +494,11 @@ def test_a_file_with_a_line_less_is_refused(tmp_path: Path) -> None:
     """Open3D 0.20 takes what its memory held for the points that are not there."""
     path = tmp_path / "a.pcd"
     whole = pcd_of("ascii", "F4", [[1.123456, 2.123456, 3.123456]] * 5)
-    for damaged in (whole[: whole.rstrip().rindex(b"\n")], whole.replace(b"\n1.", b"\n,", 1)):
+    for damaged in (
+        whole[: whole.index(b"1.1")],
+        whole[: whole.rstrip().rindex(b"\n")],
+        whole.replace(b"\n1.", b"\n,", 1),
+    ):
         path.write_bytes(damaged)
         with pytest.raises(InputError, match="a PCD or PLY file with the points that it declares"):
             read_points(path)
