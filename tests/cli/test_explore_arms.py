@@ -203,7 +203,7 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     monkeypatch.setattr(finger, "PATIENCE_S", 8.0)
     felt_n = finger._felt_n
     periods = itertools.count()
-    push_n = np.array([0.0, 0.0, 5.0])
+    push_n = np.array([0.0, 0.0, 8.0])
     monkeypatch.setattr(
         finger, "_felt_n", lambda robot: felt_n(robot) + push_n * (presses and 100 < next(periods) < 200)
     )
@@ -216,7 +216,7 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     assert said.count("Press the tip straight up from below with a finger") == 1
     if presses:
         assert status == 0, said
-        assert "Measured 5.0 N, 0 deg from straight up: release." in said
+        assert "Measured 8.0 N, 0 deg from straight up: release." in said
         assert "ok  force sensor: finger" in said
     else:
         assert status == 2
