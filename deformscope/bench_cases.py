@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-Case = Literal["step", "call", "memory", "relax", "sweep", "theta", "gradient", "fit", "surface", "cold"]
+Case = Literal["step", "call", "memory", "relax", "sweep", "gradient", "fit", "cold"]
 
 CASES: tuple[Case, ...] = get_args(Case)

@@ -21,9 +21,7 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation
@@ -42,6 +40,7 @@ from studies.random_bodies import (
     random_noise,
     random_sigma,
 )
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 FRAMES = 5
 """Frames of a whole motion, pushed on evenly."""

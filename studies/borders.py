@@ -16,16 +16,15 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import arg
 
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
-from deformscope.reproduce.closed_form_table import run_closed_form
-from deformscope.reproduce.table41_runs import TableJob
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import Family
 from studies.quantities import Rate, by, of_cases
+from studies.reproduce.closed_form_table import run_closed_form
+from studies.reproduce.table41_runs import TableJob
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 FAMILIES = {

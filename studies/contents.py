@@ -17,18 +17,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.squeeze_trial import feature_settings
 from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
 from deformscope.lab.container_setup import container_lab
 from deformscope.pictures.report import Table
-from deformscope.reproduce.containers import SqueezeJob, run_squeeze
 from deformscope.results.render import to_json
 from deformscope.stages.squeeze.model import fit_model
 from deformscope.stages.squeeze.model_check import check_model
 from deformscope.stages.squeeze.table import LabelledTable
+from studies.reproduce.container_trials import SqueezeJob, run_squeeze
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 CONTENTS = ("empty", "water", "yogurt", "rice", "flour")

@@ -15,10 +15,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from deformscope.cli.common import make_folder
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Figure, Table
 from deformscope.stages.fit.estimate import Verdict
@@ -36,6 +33,7 @@ from studies.random_bodies import (
     try_nothing,
     try_object,
 )
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.unseen_pokes import PokeCase, UnseenPrediction, try_unseen_poke
 
 
@@ -62,8 +60,6 @@ class CoverageConfig(StudyOptions):
 def trials(options: CoverageConfig) -> list[Trials[Any, Any]]:
     """Random objects, data without information, reasons to doubt, and unseen pokes."""
     seed, level = options.output.seed, options.level
-    if options.out is not None:
-        make_folder(options.out)
     cases, nothing = plan(options.objects, seed, level, quick=options.quick)
     bodies = -(-(QUICK_OBJECTS if options.quick else options.objects) // PART_APART)
     return [

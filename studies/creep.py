@@ -25,23 +25,22 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.creeping_world import CreepingWorld, Relaxation
 from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.touching import Sensing, force_curve
 from deformscope.pictures.report import Table
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepBehaviour, fit_creep
 from studies.creep_laws import LawOutcome, law_cases, law_table, try_law
 from studies.held_touch import HeldTouch, held_touch
 from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
+from studies.touching import Sensing, force_curve
 
 RELAXES, TIMES_S = (0.1, 0.4), (0.2, 5.0)
 HARDNESS_N, THICKNESS_M, POISSON = (40.0, 150.0), (0.035, 0.06), (0.05, 0.35)

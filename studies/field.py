@@ -20,9 +20,7 @@ from scipy.spatial.distance import cdist
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.model import Observation
@@ -30,6 +28,7 @@ from deformscope.stages.materials.field import fit_field
 from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M, Way, Young, elastic_pair
 from studies.independent.orthotropic_elements import OrthotropicLaw, isotropic, orthotropic, plate
 from studies.quantities import Rate, by, of_cases
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import independent, reported
 
 PLATE, SLAB = (17, 13), (11, 6, 4)

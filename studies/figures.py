@@ -2,7 +2,7 @@
 
     python -m studies figures --out figures
 
-Motions are in the recording of `deformscope reproduce shapes`; these are its pictures, lengths in centimetres.
+Motions are in the recording of `python -m studies reproduce shapes`; these are its pictures, lengths in centimetres.
 """
 
 from __future__ import annotations
@@ -16,18 +16,16 @@ from typing import Any
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.common import make_folder
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.pictures.figures import COLOURS, canvas, png_of
-from deformscope.pictures.findings import dict_table
 from deformscope.pictures.report import Figure
-from deformscope.reproduce.cubes import Cube, thesis_cubes
-from deformscope.reproduce.searches import SearchOutcome, compare_searches
-from deformscope.reproduce.shapes import BETAS, CUBE_BETA, HeldLattice, column, cube, sheet
 from deformscope.stages.msm.clusters import held_mask
 from deformscope.stages.msm.state_sweep import StateSweep
+from studies.output import dict_table
+from studies.reproduce.pressed_cubes import Cube, thesis_cubes
+from studies.reproduce.searches import SearchOutcome, compare_searches
+from studies.reproduce.shapes import BETAS, CUBE_BETA, HeldLattice, column, cube, sheet
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 DPI = 140
 PUSH_M, PUSH_MOST = 1e-3, 20_000
@@ -57,7 +55,6 @@ def search_known(seed: int) -> tuple[SearchOutcome, ...]:
 
 
 def report(options: FiguresConfig, _: float, searched: Sequence[tuple[SearchOutcome, ...]]) -> StudyReport:
-    make_folder(options.out)
     drawn = {
         "3.5": (draw_beta(), "A body whose ends are held, by beta"),
         "3.7": (draw_theta(), "The middle layer of a pressed cube, by theta"),

@@ -25,20 +25,8 @@ import numpy as np
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
-from deformscope.reproduce.poke_slabs import (
-    KINDS,
-    POISSON,
-    PokedSlab,
-    PokeGroup,
-    SlabKind,
-    Split,
-    draw_slab,
-)
-from deformscope.reproduce.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
 from deformscope.stages.poke.comparison import Score, predict_seen
 from deformscope.stages.poke.fitted import FittedModel, Prediction
 from deformscope.stages.poke.layers import MeasuredSurface
@@ -47,6 +35,17 @@ from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke
 from deformscope.stages.poke.stiffness_field import fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 from studies.quantities import Quantity, Rate, Row, band, by, percent, rows, table
+from studies.reproduce.poke_slabs import (
+    KINDS,
+    POISSON,
+    PokedSlab,
+    PokeGroup,
+    SlabKind,
+    Split,
+    draw_slab,
+)
+from studies.reproduce.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 TIPS = (TIP, *OTHER_TIPS)

@@ -1,6 +1,6 @@
 """A controller's record of a tip that comes down on foam with a memory, holds its force and retracts.
 
-It resembles `deformscope.lab.touching`: no wires, no control loop.
+It resembles `studies.touching`: no wires, no control loop.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from deformscope.arrays import FloatArray
 from deformscope.lab.creeping_world import CreepingWorld
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.touching import Sensing
+from studies.touching import Sensing
 
 CLEARANCE_M, BACK_M_S = 0.005, 0.03
 """Above the foam, where it begins and ends; speed of the way back."""

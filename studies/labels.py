@@ -13,15 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.pictures.report import Table
 from deformscope.runs.classification import ClassificationResult
 from deformscope.stages.squeeze.evaluation import EvaluationOptions, evaluate
 from deformscope.stages.squeeze.intervals import wilson
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.independent.labelled_rows import CASES, Case, rows_of
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 FIRST_SEED = 2000
 SPLITS = 12

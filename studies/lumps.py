@@ -22,20 +22,19 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table
-from deformscope.reproduce.surface_robot import LabRobot, explore_at_once
 from deformscope.stages.map.exploration import InclusionsResult, PlannedTouch
 from deformscope.stages.map.inclusion_posterior import DEEP_M
 from studies.lump_limit import limit
 from studies.quantities import Quantity, Rate, Row, band, by, number, of_cases, rows, table
+from studies.reproduce.surface_robot import LabRobot, explore_at_once
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 LOOKED_AT = (3, 5, 7, 10, 15, 20)

@@ -26,9 +26,7 @@ from scipy.spatial.distance import cdist
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.material_motion import recovery_of_motion
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.pictures.report import Table
@@ -43,6 +41,7 @@ from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
 from studies.field_bodies import NOISE_REACH, NOISE_SHARES, SPACING_M, lattice, shared_noise
 from studies.quantities import KnownEstimate, by, counts, interval_rows, interval_table
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 MotionKind = Literal["axes", "yield", "viscous", "slow"]

@@ -12,9 +12,7 @@ from typing import Annotated, Literal, cast
 
 import numpy as np
 
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.placing import CONTAINER, NO_GRASP, Placing, PlacingArm
 from deformscope.experiments.squeeze import Squeezed, squeeze
 from deformscope.experiments.squeeze_features import SqueezeGeometry
@@ -28,6 +26,7 @@ from deformscope.robot.checks import Preflight
 from deformscope.robot.squeeze_plan import RandomGrasp
 from deformscope.session import RigExperiment, run
 from studies.regions import clopper_pearson
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 CAMERA_HZ = 5.0

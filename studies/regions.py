@@ -26,16 +26,13 @@ from threadpoolctl import threadpool_limits
 from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.lab.arm_contact import ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors, SessionErrors
 from deformscope.pictures.report import Table
-from deformscope.reproduce.closed_form_table import FIT_SD, LOG_N_PER_MM_60
-from deformscope.stages.map.map_score import Z_90, TrueMap, match_regions
+from deformscope.stages.map.map_score import match_regions
 from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.partitions import draw
@@ -43,7 +40,10 @@ from deformscope.stages.regions.posterior import SLOPES_PER_M, SMOOTH_LENGTHS_M,
 from deformscope.stages.regions.touch_error import LAW_SD, SCATTER_LENGTH_M, SCATTER_SHARED
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 from studies.independent.random_maps import random_surface
+from studies.map_score import Z_90, TrueMap
 from studies.quantities import Quantity, Rate, band, by, number, rows, share, table
+from studies.reproduce.closed_form_table import FIT_SD, LOG_N_PER_MM_60
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import INDEPENDENT, reported
 
 SCENES = (

@@ -23,9 +23,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.experiments.measured import DENT_M, SetupGeometry, sample_box
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.layer_world import LayerWorld
@@ -47,6 +45,7 @@ from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.depth_camera import SENSORS
 from deformscope_drivers.jaco.chains import J2N6S300
 from studies.quantities import Quantity, Row, by, rows
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 
 Sensor = Literal["plain", "primesense", "realsense"]

@@ -14,15 +14,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.lab.faults import Injected
 from deformscope.pictures.report import Table
 from studies.driven_faults import KILLED_WITHIN_S, KINDS, AnyRun, DrivenRun, KilledRun, kind_of, run_any
 from studies.fault_study import ALLOWED_S, ENDED_WITHIN_S, TURNED_DEG, UNSEEN_M, FaultRun
 from studies.layouts import LayoutRun, run_layout, shares_by_distance
 from studies.rigid_faults import CASES, STIFFNESSES_N_M, RigidRun, run_rigid
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
 from studies.silent_kuka import FARTHEST_M, SilentRun, run_silent
 

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from deformscope.cli.study import Study, StudyReport, Trials
 from deformscope.config import flags
-from deformscope.config.reproduce import StudyOptions
 from deformscope.pictures.report import Table
 from deformscope.runs.sweep import JOURNAL, RESULTS, SweepOptions, SweepTask, Variation, sweep_on
+from studies.runner import Study, StudyOptions, StudyReport, Trials
 
 SMALL = {"parameter": "beta", "value": 0.5, "interval": [0.4, 0.6], "verdict": "identified", "noise": [0.1] * 100}
 """A result of one to two kilobytes."""

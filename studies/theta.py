@@ -17,8 +17,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from deformscope.cli.study import Study, StudyReport, Trials
-from deformscope.reproduce.cubes import DEPTHS_M, thesis_cubes
 from deformscope.stages.fit.calibrate import FitOptions, Model
 from studies.beta import (
     DISTURBED,
@@ -34,6 +32,8 @@ from studies.beta import (
 )
 from studies.quantities import table
 from studies.random_bodies import CANDIDATES, fitted
+from studies.reproduce.pressed_cubes import DEPTHS_M, thesis_cubes
+from studies.runner import Study, StudyReport, Trials
 
 Setting = Literal["another depth", "another resolution", "another depth and resolution"]
 SETTINGS: tuple[Setting, ...] = get_args(Setting)

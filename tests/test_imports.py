@@ -75,23 +75,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *("arrays", "capsule", "config", "errors", "file_io", "files", "frames", "images", "processes", "recording"),
         *("results", "rig", "robot", "rows", "session", "version", *STAGES),
     ),
-    "reproduce": (
-        *(
-            "arrays",
-            "capsule",
-            "config",
-            "errors",
-            "executor",
-            "experiments",
-            "files",
-            "frames",
-            "images",
-            "lab",
-            "log",
-            "pictures",
-        ),
-        *("plain", "recording", "rig", "robot", "runs", "session", *STAGES),
-    ),
     # A GPU machine that has numpy, scipy and warp alone runs it.
     "bench": ("arrays", "bench_cases", "errors", "plain", "processes", "version", *STAGES),
     "config": ("bench_cases", "errors", "file_io"),
@@ -292,7 +275,7 @@ def test_other_engines_are_imported_in_their_own_processes_alone() -> None:
         name for name, path in modules().items() if any(within(to, e) for to in imported(path) for e in engines)
     ]
 
-    assert importers == ["deformscope.bench.peer_process"]
+    assert importers == ["studies.engines.peer_process"]
 
 
 def _prints(script: str, expected: str) -> None:
@@ -327,9 +310,8 @@ def test_a_command_loads_what_it_needs_as_it_needs_it() -> None:
     script = """
 import importlib, sys
 from deformscope.cli import COMMANDS
-for name, command in COMMANDS.items():
-    if not name.startswith("reproduce"):
-        importlib.import_module(command.module)
+for command in COMMANDS.values():
+    importlib.import_module(command.module)
 heavy = "open3d sklearn scipy.stats matplotlib can mcap rosbags ray".split()
 print(sorted(set(heavy) & set(sys.modules)))
 """

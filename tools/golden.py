@@ -120,13 +120,13 @@ CASES: Mapping[str, Case] = {
         "replay r.rrd --json p.json",
         on_clock=True,
     ),
-    "reproduce-cubes": _of(f"reproduce cubes --quick --out o {QUIET} --workers 1 --json e.json"),
+    "reproduce-cubes": _of(f"reproduce cubes --quick --out o {QUIET} --jobs 1 --json e.json"),
     "reproduce-table41": _of(
-        f"reproduce table41 --scenes two-60-150,disc --seeds 1 --touches 3 --closed-form --workers 1 --out o {QUIET}"
+        f"reproduce table41 --scenes two-60-150,disc --seeds 1 --touches 3 --closed-form --jobs 1 --out o {QUIET}"
         " --json e.json"
     ),
-    "reproduce-chapter4": _of(f"reproduce chapter4 --quick --seeds 1 --workers 1 --out o {QUIET} --json e.json"),
-    "reproduce-containers": _of(f"reproduce containers --quick --trials 2 --workers 1 --out o {QUIET} --json e.json"),
+    "reproduce-chapter4": _of(f"reproduce chapter4 --quick --seeds 1 --jobs 1 --out o {QUIET} --json e.json"),
+    "reproduce-containers": _of(f"reproduce containers --quick --trials 20 --jobs 1 --out o {QUIET} --json e.json"),
     "refusals": _of(
         "explore lab:nothing",
         "calibrate beta missing.npz",
@@ -239,7 +239,8 @@ def typed(line: str, code: Path, folder: Path) -> str:
         "COLUMNS": "140",
         "TERM": "dumb",
     }
-    command = [sys.executable, "-m", "deformscope", *shlex.split(line)]
+    module = "studies" if line.startswith("reproduce ") else "deformscope"
+    command = [sys.executable, "-m", module, *shlex.split(line)]
     done = subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, stdin=subprocess.DEVNULL
     )

@@ -21,12 +21,12 @@ from deformscope.lab.finite_strain import Block, PressedBlock, press
 from deformscope.lab.foam import FOAMS
 from deformscope.lab.slab import RigidTip, Slab
 from deformscope.lab.slab import press as press_slab
-from deformscope.lab.speckle import View, film
-from deformscope.reproduce.cubes import SIDE_M, thesis_cubes
 from deformscope.stages.msm.clusters import lattice as lattice_clusters
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
 from deformscope.stages.msm.solver import Msm
+from studies.reproduce.pressed_cubes import SIDE_M, thesis_cubes
+from studies.reproduce.speckle import View, film
 
 FOLDER = Path(__file__).resolve().parents[1] / "deformscope" / "samples"
 FOAM = FOAMS[2]
@@ -119,8 +119,8 @@ def video() -> bytes:
 def squeezes() -> bytes:
     """A table of simulated squeezes of boxes with five contents."""
     from deformscope.processes import in_processes
-    from deformscope.reproduce.containers import run_squeeze, squeeze_jobs
     from deformscope.stages.squeeze.table import LabelledTable
+    from studies.reproduce.container_trials import run_squeeze, squeeze_jobs
 
     jobs = squeeze_jobs(Path(), SQUEEZES, cylinders=0, whole=0, seed=0)
     rows = [row for _, row in sorted(in_processes(run_squeeze, jobs)) if row.entry.discarded is None]

@@ -23,7 +23,6 @@ def main() -> int:
     parser.add_argument("--repeats", type=int)
     parser.add_argument("--only", type=lambda text: tuple(text.split(",")), default=CASES, help=",".join(CASES))
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--peers", action="store_true")
     parser.add_argument("--against", type=Path)
     parser.add_argument("--json", default="-")
     asked = parser.parse_args()
@@ -41,7 +40,7 @@ def main() -> int:
     try:
         device = pick_device(asked.device)
         sizes = asked.sizes or default_sizes(device, asked.quick)
-        plan = BenchPlan(device, sizes, asked.repeats, asked.quick, asked.peers, asked.only)
+        plan = BenchPlan(device, sizes, asked.repeats, asked.quick, asked.only)
         check(plan)
         earlier = read_earlier(asked.against)
         rows, complete = [], False

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +30,6 @@ def machine(device: str) -> dict[str, object]:
         "deformscope": __version__,
         "warp": wp.config.version,
         "numpy": np.__version__,
-        "peers": {name: found for name in ("pypbd", "mujoco", "newton") if (found := _version(name))},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
 
@@ -42,10 +40,3 @@ def _cpu() -> str:
     except OSError:
         return platform.processor() or platform.machine()
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None

@@ -31,14 +31,13 @@ class BenchPlan:
 
     device: warp's name of the device; sizes: particles of the cubes, each n^3; repeats: number of rounds of every
     comparison, None = as many as fit
-    quick: short rounds and less of everything; peers: measure other engines too; only: the cases to measure
+    quick: short rounds and less of everything; only: the cases to measure
     """
 
     device: str
     sizes: tuple[int, ...]
     repeats: int | None = None
     quick: bool = False
-    peers: bool = False
     only: tuple[Case, ...] = CASES
 
     @property

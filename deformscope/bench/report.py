@@ -10,12 +10,10 @@ from typing import Any, TypeAlias
 
 from deformscope.bench.fitting import fit
 from deformscope.bench.machine import machine
-from deformscope.bench.peers import require_peers
 from deformscope.bench.plan import BenchPlan, Note, side_of
 from deformscope.bench.starting import cold
-from deformscope.bench.statics import gradient, relax, sweep, theta
+from deformscope.bench.statics import gradient, relax, sweep
 from deformscope.bench.steps import candidates_at_once, steps
-from deformscope.bench.surface import surface
 from deformscope.bench.timing import TimingRow
 from deformscope.bench_cases import Case
 from deformscope.errors import InputError
@@ -32,10 +30,8 @@ MEASURES: tuple[tuple[frozenset[Case], Rows], ...] = (
     (frozenset({"relax"}), relax),
     (frozenset({"sweep"}), sweep),
     (frozenset({"sweep"}), candidates_at_once),
-    (frozenset({"theta"}), theta),
     (frozenset({"gradient"}), gradient),
     (frozenset({"fit"}), fit),
-    (frozenset({"surface"}), surface),
     (frozenset({"cold"}), cold),
 )
 
@@ -45,8 +41,6 @@ def check(plan: BenchPlan) -> None:
     odd = [size for size in plan.sizes if side_of(size) < 4]
     if odd:
         raise InputError("sizes that are cubes of 4 or more", ", ".join(map(str, odd)), "--sizes 216,1331")
-    if plan.peers:
-        require_peers()
 
 
 def measure(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:

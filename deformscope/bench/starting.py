@@ -9,10 +9,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 from deformscope.bench.bodies import counted
 from deformscope.bench.first_result import SIDE
-from deformscope.bench.peers import search_path
 from deformscope.bench.plan import BenchPlan, Note
 from deformscope.bench.timing import OURS, TimingRow
 
@@ -45,3 +45,8 @@ def _start(device: str, cache: str) -> tuple[float, float]:
     )
     answer = json.loads(ended.stdout)
     return answer["ended_s"] - began_s - answer["import_s"], answer["import_s"]
+
+
+def search_path() -> str:
+    """Module path of this process, for a child process."""
+    return os.pathsep.join(str(Path(folder).resolve()) for folder in sys.path)

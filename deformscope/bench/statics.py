@@ -1,4 +1,4 @@
-"""Cases of static states: one state, a sweep of a hundred, that of a single cluster, and gradients."""
+"""Cases of static states: one state, a sweep of a hundred, and gradients."""
 
 from __future__ import annotations
 
@@ -9,21 +9,13 @@ from typing import Any
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.bench.bodies import SHEET_CLUSTERS, BenchBody, counted, cube, poked, sheet
+from deformscope.bench.bodies import SHEET_CLUSTERS, BenchBody, cube, poked, sheet
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, TimingRow, clock, compare
-from deformscope.stages.msm.clusters import single
-from deformscope.stages.msm.reduced import OneCluster
 from deformscope.stages.msm.solver import Msm, Relaxed
 
 SWEPT = np.arange(100) * 0.01
 """The betas of the thesis's sweep (Algorithm 3)."""
-
-THETA_BETA, THETA = 0.99, 0.9
-ONE_CLUSTER_SIDES = (6, 11, 32, 64)
-ALL_PARTICLES_MOST = 1331
-"""Number of particles up to which the single cluster is also relaxed by `Msm`, which computes the position of every
-particle."""
 
 
 def relax(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
@@ -73,31 +65,6 @@ def _relaxing(engine: Msm, body: BenchBody, what: str, beta: FloatArray | float)
         return numbers | {"converged": int(result.converged.sum()), "candidates": len(result.converged)}
 
     return Contestant(what, OURS, lambda: clock(run), found=facts)
-
-
-def theta(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """The static state of a single quadratic cluster under eq. 3.17, by its moments and by all its particles."""
-    contestants: list[Contestant] = []
-    for side in ONE_CLUSTER_SIDES[:2] if plan.quick else ONE_CLUSTER_SIDES:
-        body = cube(side)
-        what = f"{counted(body.particles)} in one quadratic cluster"
-        note(f"theta: {what}")
-        one = OneCluster(body.rest, body.held, basis="quadratic", device=plan.device)
-        held = one.hold(body.held_position)
-        result = one.relax(held, THETA_BETA, THETA)
-        facts: dict[str, float] = {
-            "iterations_most": int(result.iterations.max()),
-            "converged": int(result.converged.sum()),
-        }
-        facts |= {"hold_ms": 1e3 * clock(partial(one.hold, body.held_position)).wall_s, "candidates": 1}
-        smallest = contestants[0] if contestants else None
-        turn = plan.turn(partial(one.relax, held, THETA_BETA, THETA))
-        contestants.append(Contestant(what, OURS, turn, beside=smallest, facts=facts))
-        if body.particles <= ALL_PARTICLES_MOST:
-            engine = Msm(body.rest, single(body.particles), body.held, basis="quadratic", device=plan.device)
-            turn = plan.turn(partial(engine.relax, body.held_position, THETA_BETA, THETA))
-            contestants.append(Contestant(what, f"{OURS}, and where every particle is", turn, beside=contestants[-1]))
-    yield from compare("theta", contestants, plan.rounds_of_steps)
 
 
 def gradient(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:

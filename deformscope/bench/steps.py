@@ -1,29 +1,22 @@
-"""Time stepping: time and memory of one step, compared with NumPy and other engines."""
+"""Time stepping: time and memory of one step."""
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import time
 from collections.abc import Generator, Iterator
 from functools import partial
-from importlib.util import find_spec
 
 import numpy as np
 import warp as wp
 
 from deformscope.bench.bodies import BenchBody, counted, cube
 from deformscope.bench.memory import Meter
-from deformscope.bench.numpy_step import NumpyLattice
-from deformscope.bench.peers import Peer, PeerFailed
 from deformscope.bench.plan import BETA, CLUSTER, MIDDLE, BenchPlan, Note, side_of
 from deformscope.bench.timing import OURS, Contestant, Timing, TimingRow, clock, compare
 from deformscope.stages.msm.solver import Msm
 
 WIDE_CLUSTER, WIDE_AT = 9, 50_653
-PEER_MOST = 200_000
-"""Number of particles up to which pypbd's body is built in seconds and a few GB."""
-CONTEXT_AT = 1331
 SETUP_MOST_S = 40.0
 COPIED_BYTES, COPIES = 1 << 28, 8
 CACHES_BYTES = 1 << 27
@@ -33,12 +26,6 @@ READ, LEFT = ("mass", "free", "pull"), ("sums_fast", "sums_middle", "maps", "map
 MEMORY_LEAST = 10_000
 """Number of particles below which a body's memory cannot be seen in that of the process, which grows in pages and
 pools."""
-
-NUMPY = "NumPy, batched SVD"
-PHYSICS = {
-    "mujoco": "other physics: tetrahedra with linear elasticity, explicit",
-    "newton": "other physics: tetrahedra under XPBD, 1 iteration, looking for collisions",
-}
 
 
 class Stepping:
@@ -133,7 +120,13 @@ def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> 
         facts |= {"bytes": moved, "bandwidth_bytes_s": bandwidth} if moved > CACHES_BYTES else {}
         named = f"{what}, clusters of {CLUSTER}^3"
         ours = Contestant(named, OURS, stepping, "ms/step", facts=facts)
-        yield from _beside(plan, note, body, ours)
+        contestants = [ours]
+        if body.particles == WIDE_AT and not plan.quick:
+            wide = named.replace(f"{CLUSTER}^3", f"{WIDE_CLUSTER}^3")
+            stepped = Stepping(plan.engine(body, WIDE_CLUSTER, "float32"), body, plan)
+            contestants.append(Contestant(wide, OURS, stepped, "ms/step", beside=ours))
+        note(f"step: {named}")
+        yield from compare("step", contestants, plan.rounds_of_steps)
     if "call" in plan.only:
         yield TimingRow("call", f"{what}, set-up", OURS, "ms", (1e3 * setup_s,), facts={"particles": particles})
         yield from _calls(plan, engine, stepping, what)
@@ -147,83 +140,17 @@ def _calls(plan: BenchPlan, engine: Msm, stepping: Stepping, what: str) -> Itera
     yield from compare("call", [two, copy], plan.rounds_of_steps)
 
 
-def _beside(plan: BenchPlan, note: Note, body: BenchBody, ours: Contestant) -> Iterator[TimingRow]:
-    """The engine's row, and those of engines with the same or a similar computation."""
-    with contextlib.ExitStack() as stack:
-        contestants = [ours]
-        if plan.cpu:
-            contestants.append(numpy_contestant(plan, body, CLUSTER, ours))
-        if body.particles == WIDE_AT and not plan.quick:
-            note(f"step: {ours.what}, and of {WIDE_CLUSTER}^3")
-            engine = plan.engine(body, WIDE_CLUSTER, "float32")
-            what = ours.what.replace(f"{CLUSTER}^3", f"{WIDE_CLUSTER}^3")
-            wide = Contestant(what, OURS, Stepping(engine, body, plan), "ms/step", beside=ours)
-            contestants.append(wide)
-            if plan.cpu:
-                contestants.append(numpy_contestant(plan, body, WIDE_CLUSTER, wide))
-        for engine_name in _peers(plan, body):
-            note(f"step: {ours.what}, {engine_name}")
-            try:
-                peer = stack.enter_context(Peer(engine_name, body.shape[0]))
-            except PeerFailed as error:
-                yield TimingRow("step", ours.what, engine_name, "ms/step", (), note=f"failed: {error}")
-                continue
-            contestants.append(peer_contestant(plan, peer, ours))
-        note(f"step: {ours.what}")
-        yield from compare("step", contestants, plan.rounds_of_steps)
-
-
-def _peers(plan: BenchPlan, body: BenchBody) -> list[str]:
-    if not plan.peers or not plan.cpu:
-        return []
-    context = [name for name in PHYSICS if find_spec(name) is not None] if body.particles == CONTEXT_AT else []
-    return [*(["pypbd"] if body.particles <= PEER_MOST else []), *context]
-
-
-def numpy_contestant(plan: BenchPlan, body: BenchBody, size: int, ours: Contestant) -> Contestant:
-    """The step by NumPy."""
-    held = np.zeros(body.shape, dtype=bool)
-    held.reshape(-1)[body.held] = True
-    lattice, held_position = NumpyLattice.build(size, held), body.held_position.T
-
-    def some(steps: int) -> Timing:
-        def run() -> None:
-            x, v = lattice.rest, np.zeros_like(lattice.rest)
-            for _ in range(steps):
-                x, v = lattice.step(x, v, held_position, BETA)
-
-        return clock(run).per(steps)
-
-    count = max(1, int(plan.turn_s / some(2).wall_s))
-    return Contestant(ours.what, NUMPY, lambda: some(count), "ms/step", beside=ours, facts={"bits": 64})
-
-
-def peer_contestant(plan: BenchPlan, peer: Peer, ours: Contestant, unit: str = "ms/step") -> Contestant:
-    """A step of another engine in a separate process, on one thread."""
-    count = 2 * max(1, int(plan.turn_s / 2 / peer.steps(4).wall_s))
-    note = PHYSICS.get(peer.engine, "rigid clusters, Gauss-Seidel, 1 iteration")
-    kept, wanted = peer.facts.get("constraints_kept"), peer.facts.get("clusters")
-    if kept != wanted:
-        note += f"; keeps {kept} of {wanted} constraints"
-    who = f"{peer.engine} {peer.facts['version']}"
-    same = peer.engine not in PHYSICS
-    return Contestant(
-        ours.what, who, lambda: peer.steps(count), unit, beside=ours, same=same, facts=peer.facts, note=note
-    )
-
-
 def candidates_at_once(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
-    """Simulation steps a second of many candidates in one launch, compared with one simulation of another engine."""
-    body = cube(MIDDLE)
-    engine = plan.engine(body, precision="float32")
+    """Simulation steps a second of many candidates in one launch."""
     for candidates in (100,) if plan.cpu else (100, 1000):
-        what = f"{candidates} candidates of {counted(body.particles)} stepped at once"
-        note(f"sweep: {what}")
-        stepping = Stepping(engine, body, plan, candidates)
-        ours = Contestant(what, OURS, stepping, "steps/s", candidates, facts={"bits": 32})
-        with contextlib.ExitStack() as stack:
-            contestants = [ours]
-            if plan.cpu and plan.peers:
-                peer = stack.enter_context(Peer("pypbd", MIDDLE))
-                contestants.append(peer_contestant(plan, peer, ours, "steps/s"))
-            yield from compare("sweep", contestants, plan.rounds_of_steps)
+        ours = stepped_at_once(plan, candidates)
+        note(f"sweep: {ours.what}")
+        yield from compare("sweep", [ours], plan.rounds_of_steps)
+
+
+def stepped_at_once(plan: BenchPlan, candidates: int) -> Contestant:
+    """Steps of the cube at which most is compared, at as many values of beta."""
+    body = cube(MIDDLE)
+    stepping = Stepping(plan.engine(body, precision="float32"), body, plan, candidates)
+    what = f"{candidates} candidates of {counted(body.particles)} stepped at once"
+    return Contestant(what, OURS, stepping, "steps/s", candidates, facts={"bits": 32})

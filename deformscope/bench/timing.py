@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from deformscope.bench_cases import Case
-
 SPREAD = 0.2
 """Interquartile range as a share of the median above which a row says that its samples disagree."""
 
@@ -35,18 +33,17 @@ class TimingRow:
 
     case: which part of the bench; what: the case that is measured; who: who ran it; unit: unit of the samples; samples:
     one sample for each round; costs: median over rounds of its cost, divided by the cost of the row that it is compared
-    with, None without such a row; beside: its reference row; same: False if it solves another problem, for context
+    with, None without such a row; beside: its reference row
     facts: other values, by name with their unit; note: a remark for readers
     """
 
-    case: Case
+    case: str
     what: str
     who: str
     unit: str
     samples: tuple[float, ...]
     costs: float | None = None
     beside: str = ""
-    same: bool = True
     facts: Mapping[str, object] = field(default_factory=dict)
     note: str = ""
 
@@ -90,7 +87,6 @@ class TimingRow:
             "samples": list(self.samples),
             "costs": self.costs,
             "beside": self.beside,
-            "same_problem": self.same,
             "facts": dict(self.facts),
             "note": self.note,
             "doubt": self.doubt,
@@ -112,7 +108,6 @@ class Contestant:
     unit: str = "ms"
     amount: float = 1.0
     beside: Contestant | None = None
-    same: bool = True
     facts: Mapping[str, object] = field(default_factory=dict)
     found: Callable[[], Mapping[str, object]] = dict
     note: str = ""
@@ -134,7 +129,7 @@ def clock(work: Callable[[], object]) -> Timing:
     return timing
 
 
-def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
+def compare(case: str, contestants: Sequence[Contestant], rounds: Callable[[float], int]) -> list[TimingRow]:
     """Every contestant once per round, in turn (A B C A B C...): disturbances of the machine affect all alike. rounds:
     how many, given the seconds of the first; that one only warms up, unless there is no other."""
     began_s = time.perf_counter()
@@ -148,7 +143,7 @@ def compare(case: Case, contestants: Sequence[Contestant], rounds: Callable[[flo
     return [_row(case, index, contestants, taken) for index in range(len(contestants))]
 
 
-def _row(case: Case, index: int, contestants: Sequence[Contestant], taken: Sequence[Sequence[Timing]]) -> TimingRow:
+def _row(case: str, index: int, contestants: Sequence[Contestant], taken: Sequence[Sequence[Timing]]) -> TimingRow:
     contestant, timings, costs = contestants[index], taken[index], None
     other = contestant.beside
     if other is not None:
@@ -161,7 +156,6 @@ def _row(case: Case, index: int, contestants: Sequence[Contestant], taken: Seque
     return TimingRow(
         *(case, contestant.what, contestant.who, contestant.unit, tuple(map(contestant.sample, timings)), costs),
         beside="" if other is None else f"{other.who}: {other.what}",
-        same=contestant.same,
         facts=threads | dict(contestant.facts) | dict(contestant.found()),
         note=contestant.note,
     )

@@ -102,26 +102,6 @@ COMMANDS: dict[str, Command] = {
     "dataset discard": _command("discard trials, with the reason", "DiscardConfig", "dataset", "discard"),
     "dataset merge": _command("copy trials of other data sets", "MergeConfig", "dataset", "merge"),
     "dataset repair": _command("add recordings that the index lacks", "RepairConfig", "dataset", "repair"),
-    "reproduce cubes": _command(
-        "theta of cubes of known Poisson's ratio (Thesis 3.A)", "CubesConfig", "reproduce_cubes"
-    ),
-    "reproduce shapes": _command("effect of beta and theta on a body (Thesis 3.4)", "ShapesConfig", "reproduce_shapes"),
-    "reproduce foams": _command("experiment 3.B: beta of five virtual foams", "FoamsConfig", "reproduce_foams"),
-    "reproduce pokes": _command(
-        "predict pokes that were not fitted, on slabs of known truth", "PokesConfig", "reproduce_pokes"
-    ),
-    "reproduce table41": _command(
-        "maps of simulated tables over seeds (Thesis table 4.1)", "Table41Config", "reproduce_table41"
-    ),
-    "reproduce chapter4": _command(
-        "fields of beta by the thesis's own rules (Thesis chapter 4)", "Chapter4Config", "reproduce_chapter4"
-    ),
-    "reproduce containers": _command(
-        "contents of squeezed containers (Thesis chapter 2)", "ContainersConfig", "reproduce_containers"
-    ),
-    "reproduce squeezes": _command(
-        "new squeezes compared with the simulated truth: events, poses, depth", "SqueezesConfig", "reproduce_squeezes"
-    ),
     "bench": _command("cost of MSM on this machine", "BenchConfig", "bench"),
     "completion": _command("words that a shell completes with the tabulator key", "CompletionConfig", "completion"),
 }
@@ -131,7 +111,6 @@ HEADINGS = {
     "demo": "Measure",
     "doctor": "Rig and robot",
     "replay": "Recordings and data sets",
-    "reproduce cubes": "Studies",
     "bench": "This machine",
 }
 """Text of `deformscope --help` above a command."""
@@ -280,13 +259,6 @@ def find_command(args: list[str]) -> tuple[str, list[str]]:
         return both, args[2:]
     if first in COMMANDS:
         return first, args[1:]
-    if first == "coverage":
-        study = next((word for word in args[1:2] if not word.startswith("-")), first)
-        raise InputError(
-            "a command of an installed deformscope",
-            "a command that validates it",
-            f"python -m studies {study}, in a checkout",
-        )
     from deformscope.file_io import nearest
 
     groups = {name.split()[0] for name in COMMANDS if " " in name}

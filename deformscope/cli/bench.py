@@ -2,7 +2,7 @@
 
 deformscope bench
 deformscope bench --quick --only step,relax --json -
-deformscope bench --peers --json bench.json
+deformscope bench --against bench.json
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ WIDTH = 200
 """Columns of the table without a terminal."""
 
 FACTS: dict[str, Callable[[Any], str]] = {
-    "hold_ms": lambda value: f"holding {value:.2g} ms more",
     "iterations_most": lambda value: f"{value} iterations",
     "smoothed_most": lambda value: f"{value} in the preconditioner",
     "steps": lambda value: f"{value:,} steps".replace(",", " "),
@@ -34,16 +33,13 @@ FACTS: dict[str, Callable[[Any], str]] = {
     "from_minimum_of_mean_distance": lambda value: f"{value:+.1e} from the least mean distance",
     "from_minimum_of_squares": lambda value: f"{value:+.1e} from the least squares",
     "peak_bytes": lambda value: f"{value / 1e6:.0f} MB",
-    "from_exact_m": lambda value: f"{value * 1e3:.1e} mm from the exact mean",
-    "deviation_from_exact": lambda value: f"{value:.1e} from its deviation",
     "import_s": lambda value: f"imports {value:.2g} s more",
 }
 """The facts of a row in the table, with their formats."""
 
 REMARK = (
     "costs: median over rounds of this row over its reference row (the first of its body by deformscope). "
-    "against: median over that of the earlier run; it is comparable only on the same machine under the same "
-    "load. Dim rows solve another problem."
+    "against: median over that of the earlier run; it is comparable only on the same machine under the same load."
 )
 
 
@@ -53,7 +49,7 @@ def run(config: BenchConfig) -> None:
 
     device = pick_device(config.device)
     sizes = config.sizes or default_sizes(device, config.quick)
-    plan = BenchPlan(device, sizes, config.repeats, config.quick, config.peers, config.only or CASES)
+    plan = BenchPlan(device, sizes, config.repeats, config.quick, config.only or CASES)
     check(plan)
     earlier = read_earlier(config.against)
     rows: list[TimingRow] = []
@@ -98,7 +94,6 @@ def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:
             *(row.unit, str(len(row.samples) or ""), costs),
             *([f"{number(then)}x" if isinstance(then, float) else ""] if compared else []),
             details(row),
-            style=None if row.same else "dim",
         )
         last = row.case
     out.print(table)

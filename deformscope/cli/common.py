@@ -9,7 +9,7 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -20,7 +20,7 @@ from deformscope.file_io import make_folder as make_folder
 from deformscope.file_io import read_file as read_file
 from deformscope.file_io import replacing as replacing
 from deformscope.pictures.findings import table_text
-from deformscope.pictures.report import Figure, Table
+from deformscope.pictures.report import Table
 from deformscope.plain import plain
 from deformscope.runs.result import open_recorder
 from deformscope.stages.msm import quiet
@@ -103,11 +103,6 @@ def recorder_of(
     of = application or FINDINGS.variant(str(settings["command"]))
     with open_recorder(config.output, settings, of, real_time=real_time) as recorder:
         yield recorder
-
-
-def pictures_of(drawn: Mapping[str, Path]) -> tuple[Figure, ...]:
-    """PNG files that a study has drawn, by their titles."""
-    return tuple(Figure(path.read_bytes(), caption) for caption, path in drawn.items())
 
 
 def settings_of(config: RecordedOptions) -> dict[str, object]:

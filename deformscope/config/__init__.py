@@ -8,6 +8,7 @@ with one another (`InputError`). Nothing heavy is imported here: `--help` shows 
 from __future__ import annotations
 
 from deformscope.config.arm import FilesConfig, GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
+from deformscope.config.bench import BenchConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
@@ -27,17 +28,6 @@ from deformscope.config.explore import ExploreConfig
 from deformscope.config.flags import PokeText, parse_poke, parse_pokes
 from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
-from deformscope.config.reproduce import (
-    BenchConfig,
-    Chapter4Config,
-    ContainersConfig,
-    CubesConfig,
-    FoamsConfig,
-    PokesConfig,
-    ShapesConfig,
-    SqueezesConfig,
-    Table41Config,
-)
 from deformscope.config.rigs import (
     ArmConfig,
     CompletionConfig,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from deformscope.arrays import FloatArray
@@ -32,11 +32,6 @@ class Findings:
     def html(self) -> str:
         """A part of a page: tables, and pictures inside it."""
         return html_parts([*self.tables, *self.figures])
-
-
-def dict_table(rows: Sequence[Mapping[str, object]], caption: str = "") -> Table:
-    """A table of rows that have the same names."""
-    return Table([[cell_text(value) for value in row.values()] for row in rows], list(rows[0]) if rows else (), caption)
 
 
 def cell_text(value: object) -> str:

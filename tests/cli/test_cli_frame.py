@@ -134,7 +134,7 @@ def test_an_existing_recording_is_not_written_over(
         "predict": ["m.npz", "--poke", "at=0,0 depth=0.001"],
         "squeeze": ["lab:containers", "--content", "rice"],
     }
-    positional = [] if name.startswith(("reproduce", "demo")) else ["x.npz"]
+    positional = [] if name == "demo" else ["x.npz"]
     args = [*name.split(), *needed.get(name, positional)]
 
     assert cli.main([*args, "--viewer", "none", "--record", str(kept)]) == 2

@@ -30,7 +30,6 @@ from deformscope.experiments.options import PLAN_CELL_M, ExploreOptions
 from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
-from deformscope.reproduce.surface_robot import LabRobot
 from deformscope.robot.setup import Truth
 from deformscope.robot.travel import NotThere
 from deformscope.rows import from_components, to_components
@@ -49,6 +48,7 @@ from deformscope.stages.map.exploration import (
 from deformscope.stages.map.measured import SurfaceMeasurement, TouchMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.regions.touches import MapGrid
+from studies.reproduce.surface_robot import LabRobot
 from tests.cli.quick_scene import CELL_M, use_coarse_maps
 
 

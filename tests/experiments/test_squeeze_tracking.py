@@ -18,7 +18,6 @@ from deformscope.experiments.squeeze_frames import SqueezeFrames, TactileSource
 from deformscope.experiments.squeeze_live import LiveTracking, RecordedTracking, live_tracking
 from deformscope.experiments.squeeze_tracking import REST_IMAGES, ContainerImage, TrackedImage
 from deformscope.frames import DepthFrame, HandFrame
-from deformscope.reproduce.squeeze_truth import pose_error
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
 from deformscope.robot.setup import CameraView
 from deformscope.session import Inline
@@ -27,6 +26,7 @@ from deformscope.stages.squeeze.events import EventRule
 from deformscope.stages.squeeze.trial import ContentPosterior
 from deformscope_drivers.clock import Stamp
 from deformscope_drivers.memory import SimulatedClock
+from studies.reproduce.squeeze_truth import pose_error
 from tests.stages.squeeze.views import CAMERA, PIXELS, SHAPE, looking, moved
 
 T_CAMERA_HAND = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -0.1], [1.0, 0.0, 0.0, 0.9], [0.0, 0.0, 0.0, 1.0]])

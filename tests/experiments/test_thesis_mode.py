@@ -17,12 +17,12 @@ from deformscope.experiments.options import ExploreOptions
 from deformscope.experiments.robot_geometry import Touch
 from deformscope.experiments.search import ThesisSearch
 from deformscope.lab.scenes import built_in
-from deformscope.reproduce.chapter4 import OWN
-from deformscope.reproduce.surface_robot import LabRobot
 from deformscope.runs.opened_devices import setup_of
 from deformscope.stages.map.touch_beta import swept_betas
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
+from studies.reproduce.surface_robot import LabRobot
+from studies.reproduce.thesis_rules import OWN
 
 
 def options_of(**asked: object) -> ExploreOptions:

@@ -14,13 +14,13 @@ from deformscope.experiments.robot_geometry import AsMeasured
 from deformscope.lab.depth_view import DepthView
 from deformscope.lab.ray_camera import FOAM
 from deformscope.lab.scenes import Scene, built_in
-from deformscope.reproduce.surface_robot import LabRobot
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.placement import Placement
 from deformscope.robot.readings import ArmSample
 from deformscope.robot.setup import CameraView
 from deformscope.stages.map.measured import LookFrames, SurfaceMeasurement
 from deformscope.stages.poke.contact import ArmCompliance
+from studies.reproduce.surface_robot import LabRobot
 from tests.cli.quick_scene import use_coarse_maps
 
 UNSTATED = ExploreOptions(beta_model="none", thickness_stated=False, seed=1000)

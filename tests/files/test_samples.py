@@ -16,9 +16,9 @@ import deformscope as ds
 from deformscope.cli import main
 from deformscope.file_io import ending_of, resolve, sample_names, sample_path
 from deformscope.files.table_file import read_table
-from deformscope.reproduce.cubes import thesis_cubes
 from deformscope.rig.rig_file import load_rig
 from deformscope.stages.fit.calibrate import FitOptions, Model, calibrate
+from studies.reproduce.pressed_cubes import thesis_cubes
 from tests.cases import slow
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from deformscope.lab.elasticity import dissected, stiffness_of
 from deformscope.lab.scenes import BuriedBall, Scene, built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import _without_pull
-from deformscope.lab.touching import force_curve
+from studies.touching import force_curve
 
 RADIUS_M, FORCE_N = 0.01, 3.0
 TIP = RigidTip(radius=RADIUS_M)

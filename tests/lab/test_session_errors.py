@@ -10,7 +10,7 @@ from deformscope.experiments.robot_geometry import Touch
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
-from deformscope.reproduce.surface_robot import LabRobot
+from studies.reproduce.surface_robot import LabRobot
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -9,10 +9,10 @@ import pytest
 from rerun.chunk import RrdReader
 
 from deformscope.arrays import FloatArray
-from deformscope.cli import main
 from deformscope.recording.stages import recorded_stages
-from deformscope.reproduce import shapes
 from deformscope.stages.msm import reference
+from studies.__main__ import main
+from studies.reproduce import shapes
 from tests.stages import reference_states
 
 

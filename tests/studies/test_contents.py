@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from deformscope.files.squeeze_dataset import TrialEntry, TrialRow
-from deformscope.reproduce.containers import SqueezeJob
 from deformscope.stages.squeeze import model_check
 from studies import contents
+from studies.reproduce.container_trials import SqueezeJob
 
 WIDTH = {"tactile": 4, "vision": 9, "vision_small": 4, "physical": 2}
 

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from deformscope.lab.slab import RigidTip, press
-from deformscope.reproduce.poke_slabs import BORDER, KINDS, SIZE, draw_slab
-from deformscope.reproduce.poke_study import Press, observe, plan_of
 from deformscope.stages.poke import stiffness_field
 from studies.force import (
     ForceCase,
@@ -20,6 +18,8 @@ from studies.force import (
     slab_cases,
     try_slab,
 )
+from studies.reproduce.poke_slabs import BORDER, KINDS, SIZE, draw_slab
+from studies.reproduce.poke_study import Press, observe, plan_of
 
 
 @pytest.fixture(autouse=True)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_type_hints
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -19,13 +17,10 @@ pytest.importorskip("tyro")
 
 from deformscope.arrays import FloatArray
 from deformscope.cli import with_flags
-from deformscope.cli.study import Study, StudyReport, Trials, run, tried
-from deformscope.config.executor import ExecutorOptions
-from deformscope.config.reproduce import StudyOptions
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
-from deformscope.reproduce import foams
 from studies.quantities import Quantity, Rate, by, number, rows, share, table
+from studies.runner import Study, StudyOptions, StudyReport, Trials, run, tried
 
 CALLED: list[int] = []
 
@@ -102,13 +97,6 @@ def test_arrays_are_kept_to_the_last_bit(tmp_path: Path) -> None:
         assert (read.seen.shape, read.image.shape) == ((2, 2), (2, 2))
 
 
-@pytest.mark.parametrize("try_one", [foams.measure, foams.measure_control])
-def test_what_a_reproduction_finds_can_be_read_again(try_one: Callable[..., object]) -> None:
-    """Each of its fields has a type that a kept outcome is read into."""
-    with pytest.raises(msgspec.ValidationError, match="missing required field"):
-        msgspec.convert({}, get_type_hints(try_one)["return"])
-
-
 def test_outcomes_that_are_kept_are_not_computed_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept, found = tmp_path / "kept.jsonl", tmp_path / "found.json"
     flags = ["--resume", str(kept), "--json", str(found)]
@@ -128,20 +116,13 @@ def test_outcomes_that_are_kept_are_not_computed_again(tmp_path: Path, capsys: p
         called([4], *flags)
 
 
-def test_new_outcomes_are_kept_together_and_what_is_left_too() -> None:
-    kept: list[list[int]] = []
-    numbers = [0, 2, 4, 6, 8]
+def test_outcomes_are_in_the_order_of_their_cases() -> None:
+    kept: list[int] = []
+    trials = Trials("numbers", square, [0, 2, 4])
+    found = tried(trials, StudyOptions(1), {1: Odd(-1)}, lambda case, outcome: kept.append(case))
 
-    found = tried(
-        Trials("numbers", square, numbers),
-        ExecutorOptions(),
-        1,
-        known={1: Odd(-1)},
-        keep=lambda new: kept.append([case for case, _ in new]),
-        together=3,
-    )
-    assert [one.number for one in found] == [0, -1, 4, 6, 8]
-    assert kept == [[0, 4, 6], [8]]
+    assert [one.number for one in found] == [0, -1, 4]
+    assert kept == [0, 4]
 
 
 def test_a_quantity_is_declared_once_for_the_table_and_the_json() -> None:

@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("warp")
 
 from deformscope.arrays import FloatArray
-from deformscope.reproduce.cubes import thesis_cubes
 from deformscope.stages.fit.calibrate import FitOptions, Model, Observation, calibrate
 from deformscope.stages.fit.doubts import (
     found_in_numbers,
@@ -35,6 +34,7 @@ from deformscope.stages.materials.anisotropy import fit_axes
 from deformscope.stages.materials.plasticity import YieldOptions, fit_yield
 from deformscope.stages.msm.materials import Plasticity
 from deformscope.stages.msm.plastic import PlasticMsm
+from studies.reproduce.pressed_cubes import thesis_cubes
 from tests.cases import slow
 from tests.stages.bodies import pushed
 from tests.stages.materials.test_plasticity import BETA, pressed

@@ -13,9 +13,9 @@ from deformscope.errors import InputError
 from deformscope.lab.scenes import Piece, Scene, initial_modulus_pa
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.lab.touching import force_curve
 from deformscope.stages.poke.local_shape import LocalShape, shape_of, shape_shift
 from deformscope.stages.regions.levels import RegionPrior
+from studies.touching import force_curve
 
 RADIUS_M, FORCE_N, REFERENCE_M = 0.01, 3.0, 0.04
 STEP_M = 0.01

@@ -1,1 +1,0 @@
-"""The experiments of the thesis, in the laboratory: computations of `deformscope reproduce`."""

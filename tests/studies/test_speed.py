@@ -1,0 +1,74 @@
+"""What the engine is compared with: no time is asserted, only that it computes what it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp")
+pytest.importorskip("tyro")
+
+from deformscope.cli import EXIT_INPUT
+from deformscope.stages.msm import reference
+from deformscope.stages.msm.clusters import lattice
+from studies.__main__ import main
+from studies.engines import peers
+from studies.engines.numpy_step import NumpyLattice
+from studies.engines.peers import Peer
+from tests.stages import reference_states
+
+WITHIN = 1e-12
+"""Both are float64; positions and velocities differ by rounding alone."""
+
+
+@pytest.mark.parametrize(("shape", "size"), [((5, 6, 7), 3), ((4, 4, 5), 2), ((7, 9), 4), ((9, 10, 9), 9)])
+def test_numpy_takes_the_reference_s_step(shape: tuple[int, ...], size: int) -> None:
+    d, rng = len(shape), np.random.default_rng(0)
+    rest = np.indices(shape, dtype=float).reshape(d, -1).T
+    held = np.zeros(shape, dtype=bool)
+    held[0] = held[-1] = True
+    index = np.flatnonzero(held)
+    x, v = rest + 0.3 * rng.standard_normal(rest.shape), rng.standard_normal(rest.shape)
+    body = reference.build_rest(rest, lattice(rest, shape, np.arange(len(rest)), size), index)
+    x_wanted, v_wanted = reference_states.step(x, v, body, rest[index] + 0.1, beta=0.7, alpha=0.8, dt=1.0)
+
+    x_new, v_new = NumpyLattice.build(size, held).step(
+        x.T.reshape(d, *shape), v.T.reshape(d, *shape), (rest[index] + 0.1).T, 0.7, alpha=0.8, dt=1.0
+    )
+
+    np.testing.assert_allclose(x_new.reshape(d, -1).T, x_wanted, rtol=0, atol=WITHIN)
+    np.testing.assert_allclose(v_new.reshape(d, -1).T, v_wanted, rtol=0, atol=WITHIN)
+
+
+def test_other_engines_that_are_not_installed_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(peers, "find_spec", lambda name: None)
+
+    assert main(["speed", "--quick", "--peers"]) == EXIT_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "pip install 'deformscope[peers]'" in line
+
+
+def test_pypbd_keeps_every_cluster_and_moves() -> None:
+    pytest.importorskip("pypbd")
+    with Peer("pypbd", 5) as peer:
+        assert peer.facts["constraints_kept"] == peer.facts["clusters"] == 27
+        assert isinstance(moved := peer.facts["moved_spacings_rms"], float)
+        assert moved > 0.01
+        assert peer.steps(3).wall_s > 0
+
+
+@pytest.mark.slow  # compiles kernels of quadratic clusters
+def test_each_comparison_gives_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flags = ["--quick", "--sizes", "64", "--repeats", "1", "--json", str(tmp_path / "speed.json")]
+    assert main(["speed", *flags]) == 0
+    rows = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["rows"]
+
+    assert {row["case"] for row in rows} == {"step", "sweep", "theta", "surface"}
+    assert [row["who"] for row in rows[:2]] == ["deformscope", "NumPy, batched SVD"]
+    assert rows[1]["costs"] > 0
+    assert "64 particles, clusters of 3^3" in capsys.readouterr().out
