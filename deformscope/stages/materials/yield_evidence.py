@@ -1,0 +1,126 @@
+"""Which yield strains the noise allows: its effect, and the squared error over the yield strain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.fit import least_squares
+from deformscope.stages.fit.least_squares import Minimum, Noise
+from deformscope.stages.fit.noise import independent, shared_over
+from deformscope.stages.materials.yield_history import YieldHistories
+from deformscope.stages.materials.yield_search import LEAST_SHARE
+
+PROFILE = 41
+"""Number of yield strains whose errors give the curve and the interval."""
+
+HELD_REPEATS = 48
+"""Draws of the prescribed positions' noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class StrainProfile:
+    """(n,) yield strains, squared errors there, and by how many noise variances they exceed the least one."""
+
+    grid: FloatArray
+    squares: FloatArray
+    excess: FloatArray
+
+
+def least_noise(histories: YieldHistories) -> float:
+    """Deviation of a coordinate's noise, as stated, and no less than numbers can resolve, in the unit of
+    positions."""
+    return max(histories.motion.noise or 0.0, histories.resolved)
+
+
+def prescribed_noise(histories: YieldHistories, best: Minimum, rng: np.random.Generator) -> tuple[FloatArray, float]:
+    """Effect of more noise of the prescribed positions on the best simulation, (r, n), and its size."""
+    tried = max(least_noise(histories), least_squares.deviation_of(best.residual, len(best.at)))
+    held: list[FloatArray] = [
+        each + tried * rng.standard_normal((HELD_REPEATS, *each.shape)) for each in histories.prescribed()
+    ]
+    strain, beta, creep = histories.numbers(np.repeat(best.at[None], HELD_REPEATS, axis=0))
+    moved = histories.compared(histories.run(strain, beta, creep, held)[0]) - best.simulated
+    return moved[np.isfinite(moved).all(axis=1)], tried
+
+
+def shared_errors(histories: YieldHistories, best: Minimum) -> float:
+    """How many times more a mean of the residuals varies than if neither neighbours nor frames shared errors."""
+    residual = np.full(histories.motion.position.shape, np.nan)
+    residual[histories.judged] = best.residual.reshape(-1, histories.motion.rest.shape[1])
+    worth = count = 0.0
+    for one, judged in zip(residual, histories.judged, strict=True):
+        if judged.any():
+            points = histories.motion.rest[judged]
+            length = shared_over(points, one[judged], histories.body.scale)
+            worth += independent(points, length) if length > 0.0 else len(points)
+            count += len(points)
+    both = (histories.judged[1:] & histories.judged[:-1])[..., None]
+    pairs = int(both.sum()) * histories.motion.rest.shape[1]
+    alike = 0.0
+    if pairs:
+        product = np.where(both, residual[1:] * residual[:-1], 0.0)
+        alike = float(product.sum()) / pairs / max(float(np.nanmean(residual**2)), 1e-300)
+        alike = max(alike - 1.645 / np.sqrt(pairs), 0.0)
+    frames = int(histories.judged.any(axis=1).sum())
+    return float(count / worth) * (1.0 + (frames - 1) * min(alike, 1.0))
+
+
+def strain_grid(best: Minimum, noise: Noise, largest: float) -> FloatArray:
+    """(n,) yield strains [-] around the best, some standard errors wide, and some beyond, up to no yielding."""
+    error = float(np.sqrt(max(noise.covariance(best.jacobian)[0, 0], 0.0)))
+    reach = float(np.clip(5.0 * error, 0.02, 3.0))
+    low, high = np.log(LEAST_SHARE * largest), np.log(1.05 * largest)
+    near = np.linspace(max(best.at[0] - reach, low), min(best.at[0] + reach, high), PROFILE)
+    return np.unique(np.exp([*near, *np.linspace(low, high, 15), best.at[0]]))
+
+
+def strain_profile(histories: YieldHistories, best: Minimum, noise: Noise, grid: FloatArray) -> StrainProfile:
+    """Squared error and its excess at yield strains (n,), the other parameters refitted in linear approximation."""
+    at = np.repeat(best.at[None], len(grid), axis=0)
+    at[:, 0] = np.log(grid)
+    simulated = histories.simulate(at)
+    squares, excess = np.full(len(grid), np.nan), np.full(len(grid), np.inf)
+    for row, one in enumerate(simulated):
+        if np.isfinite(one).all():
+            away = _others_refitted(best, one - best.simulated)
+            residual = best.residual - away
+            squares[row] = float(residual @ residual)
+            excess[row] = excess_over(best, noise, best.simulated + away, squares[row])
+    return StrainProfile(grid, squares, excess)
+
+
+def _others_refitted(best: Minimum, away: FloatArray) -> FloatArray:
+    """Remainder of a change (n,) of the coordinates when beta and creep adapt as well as possible."""
+    others = best.jacobian[:, 1:]
+    if not others.shape[1]:
+        return away
+    target = best.residual - away
+    step = np.linalg.lstsq(others, target, rcond=1e-12)[0]
+    return np.asarray(away + others @ step)
+
+
+def excess_over(best: Minimum, noise: Noise, other: FloatArray, squares: float) -> float:
+    """By how many noise variances another simulation's squared error exceeds the least one. other: (n,) simulated
+    coordinates"""
+    return float(squares - best.squares) / noise.variance_along(other - best.simulated)
+
+
+def interval_ends(
+    grid: FloatArray, excess: FloatArray, inside: IntArray, value: float, limit: float
+) -> tuple[float, float | None]:
+    """The yield strains, out of a grid (n,), at which the excess (n,) crosses the limit on either side of the value;
+    None above if it never does."""
+    if not inside.size:
+        return value, value
+
+    def cross(a: int, b: int) -> float:
+        share = (limit - excess[a]) / (excess[b] - excess[a])
+        return float(np.exp(np.log(grid[a]) + share * (np.log(grid[b]) - np.log(grid[a]))))
+
+    first, last = int(inside[0]), int(inside[-1])
+    low = cross(first, first - 1) if first > 0 else float(grid[0])
+    high = cross(last, last + 1) if last + 1 < len(grid) else None
+    return min(low, value), None if high is None else max(high, value)
