@@ -61,9 +61,15 @@ def nearest(name: str | Path, known: Iterable[str], scheme: str = "", like: floa
     return next((scheme + one for one in difflib.get_close_matches(str(name), known, n=1, cutoff=like)), "")
 
 
-def nearest_sample(path: str | Path) -> str:
-    """The sample that was perhaps meant by a path without a file; empty = none."""
-    return nearest(path, sample_names(), SAMPLE_SCHEME)
+def nearest_file(path: str | Path) -> str:
+    """What was perhaps meant by a path without a file: a file of its folder, or a sample; otherwise what to look at."""
+    given = Path(path).expanduser()
+    known = {name: SAMPLE_SCHEME + name for name in sample_names()}
+    try:
+        known |= {one.name: str(one) for one in given.parent.iterdir()}
+    except OSError as error:
+        return known.get(given.name, f"another folder; {given.parent}: {refusal(error)}")
+    return known.get(nearest(given.name, known), f"another name; none in {given.parent.resolve()} is like it")
 
 
 def read_file(path: str | Path, what: str, hint: str = "") -> bytes:
@@ -72,7 +78,7 @@ def read_file(path: str | Path, what: str, hint: str = "") -> bytes:
     try:
         return resolve(path).read_bytes()
     except OSError as error:
-        raise InputError(what, refusal(error), hint or nearest_sample(path), path) from error
+        raise InputError(what, refusal(error), hint or nearest_file(path), path) from error
 
 
 @contextmanager

@@ -66,7 +66,7 @@ def quiet_warp() -> None:
     quiet.quiet_warp()
     compiled = any(Path(str(wp.config.kernel_cache_dir)).glob("wp_deformscope_*"))
     if not compiled and is_watched() and multiprocessing.parent_process() is None:
-        say("compiling kernels once, about 30 s: later starts use the stored ones")
+        say("compiling kernels once; later starts use the stored ones")
 
 
 def begin_worker() -> None:

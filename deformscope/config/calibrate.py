@@ -12,7 +12,7 @@ from deformscope.config import flags
 from deformscope.config.images import ImageOptions
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions, ViewOptions, either
 from deformscope.errors import InputError
-from deformscope.file_io import ending_of, nearest_sample
+from deformscope.file_io import SAMPLE_SCHEME, ending_of, nearest, sample_names
 
 AlphaFlag = Annotated[float, flags.Rule(lambda alpha: 0 < alpha <= 1, "an {flag} above 0 and at most 1")]
 
@@ -34,8 +34,8 @@ class SearchOptions(Flags):
     joint: bool = False
     """Fit one value to all pairs together."""
     fine: bool = False
-    """Use every frame of a long sequence, and the finest lattice below a surface. Default: limits both to about a
-    minute on two cores, and reports the limit; short sequences and small lattices do not change."""
+    """Use every frame of a long sequence, and the finest lattice below a surface. Default: limits both, and
+    reports the limit; short sequences and small lattices do not change."""
     volume: Literal["scale", "project"] = "scale"
     """How theta conserves volume: as Thesis eq. 3.17, or by a projection that stays stable in overlapping clusters."""
     device: flags.Device = "auto"
@@ -240,7 +240,9 @@ class BothConfig(RecordedOptions):
     def check(self) -> None:
         if other := next((source for source in self.sources if ending_of(source) != ".npz"), None):
             raise InputError(
-                "pair files (.npz)", repr(other), nearest_sample(other) or "calibrate beta or theta for images"
+                "pair files (.npz)",
+                repr(other),
+                nearest(other, sample_names(), SAMPLE_SCHEME) or "calibrate beta or theta for images",
             )
 
 

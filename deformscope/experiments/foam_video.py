@@ -131,7 +131,9 @@ def hold_what_is_seen(
             continue
         if part == "contact" or still.size < 4:
             raise InputError(
-                f"held particles of {part!r} that can be tracked", "all of them lost", "a --roi with more texture"
+                f"held particles of {part!r} that can be tracked",
+                "all of them lost",
+                "the images in order, the one at rest first; or a --roi with more texture",
             )
         rest = ParticleGrid(grid.rest_px[still], grid.shape, grid.cell[still], grid.spacing_px)
         chosen.append(still[select_held(rest, [part])])

@@ -15,7 +15,7 @@ import numpy as np
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
-from deformscope.file_io import ending_of, nearest_sample, resolve
+from deformscope.file_io import ending_of, nearest_file, resolve
 from deformscope.files.video_check import VideoCheck
 from deformscope.frames import ColorFrame
 from deformscope.images import read_image, to_rgb
@@ -133,7 +133,7 @@ def open_source(
     path = resolve(paths[0])
     if not path.exists():
         expected = "a video, a folder of frames, or image files"
-        raise InputError(expected, "nothing there", nearest_sample(path), path)
+        raise InputError(expected, "nothing there", nearest_file(path), path)
     if path.is_dir():
         return _images(images_in(path), str(path), stride, fps, mask)
     if path.suffix.lower() == RECORDING_SUFFIX:
@@ -165,7 +165,7 @@ def _image_path(path: str | Path) -> Path:
         what = "a folder" if resolved.is_dir() else f"a {resolved.suffix or 'nameless'} file"
         raise InputError("image files where several sources are named", what, "one video or folder alone", resolved)
     if not resolved.exists():
-        raise InputError("an image file", "nothing there", where=resolved)
+        raise InputError("an image file", "nothing there", nearest_file(resolved), resolved)
     return resolved
 
 

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import pyarrow as pa
 
 from deformscope.errors import InputError
-from deformscope.file_io import check_size
+from deformscope.file_io import check_size, nearest_file
 from deformscope.files.sources import natural_key
 from deformscope.imports.unpacked import bounded, check_chunks
 from deformscope.recording.export.manifest import ExportedStream, Manifest, read_manifest
@@ -100,7 +100,7 @@ def open_reader(path: Path, skip_rows: int = 0, times: Collection[str] = ()) -> 
     try:
         next(path.iterdir(), None) if path.is_dir() else path.open("rb").close()
     except FileNotFoundError:
-        raise InputError("a bag, a table, or a folder of one of them", "nothing there", where=path) from None
+        raise InputError("a bag, a table, or a folder of them", "nothing there", nearest_file(path), path) from None
     except OSError as error:
         raise InputError("a readable source", (error.strerror or "").lower(), where=path) from error
     suffix = path.suffix.lower()

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from deformscope.arrays import ImageArray
 from deformscope.errors import InputError
+from deformscope.file_io import nearest_file
 from deformscope.frames import ColorFrame, DepthFrame, HealthReport, InputFile, SessionNote
 from deformscope.images import decode_image
 from deformscope.recording.discards import Discard, discards_of
@@ -43,7 +44,8 @@ def check_exists(path: Path) -> None:
     """Raises InputError for a path without a file; it names the unfinished recording of this name, if there is one."""
     if not path.is_file():
         part = next(iter(sorted(path.parent.glob(f"{path.stem}.part*{path.suffix}"))), None)
-        hint = f"the unfinished one: {part}" if part is not None else ""
+        there = "its files" if path.is_dir() else nearest_file(path)
+        hint = f"the unfinished one: {part}" if part is not None else there
         raise InputError("a recording (.rrd)", "a folder" if path.is_dir() else "nothing there", hint, path)
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from deformscope.errors import InputError
-from deformscope.file_io import nearest, nearest_sample, resolve
+from deformscope.file_io import SAMPLE_SCHEME, nearest, resolve, sample_names
 from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
@@ -305,7 +305,7 @@ def load_rig(where: str | Path, *, trusted: bool = False) -> Rig:
         came = getattr(error, "strerror", None) or (
             "a file without text" if isinstance(error, UnicodeDecodeError) else _line(error)
         )
-        near = nearest(text, scenario_names(), LAB_SCHEME) or nearest_sample(text) or EXAMPLE
+        near = nearest(text, scenario_names(), LAB_SCHEME) or nearest(text, sample_names(), SAMPLE_SCHEME) or EXAMPLE
         raise InputError("a rig file (TOML), or lab:NAME", came.lower(), near, text) from error
     return parse_rig(content, text, trusted=trusted)
 
@@ -394,9 +394,12 @@ def _device(name: str, given: object, trusted: bool, late_ns: int) -> RigDevice:
     if not isinstance(given, dict):
         raise InputError(f"a section {section}", type(given).__name__)
     rest = dict(given)
-    driver = DRIVERS.get(str(rest.pop("driver", "")))
+    asked = str(rest.pop("driver", ""))
+    driver = DRIVERS.get(asked)
     if driver is None:
-        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(given.get("driver", "nothing")))
+        near = nearest(asked, DRIVERS, like=0.6)
+        hint = f'driver = "{near}"' if near else "one of these, or your own: docs/developers/add-a-device.md"
+        raise InputError(f"{section} driver out of {', '.join(DRIVERS)}", repr(asked) if asked else "none", hint)
     double = rest.pop("double", False)
     if not isinstance(double, bool):
         raise InputError(f"{section} double = true or false", repr(double))

@@ -72,9 +72,8 @@ FLOW_S_PER_PX = 5e-7
 """Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
 FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
 """Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
-LAYERS_S, MOST_PARTICLES = 6e-6, 11_000
-"""Time of a fit of layers for each cluster size and particle to the power 4 / 3 [s], and its default number of
-particles."""
+MOST_PARTICLES = 11_000
+"""Default number of particles of a fit of layers."""
 FLAT_SURFACE = "note: a flat surface alone hardly determines beta; --thickness-m fits the material below it"
 
 
@@ -211,24 +210,16 @@ def calibrate(
     return [calibrate_images(config, images, fit, select, given, progress, note)]  # type: ignore[arg-type]
 
 
-def _minutes(seconds: float) -> str:
-    return f"{max(seconds, 10.0):.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
-
-
 def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
-    """A long sequence is thinned to the frames that take about a minute, unless all are requested; a slow fit is
-    announced before it begins."""
+    """A long sequence is thinned, unless all frames are requested; the number of frames is announced."""
     each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
     if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
         return particles
     if every:
-        note(f"{count} frames are tracked, in about {_minutes(count * each_s)} on two cores")
+        note(f"{count} frames are tracked")
         return particles
     source.thin(most)
-    note(
-        f"{most} of {count} frames are tracked, evenly spread, in about {_minutes(most * each_s)} on two "
-        f"cores; --fine tracks all, in about {_minutes(count * each_s)}"
-    )
+    note(f"{most} of {count} frames are tracked, evenly spread; --fine tracks all")
     return dataclasses.replace(particles, frames_of=count)
 
 
@@ -376,12 +367,9 @@ def calibrate_pair_bytes(
         note(FLAT_SURFACE)
 
     def say_before(particles: int, spacing_m: float, finest_m: float) -> None:
-        sizes = 3 if layers is None or layers.cluster_size is None else 1
-        seconds = LAYERS_S * sizes * particles ** (4 / 3)
-        if seconds > 10.0 or spacing_m > finest_m:
-            words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart: the fit takes about {_minutes(seconds)}"
-            finer = f"; --fine spaces them {1e3 * finest_m:.2g} mm apart" if spacing_m > finest_m else ""
-            note(f"{words} on two cores{finer}")
+        if spacing_m > finest_m:
+            words = f"{particles} particles, {1e3 * spacing_m:.2g} mm apart"
+            note(f"{words}; --fine spaces them {1e3 * finest_m:.2g} mm apart")
 
     names = [name for name, _ in raws]
     settings: dict[str, Any] = {"sources": names, "noise_m": noise_m, "joint": joint, "fit": dataclasses.asdict(fit)}

@@ -17,6 +17,7 @@ import pyarrow as pa
 from deformscope.errors import InputError
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import compute
+from deformscope.file_io import nearest_file
 from deformscope.files.result_table import make_table, read_table, select_rows, to_utf8, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.messages import counted
@@ -83,7 +84,8 @@ def catalogue(
     status.
     """
     if not folder.is_dir():
-        raise InputError("a folder of recordings", "a file" if folder.exists() else "nothing there", where=folder)
+        came, hint = ("a file", "its folder") if folder.exists() else ("nothing there", nearest_file(folder))
+        raise InputError("a folder of recordings", came, hint, folder)
     table, read = _index(folder, workers, progress)
     shown = [name for name in names if name in table.schema.names]
     if len(shown) < len(names):

@@ -32,7 +32,7 @@ from deformscope.executor.journal import Journal
 from deformscope.executor.local import one_thread as one_thread
 from deformscope.executor.opened import open_workers
 from deformscope.executor.tasks import TaskOutcome, compute
-from deformscope.file_io import make_folder, replacing, resolve
+from deformscope.file_io import make_folder, nearest_file, replacing, resolve
 from deformscope.files.result_table import make_table, write_table
 from deformscope.files.sources import RECORDING_SUFFIX, natural_key
 from deformscope.pictures.distributions import distributions_png
@@ -348,8 +348,8 @@ def _source_link(source: str, folder: Path) -> Link:
 def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
     """The recordings, pair files and videos in a folder and its subfolders (`in_order`)."""
     if not folder.is_dir():
-        came = "a file" if folder.exists() else "nothing there"
-        raise InputError("a folder of recordings, pair files or videos, or a catalog.parquet", came, where=folder)
+        came, hint = ("a file", "its folder") if folder.exists() else ("nothing there", nearest_file(folder))
+        raise InputError("a folder of recordings, pair files or videos, or a catalog.parquet", came, hint, folder)
     inside = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS and path.is_file())
     return in_order((path for path in inside if not path.name.startswith(".")), out, match, folder)
 

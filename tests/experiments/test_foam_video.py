@@ -167,6 +167,16 @@ def test_a_held_part_that_leaves_the_image_is_held_at_the_last_row_seen() -> Non
     assert found.estimate.aee < 0.1
 
 
+def test_a_contact_that_is_lost_asks_for_the_order_of_the_images(
+    pushed: tuple[list[FloatArray], ParticleOptions, float],
+) -> None:
+    images, particles, _ = pushed
+    other = images[-1].copy()
+    other[10:70, 40:120] = np.random.default_rng(4).uniform(0, 255, (60, 80))
+    with pytest.raises(InputError, match="try: the images in order, the one at rest first"):
+        follow([images[0], other], particles, FitOptions())
+
+
 def test_one_frame_is_not_enough() -> None:
     with pytest.raises(InputError, match="two frames"):
         follow([np.full(SIZE, 100.0)], ParticleOptions(grid=(4, 4)), FitOptions())

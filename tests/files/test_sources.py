@@ -182,6 +182,12 @@ def test_refuses_what_is_missing(tmp_path: Path) -> None:
     assert str(tmp_path / "gone") in refusal(tmp_path / "gone")
     image = write(tmp_path / "a.png", noise(0))
     assert "nothing there" in refusal(image, tmp_path / "b.png")
+    write(tmp_path / "foam.png", noise(0))
+    assert f"got nothing there | try: {tmp_path / 'foam.png'} | " in refusal(tmp_path / "fomm.png")
+    assert f"try: {tmp_path / 'foam.png'} | " in refusal(image, tmp_path / "fomm.png")
+    assert f"try: another name; none in {tmp_path} is like it | " in refusal(tmp_path / "elephant.mp4")
+    assert "try: sample:video | " in refusal(tmp_path / "video")
+    assert f"try: another folder; {tmp_path / 'gone'}: no such file or directory | " in refusal(tmp_path / "gone" / "a")
     refusal()
 
 

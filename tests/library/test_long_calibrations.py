@@ -1,4 +1,4 @@
-"""What takes long says so before it begins, and ends in about a minute unless the fine way is asked for."""
+"""What takes long is limited unless the fine way is asked for, and says so."""
 
 from __future__ import annotations
 
@@ -43,7 +43,6 @@ def images() -> list[ImageArray]:
 def slow(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine on which nothing is quick: the fewest frames, and the coarsest lattice."""
     monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
-    monkeypatch.setattr(calibration, "LAYERS_S", 1.0)
     monkeypatch.setattr(calibration, "MOST_PARTICLES", 1)
 
 
@@ -88,7 +87,8 @@ def test_a_long_sequence_is_thinned_and_the_estimate_is_that_of_all_frames(
     assert (quick.estimate.settings["frames"], quick.estimate.settings["frames_of"]) == (KEPT, COUNT)
     assert fine.estimate.settings["frames"] == COUNT
     assert "frames_of" not in fine.estimate.settings
-    assert f"{COUNT} frames are tracked, in about" in caplog.text.removeprefix(words)
+    assert f"{COUNT} frames are tracked" in caplog.text.removeprefix(words)
+    assert "in about" not in caplog.text  # how long that takes differs by machine: the progress says it
     assert [(done, total) for what, done, total in seen if what == "frames"] == [
         *((done, KEPT) for done in range(1, KEPT + 1)),
         *((done, COUNT) for done in range(1, COUNT + 1)),
@@ -108,7 +108,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)
     assert own.estimate.settings["frames"] == (COUNT + 1) // 2
-    assert f"{(COUNT + 1) // 2} frames are tracked, in about" in caplog.text
+    assert f"{(COUNT + 1) // 2} frames are tracked" in caplog.text
 
 
 def test_what_was_thinned_replays_to_the_same_numbers(
@@ -148,8 +148,7 @@ def test_a_coarser_lattice_says_so_counts_its_steps_to_one_end_and_replays(
     record = tmp_path / "run.rrd"
     assert main(["calibrate", "beta", str(pair), *flags, "--record", str(record)]) == 0
     said = capsys.readouterr()
-    assert "the fit takes about" in said.out + said.err
-    assert "--fine spaces them 5 mm apart" in said.out + said.err
+    assert "10 mm apart; --fine spaces them 5 mm apart" in said.out + said.err
     assert main(["replay", str(record), "--viewer", "none"]) == 0
     with np.load(pair) as arrays:
         found = ds.calibrate_beta(
@@ -157,10 +156,8 @@ def test_a_coarser_lattice_says_so_counts_its_steps_to_one_end_and_replays(
             thickness_m=THICKNESS,
             progress=lambda *now: seen.append(now),  # type: ignore[arg-type]
         )
-    assert "10 mm apart: the fit takes about" in said.out + said.err
     assert main(["calibrate", "beta", str(pair), *flags, "--spacing-m", "0.01"]) == 0
     asked_for = capsys.readouterr()
-    assert "10 mm apart: the fit takes about" in asked_for.out + asked_for.err
     assert "--fine" not in asked_for.out + asked_for.err
     settings = found.estimate.settings
     assert settings["spacing_m"] == pytest.approx(2.0 * settings["finest_spacing_m"])  # type: ignore[operator]

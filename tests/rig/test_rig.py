@@ -53,7 +53,11 @@ def test_a_misspelt_key_is_an_error_that_names_the_right_one() -> None:
         ("", "at least one [devices.NAME] section; got none"),
         ("[devices]", "at least one [devices.NAME] section"),
         ("[devices.a]\nport = 'x'", "driver out of dsa, sdh, optoforce"),
-        ("[devices.a]\ndriver = 'optofarce'", "'optofarce'"),
+        ("[devices.a]\ndriver = 'optofarce'", "got 'optofarce' | try: driver = \"optoforce\" | "),
+        (
+            "[devices.a]\ndriver = 'franka'",
+            "got 'franka' | try: one of these, or your own: docs/developers/add-a-device.md",
+        ),
         ('[devices."a b"]\ndriver = "dsa"', "a device's name of letters, digits, - and _, 64 at most; got 'a b'"),
         (TIP + 'double = "yes"', "double = true or false; got 'yes'"),
         (TIP + 'rate_hz = "fast"', "rate_hz: expected"),

@@ -26,6 +26,7 @@ of the sensor's readings before the push."""
 ROUNDS, CAUCHY = 20, 2.0
 """Rounds of the weights, and of them the scale: medians of how far particles are off."""
 
+LOST_HINT = "images in order, the one at rest first; a --roi with more texture, its edge inside; a smaller --stride"
 FEWEST = 6
 """Least number of particles that must be seen throughout."""
 
@@ -78,8 +79,7 @@ def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
     down = moved[loaded, pressed]
     down = down[np.isfinite(down).all(axis=1)]
     if not len(down):
-        hint = "a --roi with more texture, its edge inside the thing, or a smaller --stride"
-        raise InputError("pressed particles that can be followed to the deepest frame", "every one was lost", hint)
+        raise InputError("pressed particles that can be followed to the deepest frame", "every one was lost", LOST_HINT)
     return np.asarray(amplitude * float(np.linalg.norm(down.mean(axis=0))))
 
 
@@ -91,8 +91,7 @@ def share_of_push(moved: FloatArray) -> tuple[FloatArray, int, BoolArray]:
     """
     known: BoolArray = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
     if known.sum() < FEWEST:
-        hint = "a --roi with more texture, its edge inside the thing, or a smaller --stride"
-        raise InputError(f"{FEWEST} particles that can be followed to the end", str(int(known.sum())), hint)
+        raise InputError(f"{FEWEST} particles that can be followed to the end", str(int(known.sum())), LOST_HINT)
     size = np.sum(moved[:, known] ** 2, axis=(1, 2))
     loaded = int(size.argmax())
     shape = moved[loaded, known]
