@@ -24,12 +24,12 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime docs gallery lint format clean
 
 help:
-	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording in runs/'
+	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording (125 MB) in runs/'
 	@printf '%-20s%s\n' 'make test' 'lints, types and tests (minutes)'
 	@printf '%-20s%s\n' 'make test-slow' 'the tests that take many minutes as well'
 	@printf '%-20s%s\n' 'make test-realtime' 'the tests that watch the host'"'"'s clock (on an idle machine)'
 	@printf '%-20s%s\n' 'make test-cores' 'the numerical tests with two kinds of kernels of the BLAS (minutes)'
-	@printf '%-20s%s\n' 'make bench' 'what MSM costs on this machine, as a table (2 minutes)'
+	@printf '%-20s%s\n' 'make bench' 'what MSM costs on this machine, as a table'
 	@printf '%-20s%s\n' 'make bench-suite' 'the same for comparing commits, with pytest-benchmark'
 	@printf '%-20s%s\n' 'make samples' 'make the small recordings in recordings/ anew'
 	@printf '%-20s%s\n' 'make docs' 'the site, in build/site'
@@ -58,7 +58,7 @@ $(READY): pyproject.toml
 		$$found -m venv --clear $(VENV) || exit 1; \
 	fi
 	@if [ -f .ci/system-libraries ]; then sh .ci/system-libraries; fi
-	@echo 'setup: installing the packages (the first time takes some minutes)'
+	@echo 'setup: pip installs the packages into $(VENV): the first time some minutes, and 3 GB'
 	@$(PY) -m pip install -qq --editable '.[dev]' || \
 		{ echo 'setup: pip could not install the packages; its reason stands above (no network?)' >&2; exit 1; }
 	@touch $@

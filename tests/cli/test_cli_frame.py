@@ -436,6 +436,59 @@ def test_each_library_to_install_is_known_to_the_errors() -> None:
     assert needed == cli.PACKAGES
 
 
+@pytest.fixture
+def bare(tmp_path: Path) -> dict[str, str]:
+    """A root's machine without the libraries, whose apt-get writes down what it is asked for."""
+    programs = {
+        "ldconfig": "exit 0",
+        "id": "echo 0",
+        "timeout": 'shift; exec "$@"',
+        "apt-get": f'echo "$*" >> {tmp_path}/asked\ncase "$*" in *assume-no*) echo "Need to get 9 MB";; esac',
+    }
+    (tmp_path / "bin").mkdir()
+    for name, body in programs.items():
+        (tmp_path / "bin" / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tmp_path / "bin" / name).chmod(0o755)
+    return os.environ | {"PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "CHROMIUM": "/none"}
+
+
+def installs(tmp_path: Path) -> int:
+    asked = (tmp_path / "asked").read_text().splitlines()
+    return sum("assume-no" not in line and " install " in line for line in asked)
+
+
+@pytest.mark.parametrize(("answer", "installed"), [("n", 0), ("y", 1), ("", 1)])
+def test_at_a_terminal_system_libraries_are_installed_after_a_yes(
+    answer: str, installed: int, bare: dict[str, str], tmp_path: Path
+) -> None:
+    ours, its = os.openpty()
+    os.write(ours, f"{answer}\n".encode())
+    command = ["sh", str(SYSTEM_LIBRARIES)]
+    run = subprocess.run(command, stdin=its, capture_output=True, text=True, env=bare, timeout=PATIENCE_S, check=True)
+    os.close(its)
+    os.close(ours)
+    assert "apt-get installs libusb-1.0-0 libgl1" in run.stdout
+    assert "Need to get 9 MB" in run.stdout
+    assert "install them? [Y/n]" in run.stdout
+    assert installs(tmp_path) == installed
+    assert ("sudo apt-get install -y libusb-1.0-0" in run.stdout) == (not installed)
+
+
+def test_without_a_terminal_what_apt_installs_is_said_before(bare: dict[str, str], tmp_path: Path) -> None:
+    run = subprocess.run(
+        ["sh", str(SYSTEM_LIBRARIES)],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        env=bare,
+        timeout=PATIENCE_S,
+        check=True,
+    )
+    assert run.stdout.startswith("system libraries: apt-get installs libusb-1.0-0 libgl1")
+    assert "[Y/n]" not in run.stdout
+    assert installs(tmp_path) == 1
+
+
 # Files
 
 
