@@ -30,6 +30,6 @@ def run(config: DemoConfig) -> None:
     if config.images:
         calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
     else:
-        say(f"{TOUCHES} touches of a simulated table, recorded in {record} (125 MB); the time left comes after the first")
+        say(f"{TOUCHES} touches of a simulated table; writes {record} (125 MB); after the first: the time left")
         explore(ExploreConfig(rig=SCENE, budget=TOUCHES, detail=config.detail, output=output))
     wrote("recording", record)

@@ -43,6 +43,7 @@ from deformscope.stages.map.perception import TouchPerception
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colorbar import Colorbar
+    from matplotlib.text import Text
 
 P = ParamSpec("P")
 RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
@@ -600,35 +601,36 @@ def _draw_keys(axes: Axes, maps: MapEstimate) -> None:
     from matplotlib.patheffects import withStroke
 
     axes.apply_aspect()  # else the axes have another place until they are drawn
-    room = axes.get_window_extent()
     for label, region in enumerate(maps.regions):
         inside = maps.labels == label
         if inside.any():
-            x, y = _middle(inside, maps.cell_m, maps.contacts_m)
             stiff = f"{region.level_text}\nN/mm\n{region.modulus_text}".strip()
             words = "\n".join(one for one in (f"region {label + 1}", region.loss_text.split(" (")[0], stiff) if one)
             text = axes.text(
-                x, y, words, ha="center", va="center", fontsize=10,
+                0, 0, words, ha="center", va="center", fontsize=10,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
-            drawn = text.get_window_extent()
-            ends, around = np.array(drawn.get_points()), np.array(room.get_points())
-            over = np.maximum(around[0] - ends[0], 0.0) + np.minimum(around[1] - ends[1], 0.0)
-            x, y = axes.transData.inverted().transform(axes.transData.transform((x, y)) + over)
-            text.set_position((float(x), float(y)))
+            text.set_position(_free_place(axes, text, inside, maps))
 
 
-def _middle(inside: BoolArray, cell_m: float, avoid_m: FloatArray) -> tuple[float, float]:
-    """The place deep inside a region and far from the touches, where words fit [cm]."""
+def _free_place(axes: Axes, text: Text, inside: BoolArray, maps: MapEstimate) -> tuple[float, float]:
+    """Place [cm] of a text in its region (rows, columns): within the axes, over as little as possible of touches and
+    their numbers, and as deep inside as that allows."""
     from scipy.ndimage import distance_transform_edt
 
-    deep = distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1] * cell_m
-    rows, columns = np.mgrid[: inside.shape[0], : inside.shape[1]]
-    for x, y in avoid_m:
-        away = np.hypot((columns + 0.5) * cell_m - x, (rows + 0.5) * cell_m - y)
-        deep = np.minimum(deep, away)
-    row, column = np.unravel_index(int(np.argmax(np.where(inside, deep, -1.0))), inside.shape)
-    return (float(column) + 0.5) * cell_m * 100, (float(row) + 0.5) * cell_m * 100
+    def corners(one: Text) -> FloatArray:
+        return np.asarray(axes.transData.inverted().transform(one.get_window_extent().get_points()))
+
+    half = np.ptp(corners(text), axis=0) / 2
+    touches = [100.0 * (at + maps.tip_radius_m * np.array([[-1.0], [1.0]])) for at in maps.contacts_m]
+    taken = np.array([*touches, *(corners(one) for one in axes.texts if one is not text)]).reshape(-1, 2, 2)
+    deep = distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1][inside]
+    cell_cm = 100.0 * maps.cell_m
+    at = np.clip(cell_cm * (np.argwhere(inside)[:, ::-1] + 0.5), half, cell_cm * np.array(inside.shape)[::-1] - half)
+    low, high = np.maximum(at[:, None] - half, taken[:, 0]), np.minimum(at[:, None] + half, taken[:, 1])
+    over = np.prod(np.maximum(high - low, 0.0), axis=2).sum(axis=1)
+    x, y = at[np.lexsort((-deep, over))[0]]
+    return float(x), float(y)
 
 
 def _extent(shape: tuple[int, ...], cell_m: float) -> tuple[float, float, float, float]:

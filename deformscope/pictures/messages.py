@@ -23,7 +23,7 @@ def format_verdict(maps: MapEstimate) -> str:
 def format_regions(maps: MapEstimate) -> str:
     """Number of regions, and their levels."""
     between = "" if maps.isopleths is None else " between isopleths of beta"
-    return counted(maps.region_count, "region") + " or more" * maps.more_possible + between
+    return "at least " * maps.more_possible + counted(maps.region_count, "region") + between
 
 
 def format_claim(probability: float | None) -> str:

@@ -203,7 +203,7 @@ class RecordedStream:
         if anonymous:
             fields = {name: one for name, one in fields.items() if name not in self.words}
         said = {one.key: one.unit for kind in self.kinds for one in quantities(kind) if one.key and one.unit}
-        units = {name: unit for name in fields if (unit := _unit(name, said)) is not None}
+        units = {name: {"unit": unit} for name in fields if (unit := unit_of(name, said))}
         known = [one.with_metadata(units[name]) if name in units else one for name, one in fields.items()]
         about = {"schema_version": str(SCHEMA_VERSION), "entity": self.entity}
         about |= {"kinds": " ".join(kind.__name__ for kind in self.kinds)}
@@ -593,12 +593,12 @@ def split_unit(column: str) -> tuple[str, str]:
     return column, ""
 
 
-def _unit(name: str, declared: Mapping[str, str]) -> dict[str, str] | None:
+def unit_of(name: str, declared: Mapping[str, str]) -> str:
+    """The unit of a column: declared for it or its quantity, or at the end of its name; otherwise empty."""
     base = re.sub(r"_(low|high|[xyz]|\d+)(?=_|$)", "", name)
-    unit = (
+    return (
         declared.get(name) or declared.get(base) or UNITS.get(split_unit(name)[1]) or UNITS.get(base.split("_")[-1], "")
     )
-    return {"unit": unit} if unit else None
 
 
 def _shape_of(value: object) -> str:

@@ -24,6 +24,7 @@ from deformscope.pictures.messages import counted
 from deformscope.pictures.report import Link, Section, Table, html_report
 from deformscope.plain import Json, plain
 from deformscope.recording.ledger import ledger_path
+from deformscope.recording.streams import unit_of
 from deformscope.results.columns import HIGH, LOW, cell_text, cells_of
 from deformscope.runs.result import LibraryResult
 from deformscope.terminal import Progress
@@ -45,6 +46,8 @@ TYPES = {
     "duration_s": pa.float64(),
 }
 SHOWN = ("path", "status", "kind", "recorded", "duration_s", "beta", "theta", "stiffness", "verdict", "label", "losses")
+DECLARED = {"stiffness": "N/mm"}
+"""Units of columns whose names do not say them."""
 SHOWN_MORE = ("notes", "discarded", "problem")
 PICTURE_PX, PAGE_ROWS = 320, 1000
 
@@ -62,11 +65,17 @@ class CatalogResult(LibraryResult):
     def tables(self) -> tuple[Table, ...]:
         there = [name for name in self.names if self.table[name].null_count < self.table.num_rows]
         rows = [[cell_text(row[name]) for name in there] for row in self.table.select(there).to_pylist()]
-        return (Table(rows, there, counted(self.table.num_rows, "recording")),)
+        return (Table(rows, [_heading(name) for name in there], counted(self.table.num_rows, "recording")),)
 
     def as_json(self) -> Json:
         rows = [{name: value for name, value in row.items() if value is not None} for row in self.table.to_pylist()]
         return {"folder": self.folder, "index": self.folder / INDEX, "read": self.read, "recordings": rows}
+
+
+def _heading(name: str) -> str:
+    """A column's name, as conditions have it, and its unit."""
+    unit = unit_of(name, DECLARED)
+    return f"{name} [{unit}]" if unit else name
 
 
 def catalogue(
@@ -185,7 +194,9 @@ def catalog_page(
     more = f", of which the first {PAGE_ROWS} are shown" if found.table.num_rows > PAGE_ROWS else ""
     words = f"{found.table.num_rows} recordings{more}. A picture opens its recording"
     words += "." if served else ", where rerun opens .rrd files."
-    return html_report(f"Recordings in {found.folder.name}", [Section("", [words, Table(cells, ("", *names))])])
+    return html_report(
+        f"Recordings in {found.folder.name}", [Section("", [words, Table(cells, ("", *map(_heading, names)))])]
+    )
 
 
 def serve_page(found: CatalogResult, workers: int | None = None, progress: Progress | None = None) -> str:
@@ -237,7 +248,7 @@ class ComparedRecordings(LibraryResult):
         names = ("", self.first.stem, self.second.stem)
         settings = [(name, cell_text(a), cell_text(b)) for name, (a, b) in self.settings.items()]
         results = [
-            (one["name"], *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
+            (_heading(one["name"]), *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
             for one in self.results
         ]
         columns = ("since the first contact", "rms difference", "largest", "over [s]")

@@ -226,7 +226,7 @@ class ExplorationResult(LibraryResult):
         beta's."""
         by_beta = self.regions_by == "beta"
         given = "" if by_beta else str(self.region_count or "gradual")
-        # "or more" includes the greater numbers
+        # "at least" includes the greater numbers
         claimed = self.region_count if self.region_count_at_least else None
         share, count = max(
             (share, count)
@@ -236,7 +236,7 @@ class ExplorationResult(LibraryResult):
         words = count if count == "gradual" else counted(int(count), "region")
         if by_beta:
             return f"; by stiffness {words}, probability {share:.2f}"
-        return f", {words} {share:.2f}" if share >= RIVAL else ""
+        return f", {words} {share:.2f}; more touches decide" if share >= RIVAL else ""
 
     def rows(self) -> Rows:
         """The results, as names and values."""
@@ -272,8 +272,9 @@ class ExplorationResult(LibraryResult):
         if not self.recorded:
             rows.append(("arm", "at rest" if self.arm_stands else "COULD NOT BE STOPPED: use its emergency stop"))
         if gaps := self.supervisor_gaps_ms:
-            words = f"every {gaps['p50']:.0f} ms; 99.9 % within {gaps['p99_9']:.0f} ms, all within {gaps['max']:.0f} ms"
-            rows.append(("safety checks", words))
+            words = f"every {gaps['p50']:.0f} ms, at most {gaps['max']:.0f} ms apart"
+            late = gaps["max"] > 2.0 * gaps["p50"]
+            rows.append(("safety checks", words + "; a stop may be that late: close other programs" * late))
         robot_s, wall_s = self.seconds["session"], self.seconds["wall"]
         rows.append(("time", f"{robot_s:.0f} s by the robot's clock, {wall_s:.0f} s on this computer"))
         if self.losses:
@@ -299,11 +300,12 @@ class ExplorationResult(LibraryResult):
         what = f"the largest circle without a touch is {wide:.0f} cm across, around ({x:.0f}, {y:.0f}) cm"
         rows = [("untouched", what)]
         if self.lumps is None and (unseen := missed.inclusions):
-            each = ", ".join(f"{one.probability:.2f} for {200.0 * one.radius_m:.3g} cm" for one in unseen)
+            each = ", ".join(f"{one.probability:.2f} if {200.0 * one.radius_m:.3g} cm wide" for one in unseen)
             by_loss = "the energy loss of its surroundings, or as many times less"
             kind = by_loss if self.feel == "loss" else "as stiff or as soft"
             stated = f"assumed: {missed.contrast:g} times {kind}; {missed.prior:g} before any touch"
-            rows.append(("inclusions unseen", f"probability of a missed one, by its width: {each} ({stated})"))
+            words = f"probability {each} that one is there and no touch shows it; more touches lower it ({stated})"
+            rows.append(("inclusions unseen", words))
         return rows
 
     @property

@@ -95,6 +95,13 @@ def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, A
     assert len(explored["sha256"]) == 64
 
 
+def test_columns_have_units(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["catalog", str(folder), "--columns", "path,duration_s,stiffness_low,touches"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].split() == [
+        *("path", "duration_s", "[s]", "stiffness_low", "[N/mm]", "touches"),
+    ]
+
+
 def test_what_holds_for_a_condition_is_listed_in_the_order_asked_for(folder: Path) -> None:
     found = catalog(folder, "--where", "not damaged and duration_s > 1", "--sort=-duration_s")
     assert [one["path"] for one in found["recordings"]] == ["explore.rrd", "tension.rrd", "older/rig.rrd"]

@@ -125,6 +125,21 @@ def test_regions_have_the_numbers_of_the_terminal_within_the_map(corner: tuple[i
         assert (drawn.max <= around.max + 1.0).all()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_labels_of_regions_leave_the_numbers_of_touches_free(seed: int) -> None:
+    maps = synthetic.maps(2)
+    size = maps.cell_m * np.array(maps.labels.shape)[::-1]
+    contacts = np.random.default_rng(seed).uniform(0.1, 0.9, (14, 2)) * size
+    axes = canvas(4.4, 3.3).add_axes((0.12, 0.12, 0.7, 0.69))
+    pictures.draw_regions(axes, dataclasses.replace(maps, contacts_m=contacts))
+    boxes = {one.get_text(): one.get_window_extent() for one in axes.texts}
+    labels = [box for words, box in boxes.items() if words.startswith("region ")]
+    numbers = [box for words, box in boxes.items() if words.isdigit()]
+    assert len(labels) == maps.region_count
+    assert len(numbers) == len(contacts)
+    assert [1 for one in labels for other in (*numbers, *labels) if other is not one and one.overlaps(other)] == []
+
+
 def test_cells_that_may_not_be_touched_are_grey_and_the_target_red() -> None:
     plan = synthetic.plan(3)
     image = decoded(pictures.gain_png(plan, synthetic.CELL_M, synthetic.CONTACTS_M[:3]))

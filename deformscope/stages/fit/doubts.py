@@ -240,10 +240,10 @@ def noise_contradicted(ratio: float | None, source: NoiseSource) -> Iterator[Dou
     if ratio is None or 1.0 / NOISE_NAMED < ratio < NOISE_NAMED:
         return
     if ratio > 1.0:
-        text = f"the residuals are {ratio:.3g} times {NOISE_WORDS[source]}: the noise is larger, or the model misfits"
+        text = f"the fit is off by {ratio:.0f} times {NOISE_WORDS[source]}: check held particles, region and noise"
         yield Doubt("noise-contradicted", text, "weak" if ratio > NOISE_LOWERS else None)
     elif ratio > 0.0:
-        text = f"{NOISE_WORDS[source]} is {1.0 / ratio:.3g} times the residuals: it is smaller, or was smoothed away"
+        text = f"{NOISE_WORDS[source]} is {1.0 / ratio:.0f} times the residuals: give a smaller one, or unsmoothed data"
         yield Doubt("noise-contradicted", text)
 
 

@@ -333,7 +333,7 @@ def explained_text(share: float) -> str:
     described = f"{max(share, 0.0):.0%} of the motion beyond a rigid one"
     if share >= EXPLAINED_LOW:
         return described
-    return f"{described}: LITTLE; wrong units, order or held particles, or a thing that this model does not describe"
+    return f"only {described}: check units, order and held particles; if they are right, try another model"
 
 
 def verdict(

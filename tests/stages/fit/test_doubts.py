@@ -177,8 +177,8 @@ def test_noise_that_is_contradicted_is_named(ratio: float | None, allows: tuple[
 def test_a_contradicted_noise_is_named_by_its_source() -> None:
     """Nobody stated the noise of particles that optical flow followed."""
     (given,), (flow,) = noise_contradicted(46.7, "given"), noise_contradicted(46.7, "flow")
-    assert "46.7 times the given noise" in given.text
-    assert "46.7 times the noise estimated from the optical flow" in flow.text
+    assert "47 times the given noise" in given.text
+    assert "47 times the noise estimated from the optical flow" in flow.text
     seen = seen_sheet(0.6)
     assert noise_source([seen]) == "given"
     assert noise_source([seen, dataclasses.replace(seen, noise=None)]) == "residuals"

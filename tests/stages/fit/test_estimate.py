@@ -86,8 +86,8 @@ def test_a_quantity_without_bounds_needs_data_that_tell_too() -> None:
 
 def test_little_that_is_explained_comes_with_a_warning() -> None:
     assert explained_text(0.934) == "93% of the motion beyond a rigid one"
-    assert "48% of the motion beyond a rigid one: LITTLE" in explained_text(0.48)
-    assert explained_text(-3.0).startswith("0%")
+    assert "only 48% of the motion beyond a rigid one: check units" in explained_text(0.48)
+    assert explained_text(-3.0).startswith("only 0%")
 
 
 @pytest.mark.parametrize(
