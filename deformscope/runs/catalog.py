@@ -248,7 +248,7 @@ class ComparedRecordings(LibraryResult):
         names = ("", self.first.stem, self.second.stem)
         settings = [(name, cell_text(a), cell_text(b)) for name, (a, b) in self.settings.items()]
         results = [
-            (_heading(one["name"]), *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
+            (_heading(str(one["name"])), *(_with_ends(one.get(which)) for which in ("first", "second", "difference")))
             for one in self.results
         ]
         columns = ("since the first contact", "rms difference", "largest", "over [s]")
