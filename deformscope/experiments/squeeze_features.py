@@ -239,8 +239,11 @@ class SqueezeImages:
         return range(max(min(before, REST_IMAGES) - 1, 0), known)
 
     def image(self, at: int, first_ns: int, since_ns: int = 0, together: int = REST_IMAGES) -> ContainerImage:
-        """The image at a place, and those before it, `together` in number. first_ns: time of first contact, 0 = not
-        known; since_ns: time from which the closing of the fingertips counts, default first contact"""
+        """The images up to index `at`, `together` of them at most, as the tracker takes them.
+
+        first_ns: time of first contact, 0 = not known; since_ns: time from which the closing of the fingertips counts,
+        default first contact
+        """
         when_ns = frame_ns(self.frames[at])
         frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
         closed_m = 0.0

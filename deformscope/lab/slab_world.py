@@ -217,8 +217,8 @@ class SlabWorld:
         return Contact(center, patch.normal, depth, gap, on_tip, place, load[node], tip, patch.xy_m, node)
 
     def _push_out(self, patch: Patch, overlap: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) forces on the tip along the normal [N] of a patch's nodes that it overlaps so far (n,) [m], and (n,)
-        those that move the surface."""
+        """Contact forces of a patch's nodes along the normal [N]: (n,) on the tip, (n,) those that move the surface.
+        overlap: (n,) depth of each node inside the tip [m]"""
         force = patch.push_out(overlap)
         return force, force
 

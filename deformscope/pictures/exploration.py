@@ -328,7 +328,7 @@ def draw_error(axes: Axes, perception: TouchPerception) -> None:
 
 
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:
-    """Those of points (n, 3) within `SECTION_CM` of a place (2 or 3,) in the plane [m]."""
+    """The part of points (n, 3) within `SECTION_CM` of a place (2 or 3,), measured in the plane [m]."""
     return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
 
 

@@ -100,7 +100,7 @@ def format_promise(check: ModelCheck) -> str:
     if check.promised is None or check.expected is None:
         return "nothing: the file holds no accuracy"
     better = check.score.accuracy.value > check.expected[1]
-    verdict = "kept" if check.kept else "NOT kept, it does better" if better else "NOT kept"
+    verdict = "kept" if check.kept else "NOT kept: the accuracy is higher than promised" if better else "NOT kept"
     promised = "{:.1%} ({:.1%} to {:.1%})".format(check.promised.value, *check.promised.interval)
     return f"{verdict}: {promised}; {{:.1%}} to {{:.1%}} expected of this number of trials".format(*check.expected)
 

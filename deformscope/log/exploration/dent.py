@@ -51,7 +51,7 @@ def log_no_dent(now: ResultBatch) -> None:
 
 
 def _near(points: FloatArray) -> FloatArray:
-    """Those of points (n, 3), relative to the contact [m], that are shown."""
+    """The shown part of points (n, 3) relative to the contact [m]: within `HALF_M` along x and y."""
     return points[(np.abs(points[:, :2]) <= HALF_M + 1e-6).all(axis=1)]
 
 

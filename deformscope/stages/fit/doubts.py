@@ -7,7 +7,7 @@ Which of them lower a verdict, and why:
   unidentified.
 - Less than 75 % explained (half of the motion, root mean square, is left) with more than noise left, a value on the end
   of a narrow interval, residuals ten times as large as the stated noise, theta with a misfit above the noise. Such
-values are compromises that depend on how errors are summed, or on the body's load, so that the verdict is at most weak.
+values depend on the error measure or on the body's load, so that the verdict is at most weak.
 - The interval accounts for other contradictions of a stated noise, because it is computed from the residuals: they are
 only named.
 - A body of an unlikely size has the same beta and theta in any unit: it is named, and its stiffness is at most weak.

@@ -131,8 +131,8 @@ def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried:
     """The noise that observed and prescribed positions share, by the residuals (n,), but not below `least`: the stated
     noise, or the resolution of numbers.
 
-    held: (r, n) effect on the simulation of prescribed positions with noise of the size `tried`, which explains a part
-    of the residuals
+    held: (r, n) changes of the simulated positions in r draws of the prescribed positions' noise, whose standard
+    deviation is `tried`; they explain a part of the residuals
     """
     share = float(np.mean(held**2)) / tried**2 if len(held) else 0.0
     deviation = max(deviation_of(residual, parameters) / float(np.sqrt(1.0 + share)), least)

@@ -306,8 +306,8 @@ class _TipContact:
         return found
 
     def _touching(self, touched: BoolArray, along: FloatArray, position: FloatArray, depth: float) -> bool:
-        """Update which particles (n,) touch a round tip: it pulls at none, and none is within it. Whether that changed.
-        along: (touched,) reactions; position: (K, d)"""
+        """Update the contact set (n,) of a round tip: particles that it would pull leave, those inside it join. Returns
+        whether the set changed. along: (touched,) reactions along the push; position: (K, d)"""
         if not self.round_tip:
             return False
         scene = self.scene

@@ -43,8 +43,9 @@ FREE_SHARE, FREE_SD, FREE_LENGTH_M = 0.03, 0.7, 0.08
 length, on a surface of 0.6 m."""
 
 REPEATED = 0.25
-"""Probability that a poke at the place of an earlier one has the same stiffness, under any map: half of it is more than
-a tenth, so that a 90 % interval always contains that poke."""
+"""Probability that a poke at the place of an earlier one has the same stiffness, under any map.
+Each side of that value then has a probability above the 0.05 that a 90 % interval leaves out, so the interval contains
+that poke."""
 
 TILT = 0.25
 """The expected value of |f - F| / F^TILT is least at the median of the possible true forces F, each weighted by 1 /

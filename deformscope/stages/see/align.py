@@ -29,7 +29,8 @@ ROBUST_M = 0.003
 PRIOR_M, PRIOR_RAD = 0.015, 0.02
 """Deviations of the robot's place, and of its rotation, before anything is seen."""
 SENSOR_M, INDEPENDENT = 0.002, 100.0
-"""Deviation of a point, and how many are worth their number: errors of shape are shared by neighbours."""
+"""Standard deviation of a measured point [m], and the largest number of points that count as independent: neighbours
+share errors of the model's shape."""
 ALIKE_M = 0.004
 """Points with a larger mean distance belong to something else."""
 ALIGNED_M = 0.003

@@ -138,7 +138,7 @@ class Evaluation:
 
     @property
     def trusted(self) -> ClassificationScore:
-        """`best`, without near copies where there are some."""
+        """The score to rely on: `best`, computed without near copies of training trials if the table has any."""
         return self.without_copies or self.best
 
     def elsewhere(self, score: ClassificationScore) -> Interval:

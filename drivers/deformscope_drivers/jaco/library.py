@@ -75,7 +75,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
 
 
 def library_file(path: str | Path, connection: Connection) -> Path:
-    """The library of that path, which may be of the folder that holds it."""
+    """The library file of a path: the file itself, or the file of the vendor's name in a folder."""
     chosen = Path(path).expanduser()
     return chosen / LIBRARY_NAMES[connection] if chosen.is_dir() else chosen
 

@@ -331,7 +331,7 @@ def load(library: str = "") -> ctypes.CDLL:
 
 
 def library_file(path: str) -> Path:
-    """The library of that path, which may be of the folder that holds it."""
+    """The library file of a path: the file itself, or the file of the vendor's name in a folder."""
     chosen = Path(path).expanduser()
     return chosen / LIBRARY_NAME if chosen.is_dir() else chosen
 
