@@ -178,7 +178,7 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     shown.evaluate("document.activeElement.blur()")
     shown.keyboard.press("f")
     until(shown, lambda: sum(isinstance(one, RunFit) for one in setting.commands) == 2)
-    shown.keyboard.press(" ")
+    shown.keyboard.press("q")
     until(shown, lambda: isinstance(setting.commands[-1], StopRun))
     assert wrong == []
 
@@ -218,7 +218,7 @@ def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
     assert shown.is_visible("[data-kind=follow-camera]")
     shown.keyboard.press("h")
     shown.focus("#fit-beta")
-    shown.keyboard.press(" ")  # a slider has no use for it
+    shown.keyboard.press("q")
     until(shown, lambda: len(setting.commands) == 4)
     assert [type(one) for one in setting.commands] == [TakeRest, HoldPicture, FollowCamera, StopRun]
 

@@ -25,12 +25,14 @@ const playback = startPlayback(async (timeline, ns) => {
   }
   await viewer.viewer_control(cursorRequest(timeline, ns));
 });
-if (document.body.dataset.fit === undefined) {
+const fits = document.body.dataset.fit !== undefined;
+if (!fits) {
   startViewer(at("canvas"), words, showLag, (event) => document.dispatchEvent(new CustomEvent("viewer", { detail: event })))
     .then((handle) => (viewer = handle))
     .catch((error) => words(`no viewer: ${error}`));
 } else {
   at("stop").firstChild.textContent = "Finish ";
+  at("stop").lastChild.textContent = "q"; // space is for what stops a robot
   at("stop").className = "go"; // it moves nothing: red is for what stops a robot
 }
 
@@ -276,6 +278,7 @@ at("help").addEventListener("click", () => at("help").close());
 
 const ownField = (element) => element?.matches?.("#controls input, #fit input");
 const typeless = (element) => ["range", "checkbox", "radio"].includes(element.type); // what is typed there is no text
+const writes = (element) => ownField(element) && !typeless(element) && element.type !== "number"; // a space is text there
 let pointed = null;
 window.addEventListener("pointerdown", ({ target }) => (pointed = target), { capture: true });
 window.addEventListener("focusin", ({ target, relatedTarget }) => {
@@ -296,7 +299,18 @@ function write(kind, field) {
   }
 }
 
+function stop() {
+  if (state?.playback) {
+    playback.toggle();
+  } else if (fits) {
+    note("space stops a robot; nothing moves here, and q finishes", false);
+  } else {
+    command("stop");
+  }
+}
+
 const KEYS = {
+  q: () => fits && command("stop"),
   r: () => command(state?.recording ? "stop-recording" : "start-recording"),
   k: () => command("keep-recent"),
   n: () => write("write-note", "note-text"),
@@ -317,8 +331,11 @@ const KEYS = {
 window.addEventListener(
   "keydown",
   (event) => {
-    const spaceless = ["number", "range"].includes(event.target.type);
-    const stops = event.key === " " && (event.ctrlKey || spaceless || !ownField(event.target));
+    const stops = event.key === " " && (event.ctrlKey || !writes(event.target));
+    if (event.key === "Enter" && event.target.type === "checkbox") {
+      event.target.click();
+      return;
+    }
     if (ownField(event.target) && !stops && !(typeless(event.target) && KEYS[event.key])) {
       if (event.key === "Escape") {
         event.target.blur();
@@ -328,7 +345,7 @@ window.addEventListener(
     if (!stops && (event.ctrlKey || event.altKey || event.metaKey)) {
       return;
     }
-    const act = stops ? (state?.playback ? playback.toggle : () => command("stop")) : KEYS[event.key];
+    const act = stops ? stop : KEYS[event.key];
     if (act) {
       event.preventDefault();
       event.stopPropagation();
@@ -339,5 +356,5 @@ window.addEventListener(
   },
   { capture: true },
 );
-// a button that has the focus is not pressed by the space that stops
-window.addEventListener("keyup", (event) => event.key === " " && event.target.matches?.("button") && event.preventDefault());
+// what has the focus is not pressed by the space that stops
+window.addEventListener("keyup", (event) => event.key === " " && !writes(event.target) && event.preventDefault());
