@@ -27,7 +27,8 @@ PACKAGES = {
 }
 
 STAGES = tuple(
-    f"stages.{name}" for name in ("msm", "see", "fit", "regions", "poke", "materials", "map", "squeeze", "setup")
+    f"stages.{name}"
+    for name in "gaussian_process msm see fit regions poke materials map squeeze setup".split()  # noqa: SIM905
 )
 LAYERS: dict[str, tuple[str, ...]] = {
     "arrays": (),
@@ -44,14 +45,18 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "images": ("arrays", "errors", "file_io"),
     "frames": ("arrays",),
     # Stages are pure: arrays in, frozen results out.
+    "stages.gaussian_process": ("arrays", "errors"),
     "stages.msm": ("arrays", "errors"),
     "stages.see": ("arrays", "capsule", "errors", "solid"),
-    "stages.fit": ("arrays", "errors", "results", "stages.msm"),
-    "stages.regions": ("arrays", "errors"),
-    "stages.poke": ("arrays", "errors", "results", "stages.msm", "stages.fit", "stages.regions"),
-    "stages.materials": ("arrays", "errors", "results", "stages.msm", "stages.fit"),
+    "stages.fit": ("arrays", "errors", "results", "stages.gaussian_process", "stages.msm"),
+    "stages.regions": ("arrays", "errors", "stages.gaussian_process"),
+    "stages.poke": (
+        *("arrays", "errors", "results", "stages.gaussian_process", "stages.msm", "stages.fit", "stages.regions"),
+    ),
+    "stages.materials": ("arrays", "errors", "results", "stages.gaussian_process", "stages.msm", "stages.fit"),
     "stages.map": (
-        *("arrays", "errors", "results", "stages.msm", "stages.see", "stages.fit", "stages.regions", "stages.poke"),
+        *("arrays", "errors", "results", "stages.gaussian_process", "stages.msm", "stages.see", "stages.fit"),
+        *("stages.regions", "stages.poke"),
     ),
     "stages.squeeze": ("arrays", "capsule", "errors", "executor", "processes", "results", "stages.see"),
     "stages.setup": ("arrays", "errors"),

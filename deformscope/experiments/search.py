@@ -13,9 +13,9 @@ from typing import ClassVar
 import numpy as np
 
 from deformscope.arrays import FloatArray
+from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map.exploration import InclusionsResult, MapEstimate
 from deformscope.stages.map.field import BETA_PRIOR, fit_field, levels_of
-from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.inclusion_plan import plan_inclusion_touch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior
 from deformscope.stages.map.map_score import boundary_distance, match_regions

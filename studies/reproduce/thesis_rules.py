@@ -27,7 +27,7 @@ from deformscope.experiments.search import ThesisSearch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld
-from deformscope.stages.map.gaussian_process import ProcessPrediction
+from deformscope.stages.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
 from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
 from deformscope.stages.map.thesis_field import FINE_SIGMA_W_M, ThesisField, contoured

@@ -24,7 +24,6 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -33,8 +32,7 @@ from scipy.spatial.distance import cdist
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.systematic import camera_modes, tool_modes
-
-Roughness = Literal["exponential", "matern", "gaussian"]
+from deformscope.stages.gaussian_process import Roughness, correlation
 
 FIELDS: tuple[tuple[Roughness, tuple[float, ...]], ...] = (
     ("exponential", (1.0, 3.0, 9.0)),
@@ -277,7 +275,7 @@ class ErrorModel:
         if shared and held and self.measured.held_rest is not None:
             place = np.concatenate([place, self.measured.held_rest])
             noise = np.concatenate([noise, self.held_noise])
-        field = correlation(which, cdist(place, place) / (self.measured.spacing * length))
+        field = correlation(CORRELATIONS[which], cdist(place, place) / (self.measured.spacing * length))
         if not shared:
             field = (1.0 - MISFIT_ROUGH) * field + MISFIT_ROUGH * np.eye(len(field))
         field *= float(np.mean(self.noise**2))
@@ -486,13 +484,3 @@ def shared_over(points: FloatArray, residual: FloatArray, spacing: float) -> flo
     near -= 1.645 / np.sqrt(len(pairs) * residual.shape[1])
     apart = float(np.mean(np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)))
     return apart / -float(np.log(min(near, 0.95))) if near > 0.0 else 0.0
-
-
-def correlation(field: int, scaled_distance: FloatArray) -> FloatArray:
-    """The correlation of errors at distances (...,) in units of its length. field: index in `CORRELATIONS`"""
-    if CORRELATIONS[field] == "exponential":
-        return np.asarray(np.exp(-scaled_distance))
-    if CORRELATIONS[field] == "gaussian":
-        return np.asarray(np.exp(-0.5 * scaled_distance**2))
-    s = np.sqrt(3.0) * scaled_distance
-    return np.asarray((1.0 + s) * np.exp(-s))

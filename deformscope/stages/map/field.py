@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.poke.contact import Z_90
 from deformscope.stages.regions.touch_error import SCATTER_MEDIAN
 from deformscope.stages.regions.touches import MapGrid

@@ -28,6 +28,7 @@ from scipy.special import expit, logsumexp
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.map.exploration import InclusionsResult
 from deformscope.stages.poke.contact import EXPONENT
 from deformscope.stages.poke.inclusion_footprint import contact_radius, contrast_share, footprint, inclusion_shift
@@ -99,8 +100,7 @@ class Background:
 
     def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
         """(n, m) correlation of touches at places (n, 2) and (m, 2), without the part that they do not share."""
-        apart = cdist(first_m, second_m, "sqeuclidean")
-        return np.asarray((1.0 - self.apart) * np.exp(-0.5 * apart / self.length_m**2))
+        return np.asarray((1.0 - self.apart) * gaussian_between(first_m, second_m, self.length_m))
 
     def related(self, places_m: FloatArray) -> FloatArray:
         """(t, t) correlation of touches at places (t, 2)."""

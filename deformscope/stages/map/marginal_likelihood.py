@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.map.gaussian_process import Kernel
+from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map.hilbert_basis import MOST_SINES, HilbertBasis, ListedPoints, WeightedBasis
 from deformscope.stages.map.perception import Hyperparameters
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.stages.fit.estimate import Curve
+from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map.force_pose import ForcePose
-from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.regions.touches import StiffnessSample
 from deformscope.stages.see.pixel_labels import PixelMasks
 

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
+from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
 from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
@@ -66,8 +67,7 @@ class FieldKernel:
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Covariance (n, m) between places (n, 2) and (m, 2) [m]."""
-        apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
-        return cast(FloatArray, self.sd**2 * np.exp(-0.5 * apart / self.length_m**2))
+        return np.asarray(self.sd**2 * gaussian_between(a, b, self.length_m))
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction, correlation
 
 SPACING = 0.45
 """Distance of inducing points in lengths of the kernel: between them the prior's variance is short by 1e-8."""
@@ -42,7 +42,7 @@ class Axis:
 
     def _kernel(self, x: FloatArray) -> FloatArray:
         """(n, nodes) correlation of coordinates (n,) with the inducing nodes of an axis [m]."""
-        return np.asarray(np.exp(-0.5 * ((x[:, None] - self.nodes) / self.length) ** 2))
+        return correlation("gaussian", (x[:, None] - self.nodes) / self.length)
 
     def features(self, x: FloatArray) -> FloatArray:
         """(n, r) at coordinates (n,)."""

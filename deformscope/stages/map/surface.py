@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.map.marginal_likelihood import FixedHyperparameters, Observations, learn
 from deformscope.stages.map.perception import Hyperparameters
 from deformscope.stages.map.sparse_process import SPACING, SparseProcess

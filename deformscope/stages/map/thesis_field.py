@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray, IntArray
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.map.field import FieldMap
-from deformscope.stages.map.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.regions.touches import MapGrid
 
 SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.6, 0.05

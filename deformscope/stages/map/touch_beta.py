@@ -20,7 +20,7 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.distance import nearest_error
 from deformscope.stages.fit.estimate import Curve, Estimate
-from deformscope.stages.map.gaussian_process import ProcessPrediction
+from deformscope.stages.gaussian_process import ProcessPrediction
 from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
 from deformscope.stages.map.surface import HeightProcess
 from deformscope.stages.msm import clusters

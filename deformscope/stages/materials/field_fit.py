@@ -23,6 +23,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.held_out import blocks_of
 from deformscope.stages.fit.model import Observation
+from deformscope.stages.gaussian_process import correlation
 from deformscope.stages.materials.cell_model import CellModel, CellState, Law, lattice_cells
 
 SPREAD = float(np.log(3.0))
@@ -87,7 +88,7 @@ class NoiseModel:
         white = np.eye(len(distance))
         if self.reach == 0.0:
             return white
-        shared = np.exp(-0.5 * (distance / self.reach) ** 2) if self.smooth else matern(distance / self.reach)
+        shared = correlation("gaussian" if self.smooth else "matern", distance / self.reach)
         return np.asarray((1.0 - self.own) * shared + self.own * white)
 
 
@@ -148,7 +149,7 @@ class FieldFit:
 
     def prior(self, reach: float) -> StiffnessPrior:
         """A smooth field. reach: [spacings]"""
-        covariance = SPREAD**2 * matern(cdist(self.place, self.place) / self.spacing / reach)
+        covariance = SPREAD**2 * correlation("matern", cdist(self.place, self.place) / self.spacing / reach)
         root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
         return self._with_common(root)
 
@@ -276,12 +277,6 @@ class FieldPoint:
     def linear(self, target: FloatArray) -> FloatArray:
         """(n,) target of the derivatives times the parameters."""
         return np.asarray(target - self.moved + self.slope @ self.at)
-
-
-def matern(distance: FloatArray) -> FloatArray:
-    """Correlation at distances in units of the length (Matern, 3/2)."""
-    root = np.sqrt(3.0) * distance
-    return np.asarray((1.0 + root) * np.exp(-root))
 
 
 def smooth_modes(rest: FloatArray) -> tuple[FloatArray, FloatArray]:

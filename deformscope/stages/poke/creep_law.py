@@ -19,6 +19,7 @@ from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.fit.creep_spectra import LARGEST_LOG, Spectrum, spectra
 from deformscope.stages.fit.relaxation import mean_relaxation_s
 from deformscope.stages.fit.weighted_draws import DrawnModel, draw_about_each
+from deformscope.stages.gaussian_process import correlation
 from deformscope.stages.poke.contact import LOADED, ArmCompliance
 
 MOST_BRANCHES = 3
@@ -265,7 +266,7 @@ def _off_together(one: FloatArray, other: FloatArray) -> FloatArray:
 
     def g(left: FloatArray, right: FloatArray) -> FloatArray:
         rise = np.exp(-LAW_RISE * (left[:, None] + right))
-        return LAW_OFF**2 * rise * np.exp(-0.5 * ((left[:, None] - right) / LAW_LENGTH) ** 2)
+        return LAW_OFF**2 * rise * correlation("gaussian", (left[:, None] - right) / LAW_LENGTH)
 
     at = np.zeros(1)
     return np.asarray(g(one, other) - g(one, at) - g(at, other) + g(at, at))
@@ -274,7 +275,7 @@ def _off_together(one: FloatArray, other: FloatArray) -> FloatArray:
 def _off_variance(one: FloatArray) -> FloatArray:
     """(a,) as the diagonal of `_off_together`."""
     high = np.exp(-LAW_RISE * one)
-    return np.asarray(LAW_OFF**2 * (1.0 + high**2 - 2.0 * high * np.exp(-0.5 * (one / LAW_LENGTH) ** 2)))
+    return np.asarray(LAW_OFF**2 * (1.0 + high**2 - 2.0 * high * correlation("gaussian", one / LAW_LENGTH)))
 
 
 def _whitening(sd_m: FloatArray, together_m2: FloatArray) -> FloatArray:

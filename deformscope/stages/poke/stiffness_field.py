@@ -18,6 +18,7 @@ from scipy.special import logsumexp, stdtr
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.gaussian_process import correlation
 from deformscope.stages.poke.mixture import quantile
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import PRIOR_EXTENT_M, PRIOR_MARGIN_M, RegionPosterior, SurfaceKind
@@ -187,7 +188,7 @@ class StiffnessField:
         if len(value) == 1:
             flat = np.full((1, len(place)), value[0])
             return _Mixture(flat, np.full_like(flat, OWN_SD**2 + ERROR.touch_sd**2), np.ones_like(flat))
-        near = REPEATED * np.exp(-0.5 * (cdist(self.places, place) / self.contact_m) ** 2)  # (p, n)
+        near = REPEATED * correlation("gaussian", cdist(self.places, place) / self.contact_m)  # (p, n)
         repeated = 1.0 - np.prod(1.0 - near, axis=0)
         parts = self._hypotheses(place, self.contact_m if contact_m is None else contact_m)
         means = [mean for mean, _, _, _ in parts] + [np.repeat(value[:, None], len(place), axis=1)]

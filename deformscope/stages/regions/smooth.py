@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from deformscope.arrays import FloatArray
+from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.regions.levels import Readings
 
 
@@ -25,9 +26,8 @@ class SmoothKernel:
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """(n, m) prior covariance between places (n, 2) and (m, 2)."""
-        apart = ((a[:, None] - b[None]) ** 2).sum(axis=-1)
         plane = self.slope_per_m**2 * (a - self.middle_m) @ (b - self.middle_m).T
-        return cast(FloatArray, self.level_sd**2 + plane + self.sd**2 * np.exp(-0.5 * apart / self.length_m**2))
+        return cast(FloatArray, self.level_sd**2 + plane + self.sd**2 * gaussian_between(a, b, self.length_m))
 
 
 class SmoothField:

@@ -22,6 +22,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.gaussian_process import gaussian_between
 
 LAW_SD = 0.02
 """Deviation of log stiffness by the error of the law: on a bonded layer the exponent grows with depth. Finite elements
@@ -78,8 +79,7 @@ class TouchErrorModel:
 
     def shared(self, first_m: FloatArray, second_m: FloatArray) -> FloatArray:
         """(n, m) correlation of the part that touches at places (n, 2) and (m, 2) share [m]."""
-        apart = ((first_m[:, None] - second_m) ** 2).sum(axis=-1)
-        return np.asarray(SCATTER_SHARED * np.exp(-0.5 * apart / SCATTER_LENGTH_M**2))
+        return np.asarray(SCATTER_SHARED * gaussian_between(first_m, second_m, SCATTER_LENGTH_M))
 
     @property
     def touch_sd(self) -> float:

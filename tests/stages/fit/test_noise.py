@@ -12,7 +12,8 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from deformscope.arrays import BoolArray, FloatArray
-from deformscope.stages.fit.noise import MISFIT_ROUGH, SCALE_SPREAD, ErrorModel, Evidence, Measured, correlation, few
+from deformscope.stages.fit.noise import CORRELATIONS, MISFIT_ROUGH, SCALE_SPREAD, ErrorModel, Evidence, Measured, few
+from deformscope.stages.gaussian_process import correlation
 from tests.stages.bodies import lattice
 
 SPACING = 0.01
@@ -48,7 +49,7 @@ def written_out(model: ErrorModel, act: FloatArray, h: int) -> FloatArray:
     n = len(some.rest)
     place = np.concatenate([some.rest, HELD])
     project = np.concatenate([np.eye(2 * n), -act.reshape(2 * n, 4)], axis=1)
-    field = correlation(int(every.field[h]), cdist(place, place) / (SPACING * every.length[h]))
+    field = correlation(CORRELATIONS[int(every.field[h])], cdist(place, place) / (SPACING * every.length[h]))
     if not every.shared[h]:
         own = (1.0 - MISFIT_ROUGH) * field[:n, :n] + MISFIT_ROUGH * np.eye(n)
         field = block_diag(own, np.zeros((2, 2)))
@@ -139,7 +140,7 @@ def test_unknown_noise_is_read_off_the_residuals() -> None:
 @pytest.mark.parametrize("field", [0, 1, 2])
 def test_noise_that_neighbours_share_is_recognised(field: int) -> None:
     some = measured((8, 8), held=False)
-    covariance = correlation(field, cdist(some.rest, some.rest) / (1.5 * SPACING)) + 1e-3 * np.eye(64)
+    covariance = correlation(CORRELATIONS[field], cdist(some.rest, some.rest) / (1.5 * SPACING)) + 1e-3 * np.eye(64)
     value = 1e-4 * np.linalg.cholesky(covariance) @ np.random.default_rng(6).standard_normal((64, 2))
     model = ErrorModel(some)
     assert share(model, value, np.zeros((64, 2, 0)), model.hypotheses.size > 0.0) > 0.99

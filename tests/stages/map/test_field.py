@@ -8,8 +8,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from deformscope.errors import InputError
+from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map.field import FieldPrior, fit_field
-from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.regions.touches import MapGrid
 
 SIZE = np.array([0.6, 0.4])

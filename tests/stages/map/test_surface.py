@@ -9,8 +9,8 @@ from scipy.optimize import minimize
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+from deformscope.stages.gaussian_process import Kernel
 from deformscope.stages.map import marginal_likelihood
-from deformscope.stages.map.gaussian_process import Kernel
 from deformscope.stages.map.surface import HeightProcess, fit_surface
 from deformscope.stages.regions.touches import MapGrid
 from tests.cases import slow_but

@@ -146,7 +146,7 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
 @pytest.mark.slow  # kernels of lists in single precision
 def test_the_thesiss_model_finds_its_own_beta(level: HeightProcess) -> None:
     """A surface made by that very model, deep enough for a single layer to feel beta."""
-    from deformscope.stages.map.gaussian_process import ProcessPrediction
+    from deformscope.stages.gaussian_process import ProcessPrediction
     from deformscope.stages.msm import clusters
     from deformscope.stages.msm.solver import Msm
     from deformscope.stages.regions.touches import MapGrid

@@ -1,17 +1,36 @@
-"""Common parts of Gaussian processes: the kernel of the thesis, estimated hyper-parameters, and their uncertainty.
+"""Kernels of all Gaussian processes: over a surface, between touches, between particles.
 
-The kernel is `sigma_e^2 exp(-|u - u'|^2 / sigma_w^2)` (Thesis eq. 4.5), without the usual half: its length scale, in
-the field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`.
+The thesis's is `sigma_e^2 exp(-|u - u'|^2 / sigma_w^2)` (eq. 4.5), without the usual half: its length scale, in the
+field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
+
+Roughness = Literal["exponential", "matern", "gaussian"]
+
+
+def correlation(rough: Roughness, scaled_distance: FloatArray) -> FloatArray:
+    """Correlation at distances (...,) in units of its length; "matern": of Matern with 3/2."""
+    if rough == "exponential":
+        return np.asarray(np.exp(-scaled_distance))
+    if rough == "gaussian":
+        return np.asarray(np.exp(-0.5 * scaled_distance**2))
+    root = np.sqrt(3.0) * scaled_distance
+    return np.asarray((1.0 + root) * np.exp(-root))
+
+
+def gaussian_between(one: FloatArray, other: FloatArray, length: float) -> FloatArray:
+    """The squared exponential correlation (n, m) between places (n, d) and (m, d). length: [the places' unit]"""
+    square = ((one[:, None] - other) ** 2).sum(axis=-1)
+    return np.asarray(np.exp(-0.5 * square / length**2))
 
 
 @dataclass(frozen=True, slots=True)
