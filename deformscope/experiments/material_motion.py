@@ -32,8 +32,7 @@ from deformscope.stages.materials.press_cycle import (
     frames_to_fit,
     share_of_push,
 )
-from deformscope.stages.materials.recovery import fit_recovery
-from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.recovery import RecoveryEstimate, fit_recovery
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.materials.yield_history import YieldOptions
 from deformscope.stages.msm.materials import AxisBeta

@@ -21,7 +21,7 @@ from deformscope.pictures.findings import Findings
 from deformscope.stages.fit.estimate import Comparison, Estimate
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.msm.state_sweep import StateSweeps
 from deformscope.stages.see.flow import FlowField

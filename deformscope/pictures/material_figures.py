@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from deformscope.stages.fit.motion import Motion
     from deformscope.stages.materials.axis_estimate import AxisEstimate
     from deformscope.stages.materials.field_estimate import FieldEstimate
-    from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+    from deformscope.stages.materials.recovery import RecoveryEstimate
     from deformscope.stages.materials.yield_estimate import YieldEstimate
 
 

@@ -34,7 +34,7 @@ from deformscope.stages.map.exploration import MapEstimate
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope_drivers.health import Health
 

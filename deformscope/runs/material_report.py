@@ -16,7 +16,7 @@ from deformscope.results.render import Rows, format_value, to_rows
 from deformscope.stages.fit.estimate import Doubt
 from deformscope.stages.materials.axis_estimate import ACROSS_VIEW, AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 
 

@@ -61,7 +61,7 @@ from deformscope.stages.fit.search import Progress
 from deformscope.stages.materials.axis_estimate import AxisEstimate
 from deformscope.stages.materials.field_estimate import FieldEstimate
 from deformscope.stages.materials.press_cycle import PressForce
-from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.recovery import RecoveryEstimate
 from deformscope.stages.materials.yield_estimate import YieldEstimate
 from deformscope.stages.materials.yield_history import YieldOptions
 from deformscope.stages.msm.quiet import quiet_warp

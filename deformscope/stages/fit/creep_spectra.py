@@ -54,6 +54,11 @@ class Branches:
         """How many filters it has."""
         return self.count
 
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return 2 * self.count
+
     def priors(self) -> tuple[FloatArray, FloatArray]:
         """Means (c, k) and deviations (k,) of the parameters of each choice of nodes."""
         chosen = np.array(list(combinations(self.nodes, self.count)), dtype=np.float64)
@@ -81,6 +86,7 @@ class Endless:
     within: FloatArray
     prior: float
     endless: bool = True
+    size: int = 2
 
     @property
     def most(self) -> int:

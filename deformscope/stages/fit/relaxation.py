@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.stages.fit.creep_spectra import Spectrum
 from deformscope.stages.fit.estimate import Doubt
+from deformscope.stages.fit.weighted_draws import DrawnModel, draw_about_each, median_and_interval
 
 RAMP_STEPS = 60
 """Number of steps of an approach over which its force is summed."""
@@ -113,37 +117,73 @@ class RelaxationSeen:
         return low if self.reasons else middle, (low, top if self.reasons or self.open else high)
 
 
-def seen_of(
-    strength: FloatArray,
-    retarded_s: FloatArray,
-    endless: BoolArray,
-    weight: FloatArray,
-    record_s: float,
-    open_from: float = OPEN,
-) -> RelaxationSeen:
-    """Whether relaxation ends within a record, of draws: strength, retarded_s (d, b); endless, weight (d,), which adds
-    up to 1. open_from: probability from which intervals are open"""
-    slow = np.where(retarded_s / (1.0 + strength) > record_s, strength, 0.0)
-    most, all_of_it = slow.max(axis=1, initial=0.0), np.maximum(strength.sum(axis=1), 1e-12)
-    outlasts = ~endless & (slow.sum(axis=1) > np.maximum(SLOW_LEAST, SLOW_SHARE * all_of_it))
-    short, no_end = float(weight[outlasts].sum()), float(weight[endless].sum())
-    within = ~endless & (most < SLOW_LEAST)
-    reasons: tuple[Doubt, ...] = ()
-    if short + no_end > DOUBTED or not weight[within].sum() > 0.0:
-        each = (
-            f"{short:.0%} that a branch outlasts the {record_s:.2g} s recorded, {no_end:.0%} that it creeps without end"
+@dataclass(frozen=True, slots=True)
+class RelaxationDraws:
+    """Weighted draws of all models, whatever observed them: a touch (`stages.poke.creep_law`), or images and a force
+    (`stages.materials.recovery`).
+
+    weight: (d,) adds up to 1; strength, retarded_s: (d, b) j_i and l_i [s], with strength 0 for absent branches;
+    mean_s: (d,) mean relaxation time [s]; branches: (d,) their number; endless: (d,) the spectrum has no end
+    """
+
+    weight: FloatArray
+    strength: FloatArray
+    retarded_s: FloatArray
+    mean_s: FloatArray
+    branches: IntArray
+    endless: BoolArray
+
+    def some(self, random: np.random.Generator, count: int) -> Self:
+        """`count` draws, picked in proportion to their weight."""
+        at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
+        others = {one.name: getattr(self, one.name)[at] for one in fields(self)}
+        return type(self)(**others | {"weight": np.full(count, 1.0 / count)})
+
+    def seen(self, record_s: float, open_from: float = OPEN) -> RelaxationSeen:
+        """Whether relaxation ends within a record. open_from: probability from which intervals are open"""
+        strength, retarded_s, endless, weight = self.strength, self.retarded_s, self.endless, self.weight
+        slow = np.where(retarded_s / (1.0 + strength) > record_s, strength, 0.0)
+        most, all_of_it = slow.max(axis=1, initial=0.0), np.maximum(strength.sum(axis=1), 1e-12)
+        outlasts = ~endless & (slow.sum(axis=1) > np.maximum(SLOW_LEAST, SLOW_SHARE * all_of_it))
+        short, no_end = float(weight[outlasts].sum()), float(weight[endless].sum())
+        within = ~endless & (most < SLOW_LEAST)
+        reasons: tuple[Doubt, ...] = ()
+        if short + no_end > DOUBTED or not weight[within].sum() > 0.0:
+            outlast = f"{short:.0%} that a branch outlasts the {record_s:.2g} s recorded"
+            each = f"{outlast}, {no_end:.0%} that it creeps without end"
+            text = f"the relaxed state was not seen ({each}): shares and times are lower bounds; hold longer"
+            reasons = (Doubt("no-plateau" if no_end > short else "short-record", text),)
+        counted = np.where(endless[:, None] & (retarded_s > record_s), 0.0, strength).sum(axis=1)
+        return RelaxationSeen(
+            reasons=reasons,
+            short_record=short,
+            no_plateau=no_end,
+            open=short + no_end > open_from,
+            within=within,
+            share=counted / (1.0 + counted),
         )
-        text = f"the relaxed state was not seen ({each}): shares and times are lower bounds; hold longer"
-        reasons = (Doubt("no-plateau" if no_end > short else "short-record", text),)
-    counted = np.where(endless[:, None] & (retarded_s > record_s), 0.0, strength).sum(axis=1)
-    return RelaxationSeen(
-        reasons=reasons,
-        short_record=short,
-        no_plateau=no_end,
-        open=short + no_end > open_from,
-        within=within,
-        share=counted / (1.0 + counted),
-    )
+
+    def time(self, judged: FloatArray, level: float = 0.9) -> tuple[float, tuple[float, float]]:
+        """Median and interval of the mean relaxation time [s]. judged: (d,) weight"""
+        creeps = self.strength.any(axis=1)
+        return median_and_interval(self.mean_s[creeps], judged[creeps], level)
+
+
+def relaxation_posterior(
+    fitted: Sequence[tuple[Spectrum, DrawnModel]], random: np.random.Generator
+) -> tuple[list[FloatArray], RelaxationDraws]:
+    """Draws of the parameters (d_i, k_i) of each spectrum, which are the last ones of an observer's model, and what
+    relaxes by them."""
+    drawn, weight = draw_about_each([model for _, model in fitted], random)
+    most = max(spectrum.most for spectrum, _ in fitted)
+    every: list[tuple[FloatArray, ...]] = []
+    for (spectrum, _), some in zip(fitted, drawn, strict=True):
+        strength, retarded_s = spectrum.filters(some[:, some.shape[1] - spectrum.size :])
+        none = ((0, 0), (0, most - spectrum.most))
+        padded = np.pad(strength, none), np.pad(retarded_s, none, constant_values=1.0)
+        counts = np.full(len(some), spectrum.most), np.full(len(some), spectrum.endless)
+        every.append((*padded, mean_relaxation_s(strength, retarded_s), *counts))
+    return drawn, RelaxationDraws(weight, *map(np.concatenate, zip(*every, strict=True)))
 
 
 def mean_relaxation_s(strength: FloatArray, retarded_s: FloatArray) -> FloatArray:

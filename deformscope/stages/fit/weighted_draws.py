@@ -10,48 +10,11 @@ import scipy  # its parts are imported as they are first used: who only reads re
 
 from deformscope.arrays import FloatArray, IntArray
 
-DRAWS = 2000
-"""Number of weighted draws from a proposal with heavier tails."""
-PROPOSAL_FREEDOM = 5.0
-FEWEST_EFFECTIVE = 40.0
-"""If the effective number of weighted draws is smaller, unweighted draws about the best fit are used."""
-DRAWS_OF_ALL, TEMPERED, FREEDOM_OF_ALL = 4000, 0.6, 4.0
+DRAWS, TEMPERED, FREEDOM = 4000, 0.6, 4.0
 """Number of draws of all choices of all models; power of their evidence, which is only roughly known, by which choices
 are drawn; degrees of freedom of the proposal."""
 ROUNDS, DAMPING, SETTLED = 30, 1e-2, 1e-3
 """The search for the likeliest parameters: most rounds, first damping, change of half the squares at its end."""
-
-
-def draw_about(
-    best: FloatArray,
-    jacobian: FloatArray,
-    residuals: Callable[[FloatArray], FloatArray],
-    log_size: float,
-    random: np.random.Generator,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Draws (d, k), their weights (d,) which add up to 1, and the log evidence.
-
-    best: (k,) parameters of least squares; jacobian: (m, k) derivative of residuals there; residuals: takes (d, k),
-    gives (d, m), in deviations, priors among them; log_size: logarithm of the density's divisor
-    """
-    root = np.linalg.cholesky(jacobian.T @ jacobian)
-    stretch = np.sqrt(PROPOSAL_FREEDOM / random.chisquare(PROPOSAL_FREEDOM, (DRAWS, 1)))
-    apart = stretch * random.standard_normal((DRAWS, len(best)))
-    drawn = best + scipy.linalg.solve_triangular(root.T, apart.T).T
-    log_proposal = _log_student(apart) + float(np.log(np.diag(root)).sum())
-    log_weight = -0.5 * (residuals(drawn) ** 2).sum(axis=1) - log_size - log_proposal
-    weight = np.exp(log_weight - scipy.special.logsumexp(log_weight))
-    if 1.0 / (weight**2).sum() < FEWEST_EFFECTIVE:
-        weight = np.full(DRAWS, 1.0 / DRAWS)
-    return drawn, weight, float(scipy.special.logsumexp(log_weight) - np.log(DRAWS))
-
-
-def pooled(log_evidence: Sequence[float], weight: Sequence[FloatArray]) -> FloatArray:
-    """The weights (d,) of several models' draws, one after the other, each model by its evidence."""
-    evidence = np.array(log_evidence)
-    return np.concatenate(
-        [one * np.exp(e - scipy.special.logsumexp(evidence)) for e, one in zip(evidence, weight, strict=True)]
-    )
 
 
 def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.9) -> tuple[float, tuple[float, float]]:
@@ -63,9 +26,6 @@ def median_and_interval(value: FloatArray, weight: FloatArray, level: float = 0.
         float(value[order[min(int(np.searchsorted(below, q)), len(order) - 1)]]) for q in (tail, 0.5, 1.0 - tail)
     )
     return middle, (low, high)
-
-
-# Models of which there are many choices -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +98,7 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
     ]
     chance = TEMPERED * np.concatenate(evidence)
     chance = np.exp(chance - scipy.special.logsumexp(chance))
-    number = np.split(random.multinomial(DRAWS_OF_ALL, chance), np.cumsum([len(one) for one in evidence])[:-1])
+    number = np.split(random.multinomial(DRAWS, chance), np.cumsum([len(one) for one in evidence])[:-1])
     log_chance = np.split(np.log(np.maximum(chance, 1e-300)), np.cumsum([len(one) for one in evidence])[:-1])
     drawn, log_weight = [], []
     for one, (best, _, _), root, log, many, log_part in zip(
@@ -146,9 +106,9 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
     ):
         choice = np.repeat(np.arange(len(best)), many)
         # each direction has its own tail: a branch that is hardly seen goes far in one of them
-        apart = random.standard_t(FREEDOM_OF_ALL, (len(choice), best.shape[1]))
+        apart = random.standard_t(FREEDOM, (len(choice), best.shape[1]))
         some = best[choice] + np.linalg.solve(root[choice].transpose(0, 2, 1), apart[..., None])[..., 0]
-        log_density = scipy.stats.t.logpdf(apart, FREEDOM_OF_ALL).sum(axis=1)
+        log_density = scipy.stats.t.logpdf(apart, FREEDOM).sum(axis=1)
         log_proposal = log_density + log[choice] + log_part[choice]
         drawn.append(some)
         log_weight.append(-one.half_squares(some, choice) - one.log_size() - log_proposal)
@@ -156,11 +116,3 @@ def draw_about_each(models: Sequence[DrawnModel], random: np.random.Generator) -
     every -= scipy.special.logsumexp(every) - np.log(len(every))
     weight = np.exp(np.minimum(every, 0.5 * np.log(len(every))))  # truncated (Ionides 2008)
     return drawn, weight / weight.sum()
-
-
-def _log_student(apart: FloatArray) -> FloatArray:
-    """(d,) log density of Student's t of PROPOSAL_FREEDOM at (d, k), of unit scale."""
-    freedom, size = PROPOSAL_FREEDOM, apart.shape[1]
-    gammaln = scipy.special.gammaln
-    constant = gammaln(0.5 * (freedom + size)) - gammaln(0.5 * freedom) - 0.5 * size * np.log(np.pi * freedom)
-    return np.asarray(constant - 0.5 * (freedom + size) * np.log1p((apart**2).sum(axis=1) / freedom))

@@ -11,46 +11,31 @@ only a force shows f; once it is off f is 0, and the rest recovers by the branch
 force is fitted by its recovery only, and one with force by its relaxation too, which shows the stiffness.
 
 Models with zero to three branches, and with a spectrum that reaches no plateau (`stages.fit.creep_spectra`), each with
-and without a set, are averaged by their evidence. A process that outlasts the record is a reason, and a bound; a
-smaller probability of it opens intervals. Without a force, such a process resembles a set. One branch that outlasts the
-record is therefore a model of its own: draws about a faster one do not reach it.
+and without a set, are averaged by their evidence, as a touch's are (`stages.fit.relaxation`). A process that outlasts
+the record is a reason, and a bound; a smaller probability of it opens intervals. Without a force, such a process
+resembles a set.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
 
 import numpy as np
-import scipy  # its parts are imported as they are first used
 
-from deformscope.arrays import BoolArray, FloatArray
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.creep_spectra import (
-    ENDLESS_HOLDS,
-    STRENGTH_MEDIAN,
-    STRENGTH_SPREAD,
-    Branches,
-    Endless,
-    Spectrum,
-)
-from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import (
-    kept_of,
-    mean_relaxation_s,
-    relaxation_modes,
-    seen_of,
-)
-from deformscope.stages.fit.weighted_draws import draw_about, median_and_interval, pooled
-from deformscope.stages.materials.recovery_estimate import Number, RecoveryBehaviour, RecoveryEstimate
+from deformscope.results.declared import derived, reported
+from deformscope.results.render import ReportedResult
+from deformscope.stages.fit.creep_spectra import FASTEST, Spectrum, spectra
+from deformscope.stages.fit.estimate import Doubt, LengthUnit
+from deformscope.stages.fit.relaxation import ForceKept, kept_of, relaxation_modes, relaxation_posterior
+from deformscope.stages.fit.weighted_draws import DrawnModel, median_and_interval
 
 SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""
-SLOWEST = 10.0
-"""Retardation times range from the time between frames to this multiple of the record since the push."""
-MOST_BRANCHES, MOST_WITH_SLOW = 3, 2
-OUTLASTS = 0.3
-"""Prior probability that one of the branches outlasts the record: the share of the log times that does [assumed]."""
+MOST_BRANCHES = 3
 OPEN_RECOVERY = 0.13
 """The same as `relaxation.OPEN` for recoveries. At .15 intervals of the share hold .82 of slow branches; at .1 the
 median width of the time of two branches is 1.8 times as large (pushes of a Maxwell solid, seeds 3000 to 3099)."""
@@ -74,6 +59,88 @@ LEAST_AFTER = 4
 """Least number of frames after the release for fitting a recovery."""
 CANDIDATES = 12
 """Frames that are tried as the last one in contact, where no force shows it."""
+
+RecoveryBehaviour = Literal["elastic", "viscous", "plastic", "viscoplastic", "unidentified"]
+MOTION_ALONE = "unidentified: motion alone does not determine it; record a force with the images"
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number and its interval."""
+
+    value: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryEstimate(ReportedResult):
+    """Results of a push and its recovery.
+
+    share: share of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share
+    share and time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded; their
+    intervals are open in that direction from a smaller probability of it on (`OPEN_RECOVERY`)
+    force_kept: remaining share of the force at the end of the push, held there, for times within the record
+    set: permanent share of the largest displacement; instant, relaxed: force over displacement of the pressed
+    particles, immediate and relaxed [N per unit]; None without a force
+    verdict: "viscous" if more than 3 % relaxes, "plastic" if more is permanent, both, neither (elastic), or unknown
+    reasons: reasons to doubt it; explained: share of the motion after the release (squares) that one shape explains
+    held_s: time from the push to the release; watched_s: time after the release; released: first frame after the
+    release; time: (T,) [s]; observed, simulated: (T,) share of the largest displacement, simulated from the release on
+    unit, metres_per_unit: unit and scale of the displacements
+    """
+
+    parameter: ClassVar[str] = "relaxing_share"
+
+    share: Number = field(metadata=reported("share of the modulus that relaxes", flat=True, digits=".1%"))
+    level: float = field(metadata=reported())
+    verdict: RecoveryBehaviour = field(metadata=reported())
+    reasons: tuple[Doubt, ...] = field(metadata=reported())
+    explained: float = field(
+        metadata=reported(
+            "explained",
+            words=lambda found: f"{max(found.explained, 0.0):.1%} of the motion by one shape that grows and shrinks",
+        )
+    )
+    time_s: Number = field(
+        metadata=reported(
+            "mean relaxation time",
+            key="relaxation_time_s",
+            shown_unit="s",
+        )
+    )
+    force_kept: tuple[ForceKept, ...] = field(
+        metadata=reported(
+            "force, held in place", words=lambda found: "; ".join(map(str, (found.force_kept[0], found.force_kept[-1])))
+        )
+    )
+    set: Number = field(metadata=reported("permanent set", key="permanent_set_share", digits=".1%"))
+
+    @property
+    @derived()
+    def permanent_set_m(self) -> Number | None:
+        """Permanent set of the push [m]."""
+        metres = 1.0 if self.unit == "m" else self.metres_per_unit
+        if metres is None:
+            return None
+        low, high = (metres * self.largest * end for end in self.set.interval)
+        return Number(metres * self.largest * self.set.value, (low, high))
+
+    instant: Number | None = field(
+        metadata=reported("stiffness at once", key="instant_n_per_m", per_length=True, missing=MOTION_ALONE)
+    )
+    relaxed: Number | None = field(
+        metadata=reported("stiffness, relaxed", key="relaxed_n_per_m", per_length=True, missing=MOTION_ALONE)
+    )
+    held_s: float = field(metadata=reported())
+    watched_s: float = field(metadata=reported())
+    released: int = field(metadata=reported(key="released_frame"))
+    largest: float = field(metadata=reported("pressed", key=None, length=True))
+    time: FloatArray = field(metadata=reported(key="recovery.time_s"))
+    observed: FloatArray = field(metadata=reported(key="recovery.observed"))
+    simulated: FloatArray = field(metadata=reported(key="recovery.simulated"))
+    unit: LengthUnit = "m"
+    metres_per_unit: float | None = 1.0
+    settings: dict[str, object] = field(default_factory=dict, metadata=reported())
 
 
 def fit_recovery(
@@ -106,28 +173,23 @@ def fit_recovery(
         hint = "record on after the tool is off: some times as long as the recovery takes"
         raise InputError(f"{LEAST_AFTER} frames or more after the release", came, hint)
     law = _RecoveryLaw(time_s, amplitude, released, force_n, force_sd_n)
+    law.widen()
     models = [(spectrum, kept) for spectrum in law.spectra for kept in (False, True)]
-    law.widen(law.best(law.spectra[2], kept=True), law.spectra[2])
-    draws = [
-        law.posterior(spectrum, kept, np.random.default_rng([seed, at])) for at, (spectrum, kept) in enumerate(models)
-    ]
-    weight = pooled([one.log_evidence for one in draws], [one.weight for one in draws])
-    every, retarded_s, mean_s, kept, stiffness, endless = (
-        np.concatenate([getattr(one, name) for one in draws])
-        for name in ("strength", "retarded_s", "mean_s", "kept", "stiffness", "endless")
-    )
-    watched_s, record_s = law.watched_s, law.record_s
-    seen = seen_of(every, retarded_s, endless, weight, record_s, OPEN_RECOVERY)
-    share, creeps = seen.share, every.any(axis=1)
-    judged = weight * (seen.within if not seen.reasons else 1.0)
+    fitted = [law.fitted(*one) for one in models]
+    random = np.random.default_rng(seed)
+    drawn, draws = relaxation_posterior([(one, fit) for (one, _), fit in zip(models, fitted, strict=True)], random)
+    kept = np.concatenate([law.kept(one, with_set) for one, (_, with_set) in zip(drawn, models, strict=True)])
+    stiffness = np.concatenate([law.stiffness(one) for one in drawn])
+    watched_s, record_s, weight = law.watched_s, law.record_s, draws.weight
+    seen = draws.seen(record_s, OPEN_RECOVERY)
+    share, judged = seen.share, weight * (seen.within if not seen.reasons else 1.0)
     # a closed interval is of what relaxes within the record
     shared = judged if not seen.open else weight
     verdict = _verdict(share, kept, weight)
-    mean_time = median_and_interval(mean_s[creeps], judged[creeps], level)
+    mean_time = draws.time(judged, level)
     if not seen.reasons and verdict not in ("elastic", "plastic") and mean_time[1][1] > record_s:
         seen = dataclasses.replace(seen, reasons=(_alike(mean_time, watched_s),))
-    some = np.random.default_rng(seed).choice(len(weight), FORCE_DRAWS, p=weight / weight.sum())
-    ramp_s = float(time_s[law.pressed] - time_s[_begin(amplitude)])
+    some = draws.some(random, FORCE_DRAWS)
     relaxed = _per_unit(stiffness * (1.0 - share), weight, largest, level)
     if seen.reasons or seen.open:
         relaxed = Number(relaxed.interval[1] if seen.reasons else relaxed.value, (0.0, relaxed.interval[1]))
@@ -135,9 +197,10 @@ def fit_recovery(
     unseen = weight * ~seen.within
     if (seen.reasons or seen.open) and unseen.any():  # a part of the set may be a slow recovery
         least = min(least, median_and_interval(kept, unseen, level)[1][0])
-    middle = int(np.argmax([one.log_evidence for one in draws]))
+    parts = np.split(weight, np.cumsum([len(one) for one in drawn])[:-1])
+    middle = int(np.argmax([part.sum() for part in parts]))
     simulated = np.full(len(time_s), np.nan)
-    simulated[released:] = law.simulated(draws[middle].best[None], models[middle][0])[0][0]
+    simulated[released:] = law.simulated(fitted[middle].likeliest(), *models[middle])[0][0]
     return RecoveryEstimate(
         share=Number(*seen.bounded(*median_and_interval(share, shared, level), 1.0)),
         time_s=Number(*seen.bounded(*mean_time, np.inf)),
@@ -147,7 +210,7 @@ def fit_recovery(
         verdict=verdict,
         level=level,
         reasons=seen.reasons,
-        force_kept=kept_of(every[some], retarded_s[some], np.ones(FORCE_DRAWS), ramp_s, record_s),
+        force_kept=kept_of(some.strength, some.retarded_s, np.ones(FORCE_DRAWS), law.ramp_s, record_s),
         explained=1.0,
         held_s=float(time_s[released - 1] - time_s[_begin(amplitude)]),
         watched_s=watched_s,
@@ -202,47 +265,17 @@ def _released(time_s: FloatArray, amplitude: FloatArray, loaded: int) -> int:
     near = np.arange(fastest - 1, fastest + 4)
     tried = np.unique(np.concatenate([tried, near[(near > loaded) & (near <= latest)]]))
     likely: list[float] = []
-    best = None
-    for released in tried[::-1]:
+    for released in tried:
         law = _RecoveryLaw(time_s, amplitude, int(released))
-        best = law.best(law.spectra[1], kept=True, start=best)
-        off = law.residuals(best[None], law.spectra[1])[0][: last + 1 - released]
-        free = last + 1 - released
+        off, free = law.off(law.spectra[1]), last + 1 - released
         likely.append(-0.5 * float(off @ off) - free * float(np.log(law.sd * np.sqrt(2.0 * np.pi))))
-    return int(tried[::-1][int(np.argmax(likely))])
-
-
-@dataclass(frozen=True, slots=True)
-class _RecoveryDraws:
-    """Draws of one model: log evidence, its best parameters; weight (d,); j_i and l_i [s] (d, b), with strength 0 for
-    absent branches; mean relaxation time [s], permanent share, immediate force of the largest displacement [N], and
-    whether the spectrum has no end, all (d,)."""
-
-    log_evidence: float
-    best: FloatArray
-    weight: FloatArray
-    strength: FloatArray
-    retarded_s: FloatArray
-    mean_s: FloatArray
-    kept: FloatArray
-    stiffness: FloatArray
-    endless: BoolArray
-
-
-class _RangedBranches(Branches):
-    """Branches with one choice of log times: nodes are the (b, 2) range of each, of four deviations."""
-
-    def priors(self) -> tuple[FloatArray, FloatArray]:
-        log_j = np.full(self.count, np.log(STRENGTH_MEDIAN))
-        first, last = self.nodes.T
-        mean = np.append(log_j, 0.5 * (first + last))
-        return mean[None], np.append(np.full(self.count, STRENGTH_SPREAD), 0.25 * (last - first))
+    return int(tried[int(np.argmax(likely))])
 
 
 class _RecoveryLaw:
-    """The law over one motion; parameters: those of a spectrum, the error that all frames after the release share, and
-    the release's position between its two frames. Then log of the permanent share, and log of the stiffness, if these
-    exist."""
+    """The law over one motion; parameters (k,): the error that all frames after the release share, the release's
+    position between its two frames, log of the stiffness if a force was recorded, log of the permanent share if there
+    is one, then those of a spectrum."""
 
     def __init__(
         self,
@@ -254,26 +287,13 @@ class _RecoveryLaw:
     ) -> None:
         self._time, self._amplitude, self._released = time_s, amplitude, released
         self._most = np.maximum.accumulate(np.maximum(amplitude, 0.0))
-        span = time_s[-1] - time_s[_begin(amplitude)]
-        fast, slow = np.log(float(np.median(np.diff(time_s)))), np.log(SLOWEST * span)
-        self._limits = fast - 2.0, slow + 2.0
-        self.pressed = int(np.argmax(amplitude >= PRESSED * amplitude.max()))
+        pressed = int(np.argmax(amplitude >= PRESSED * amplitude.max()))
+        self.ramp_s = float(time_s[pressed] - time_s[_begin(amplitude)])
         self.watched_s = float(time_s[-1] - time_s[min(released, len(time_s) - 1)])
-        held_s = float(time_s[released - 1] - time_s[self.pressed])
+        held_s = float(time_s[released - 1] - time_s[pressed])
         self.record_s = max(self.watched_s, held_s if force_n is not None else 0.0)
-        outlasts = OUTLASTS if self.record_s > 0.0 else 0.0
-        every = np.array([[fast, slow]] * MOST_BRANCHES)
-        self.spectra: list[Spectrum] = [
-            _RangedBranches(count, every[:count], 0.5**count * (1.0 - (outlasts if count else 0.0)))
-            for count in range(MOST_BRANCHES + 1)
-        ]
-        self.spectra.append(Endless.over(np.exp(fast), SLOWEST * span / ENDLESS_HOLDS, 1.0, 0.25))
-        if outlasts:
-            late = np.array([[np.log(self.record_s), slow]])
-            self.spectra += [
-                _RangedBranches(count, np.vstack([every[1:count], late]), 0.5**count * outlasts)
-                for count in range(1, MOST_WITH_SLOW + 1)
-            ]
+        frame_s = float(np.median(np.diff(time_s)))
+        self.spectra = spectra(max(self.ramp_s, frame_s / FASTEST), max(self.record_s, frame_s), MOST_BRANCHES)
         # neighbouring frames share no motion beyond a straight one
         bend = np.diff(amplitude[released:], 2)
         scatter = 1.4826 * float(np.median(np.abs(bend))) / np.sqrt(6.0) if len(bend) else 0.0
@@ -284,86 +304,69 @@ class _RecoveryLaw:
             self._force, self._force_scale = force_n[1:released] / most, most
             self._force_sd = np.hypot(FORCE_SD, force_sd_n / most)
 
-    def widen(self, best: FloatArray, spectrum: Spectrum) -> None:
-        """Use the residual of the best fit (p,) as noise, shared by neighbours."""
-        off = self.residuals(best[None], spectrum)[0][: len(self._amplitude) - self._released]
-        if len(off) <= len(best):
+    def off(self, spectrum: Spectrum) -> FloatArray:
+        """(T - released,) residuals after the release at the likeliest parameters of a spectrum with a set."""
+        (off,) = self._residuals(self.fitted(spectrum, True).likeliest(), spectrum, True)
+        return np.asarray(off[: len(self._amplitude) - self._released])
+
+    def widen(self) -> None:
+        """Use the residual of the best fit of two branches as noise, shared by neighbours."""
+        off = self.off(self.spectra[2])
+        if len(off) <= self.spectra[2].size + self._own(True):
             return
         size = max(1.0, float(np.sqrt(np.mean(off**2))))
-        alike = float(off[1:] @ off[:-1] / max(off @ off, 1e-12))
+        alike = float(off[1:] @ off[:-1]) / max(float(off @ off), 1e-12)
         shared = np.sqrt((1.0 + np.clip(alike, 0.0, 0.9)) / (1.0 - np.clip(alike, 0.0, 0.9)))
         self.sd *= size * float(shared)
 
-    def best(self, spectrum: Spectrum, *, kept: bool, start: FloatArray | None = None) -> FloatArray:
-        """The likeliest parameters (p,) of a spectrum. start: (p,), from which they are sought"""
-        if start is None:
-            middle, spread = self._priors(spectrum)
-            if not spectrum.endless and spectrum.most > 1:
-                middle = middle + spread * np.append(np.zeros(spectrum.most), np.linspace(-0.7, 0.7, spectrum.most))
-            more = [0.0, 0.5, *[np.log(SET_MEDIAN)] * kept, *[0.0] * (self._force is not None)]
-            start = np.append(middle, more)
-        found = scipy.optimize.least_squares(
-            lambda one: self.residuals(one[None], spectrum)[0],
-            start,
-            jac=lambda one: self.jacobian(one, spectrum),
-            x_scale="jac",
-            ftol=1e-7,
-            xtol=1e-6,
-            max_nfev=60,
-        )
-        return np.asarray(found.x)
-
-    def posterior(self, spectrum: Spectrum, kept: bool, random: np.random.Generator) -> _RecoveryDraws:
-        """Weighted draws of the parameters of one model."""
-        best = self.best(spectrum, kept=kept)
-        spread = np.append(self._priors(spectrum)[1], [SET_SPREAD] * kept)
-        size = float(np.log(np.sqrt(2.0 * np.pi) * spread).sum() - np.log(spectrum.prior))
-        drawn, weight, log_evidence = draw_about(
-            best, self.jacobian(best, spectrum), lambda some: self.residuals(some, spectrum), size, random
-        )
-        strength, retarded_s = self._filters(drawn, spectrum)
-        at = self._size(spectrum) + 2
-        none = ((0, 0), (0, max(one.most for one in self.spectra) - spectrum.most))
-        return _RecoveryDraws(
-            log_evidence=log_evidence,
-            best=best,
-            weight=weight,
-            strength=np.pad(strength, none),
-            retarded_s=np.pad(retarded_s, none, constant_values=1.0),
-            mean_s=mean_relaxation_s(strength, retarded_s),
-            kept=np.exp(drawn[:, at]) if kept else np.zeros(len(drawn)),
-            stiffness=self._force_scale * np.exp(drawn[:, -1]) if self._force is not None else np.zeros(len(drawn)),
-            endless=np.full(len(drawn), spectrum.endless),
+    def fitted(self, spectrum: Spectrum, kept: bool) -> DrawnModel:
+        """One spectrum with all choices of its nodes, with or without a set, as it is fitted."""
+        mean, spread = spectrum.priors()
+        force = self._force is not None
+        own = [0.0, 0.5, *[0.0] * force, *[float(np.log(SET_MEDIAN))] * kept]
+        own_spread = [OFFSET_SD, BETWEEN_SD, *[np.inf] * force, *[SET_SPREAD] * kept]
+        return DrawnModel(
+            np.hstack([np.broadcast_to(own, (len(mean), len(own))), mean]),
+            np.append(own_spread, spread),
+            spectrum.prior,
+            lambda some: self._residuals(some, spectrum, kept),
+            lambda some: self._linear(some, spectrum, kept),
         )
 
-    def jacobian(self, at: FloatArray, spectrum: Spectrum) -> FloatArray:
-        """(m, k) of the residuals, by central differences, all in one pass."""
-        step = 1e-4 * np.eye(len(at))
-        both = self.residuals(np.concatenate([at + step, at - step]), spectrum)
-        return np.asarray((both[: len(at)] - both[len(at) :]).T / 2e-4)
+    def kept(self, at: FloatArray, kept: bool) -> FloatArray:
+        """(d,) permanent shares of parameters (d, k)."""
+        return np.exp(at[:, self._own(kept) - 1]) if kept else np.zeros(len(at))
 
-    def residuals(self, at: FloatArray, spectrum: Spectrum) -> FloatArray:
-        """(d, m) of parameters (d, k): shares after the release, forces before it, then the priors' penalties."""
-        share, force = self.simulated(at, spectrum)
+    def stiffness(self, at: FloatArray) -> FloatArray:
+        """(d,) immediate forces of the largest displacement [N]."""
+        return self._force_scale * np.exp(at[:, 2]) if self._force is not None else np.zeros(len(at))
+
+    def _own(self, kept: bool) -> int:
+        """Number of parameters before those of the spectrum."""
+        return 2 + (self._force is not None) + kept
+
+    def _linear(self, at: FloatArray, spectrum: Spectrum, kept: bool) -> tuple[FloatArray, FloatArray]:
+        """(d, m) residuals of parameters (d, k), and their derivatives (d, k, m): central differences in one pass."""
+        step = 1e-4 * np.eye(at.shape[1])
+        near = (at[:, None, None] + np.stack([step, -step])).reshape(-1, at.shape[1])
+        more, less = self._residuals(near, spectrum, kept).reshape(len(at), 2, at.shape[1], -1).swapaxes(0, 1)
+        return self._residuals(at, spectrum, kept), (more - less) / 2e-4
+
+    def _residuals(self, at: FloatArray, spectrum: Spectrum, kept: bool) -> FloatArray:
+        """(d, m) of parameters (d, k): shares after the release, then forces before it, in their deviations."""
+        share, force = self.simulated(at, spectrum, kept)
         parts = [(self._amplitude[self._released :] - share) / self.sd]
         if self._force is not None:
             parts.append((self._force - force) / self._force_sd)
-        size, (middle, spread) = self._size(spectrum), self._priors(spectrum)
-        offset, between = at[:, size : size + 1], at[:, size + 1 : size + 2]
-        parts += [(at[:, :size] - middle) / spread, offset / OFFSET_SD, (between - 0.5) / BETWEEN_SD]
-        if self._has_set(at, spectrum):
-            parts.append((at[:, size + 2 : size + 3] - np.log(SET_MEDIAN)) / SET_SPREAD)
         return np.concatenate(parts, axis=1)
 
-    def simulated(self, at: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
+    def simulated(self, at: FloatArray, spectrum: Spectrum, kept: bool) -> tuple[FloatArray, FloatArray]:
         """Shares (d, T - released) after the release, and forces (d, released - 1) before it, of parameters (d, k)."""
         released, count = self._released, len(self._time)
-        strength, retarded = self._filters(at, spectrum)
-        size = self._size(spectrum)
-        offset, between = at[:, size, None], np.clip(at[:, size + 1], 0.0, 1.0)
-        kept = np.exp(at[:, size + 2]) if self._has_set(at, spectrum) else np.zeros(len(at))
+        strength, retarded = spectrum.filters(at[:, self._own(kept) :])
+        offset, between, stays = at[:, :1], np.clip(at[:, 1], 0.0, 1.0), self.kept(at, kept)
         most = self._most[released - 1]
-        driven = self._amplitude - kept[:, None] * self._most  # (d, T) what is elastic or creeps
+        driven = self._amplitude - stays[:, None] * self._most  # (d, T) what is elastic or creeps
         force = driven[:, :released].copy()
         branch: FloatArray = np.zeros((len(at), spectrum.most))
         if spectrum.most:
@@ -376,24 +379,8 @@ class _RecoveryLaw:
             since = self._time[released:] - self._time[released]
             left = np.exp(-since[None, None, :] / retarded[:, :, None])
             after = np.einsum("db,dbt->dt", strength * branch, left)
-        scale = np.exp(at[:, -1])[:, None] if self._force is not None else 1.0
-        return after + kept[:, None] * most + offset, scale * np.maximum(force[:, 1:], 0.0)
-
-    def _filters(self, at: FloatArray, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
-        """Strengths and retardation times (n, b) [s], these within their limits, of parameters (n, p)."""
-        strength, retarded_s = spectrum.filters(at[:, : self._size(spectrum)])
-        return strength, np.clip(retarded_s, *np.exp(self._limits))
-
-    def _priors(self, spectrum: Spectrum) -> tuple[FloatArray, FloatArray]:
-        """(k,) means and deviations of a spectrum's parameters: one Gaussian in place of a sum."""
-        means, spread = spectrum.priors()
-        return means.mean(axis=0), np.hypot(spread, means.std(axis=0))
-
-    def _size(self, spectrum: Spectrum) -> int:
-        return len(self._priors(spectrum)[0])
-
-    def _has_set(self, at: FloatArray, spectrum: Spectrum) -> bool:
-        return bool(at.shape[1] > self._size(spectrum) + 2 + (self._force is not None))
+        scale = np.exp(at[:, 2:3]) if self._force is not None else 1.0
+        return after + stays[:, None] * most + offset, scale * np.maximum(force[:, 1:], 0.0)
 
 
 def _driven(

@@ -35,7 +35,6 @@ from deformscope.stages.fit.relaxation import (
     RelaxationSeen,
     kept_of,
     relaxing,
-    seen_of,
 )
 from deformscope.stages.fit.weighted_draws import median_and_interval
 from deformscope.stages.poke.contact import (
@@ -195,12 +194,12 @@ def fit_creep(
     law = CreepLaw(samples, exponent, set_force_n, arm, force_sd, radius_m)
     draws = law.posterior()
     held_s = float(time_s[held - 1] - time_s[loading - 1])
-    seen = seen_of(draws.strength, draws.retarded_s, draws.endless, draws.weight, held_s)
+    seen = draws.seen(held_s)
     # without a reason, verdict and time are of what relaxes within the hold
     weight = draws.weight
     judged = weight * (seen.within if not seen.reasons else 1.0)
     instant = 1e-3 * set_force_n / draws.depth_m
-    share, creeps = seen.share, draws.strength.any(axis=1)
+    share = seen.share
     viscous = float(judged[share > ELASTIC_MOST].sum() / judged.sum())
     kept = _kept(draws, time_s, z_m, force, held, arm, force_sd)
     slip = _slip(draws, z_m, force, position_m[:held], force_n[:held], normal, loading, arm, force_sd)
@@ -215,10 +214,9 @@ def fit_creep(
     stays, stays_interval = nothing if kept is None else median_and_interval(kept, np.ones(len(kept)))
     instant_median, instant_interval = median_and_interval(instant, weight)
     share_median, share_interval = seen.bounded(*median_and_interval(share, weight), 1.0)
-    relaxation = median_and_interval(draws.mean_time_s[creeps], judged[creeps])
     relaxation_s: float | None
     relaxation_interval: tuple[float, float] | None
-    relaxation_s, relaxation_interval = seen.bounded(*relaxation, float("inf"))
+    relaxation_s, relaxation_interval = seen.bounded(*draws.time(judged), float("inf"))
     if weight[draws.branches > 1].sum() > SEVERAL:
         instant_interval = instant_interval[0], float("inf")
         if seen.reasons:

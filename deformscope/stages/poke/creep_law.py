@@ -15,10 +15,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 import scipy  # its parts are imported as they are first used: who only reads results needs none
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import FloatArray
 from deformscope.stages.fit.creep_spectra import LARGEST_LOG, Spectrum, spectra
-from deformscope.stages.fit.relaxation import mean_relaxation_s
-from deformscope.stages.fit.weighted_draws import DrawnModel, draw_about_each
+from deformscope.stages.fit.relaxation import RelaxationDraws, relaxation_posterior
+from deformscope.stages.fit.weighted_draws import DrawnModel
 from deformscope.stages.gaussian_process import correlation
 from deformscope.stages.poke.contact import LOADED, ArmCompliance
 
@@ -68,28 +68,15 @@ class CreepSamples:
 
 
 @dataclass(frozen=True, slots=True)
-class CreepDraws:
-    """Weighted draws: weight (d,), which adds up to 1; z0, D0 [m], log of the relaxed dent over D0, p, deviations of
-    the arm's compliance, mean relaxation time [s], all (d,); j_i and l_i [s] (d, b), with strength 0 for absent
-    branches; branches: (d,) their number; endless (d,): the spectrum has no end"""
+class CreepDraws(RelaxationDraws):
+    """Weighted draws of a touch: z0, D0 [m], log of the relaxed dent over D0, p, deviations of the arm's compliance,
+    all (d,)"""
 
-    weight: FloatArray
     start_m: FloatArray
     depth_m: FloatArray
     log_deeper: FloatArray
     exponent: FloatArray
     bent: FloatArray
-    mean_time_s: FloatArray
-    strength: FloatArray
-    retarded_s: FloatArray
-    branches: IntArray
-    endless: BoolArray
-
-    def some(self, random: np.random.Generator, count: int) -> CreepDraws:
-        """`count` draws, picked in proportion to their weight."""
-        at = random.choice(len(self.weight), count, p=self.weight / self.weight.sum())
-        others = {one.name: getattr(self, one.name)[at] for one in fields(self)}
-        return CreepDraws(**others | {"weight": np.full(count, 1.0 / count)})
 
     def dents(self, z_m: FloatArray, force_n: FloatArray, arm: ArmCompliance) -> FloatArray:
         """(d, n) of places and forces (n,) [m]."""
@@ -148,33 +135,24 @@ class CreepLaw:
     def posterior(self) -> CreepDraws:
         """Weighted draws of the parameters, of all spectra."""
         random = np.random.default_rng(0)
-        drawn, weight = draw_about_each([self._fitted(one) for one in self._spectra], random)
-        some = [self._draws(*pair, random) for pair in zip(self._spectra, drawn, strict=True)]
-        names = [one.name for one in fields(CreepDraws) if one.name != "weight"]
-        return CreepDraws(
-            weight=weight, **{name: np.concatenate([getattr(one, name) for one in some]) for name in names}
-        )
+        drawn, found = relaxation_posterior([(one, self._fitted(one)) for one in self._spectra], random)
+        own = [self._own(*pair, random) for pair in zip(self._spectra, drawn, strict=True)]
+        common = [getattr(found, one.name) for one in fields(found)]
+        return CreepDraws(*common, *np.concatenate(own, axis=1))
 
-    def _draws(self, spectrum: Spectrum, drawn: FloatArray, random: np.random.Generator) -> CreepDraws:
-        """Draws of one spectrum, from parameters (d, k)."""
-        strength, retarded_s = spectrum.filters(drawn[:, SHAPE:])
-        branches = strength.shape[1]
-        log_felt = np.log1p(strength.sum(axis=1))
+    def _own(self, spectrum: Spectrum, drawn: FloatArray, random: np.random.Generator) -> FloatArray:
+        """(5, d) the fields of `CreepDraws` alone, from parameters (d, k) of one spectrum."""
+        log_felt = np.log1p(spectrum.filters(drawn[:, SHAPE:])[0].sum(axis=1))
         log_depth = self._log_dent(drawn, np.zeros(len(drawn)))
         log_deeper = self._log_dent(drawn, log_felt) - log_depth + self._law_off(drawn, spectrum, log_felt, random)
-        none = ((0, 0), (0, max(one.most for one in self._spectra) - branches))
-        return CreepDraws(
-            weight=np.ones(len(drawn)),
-            start_m=1e-3 * drawn[:, 0],
-            depth_m=np.maximum(np.exp(log_depth), 1e-6),
-            log_deeper=log_deeper if branches else np.zeros(len(drawn)),
-            exponent=np.maximum(drawn[:, 2], LEAST_EXPONENT),
-            bent=drawn[:, 4],
-            mean_time_s=mean_relaxation_s(strength, retarded_s),
-            strength=np.pad(strength, none),
-            retarded_s=np.pad(retarded_s, none, constant_values=1.0),
-            branches=np.full(len(drawn), branches),
-            endless=np.full(len(drawn), spectrum.endless),
+        return np.stack(
+            [
+                1e-3 * drawn[:, 0],
+                np.maximum(np.exp(log_depth), 1e-6),
+                log_deeper if spectrum.most else np.zeros(len(drawn)),
+                np.maximum(drawn[:, 2], LEAST_EXPONENT),
+                drawn[:, 4],
+            ]
         )
 
     def _law_off(

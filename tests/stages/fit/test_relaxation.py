@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.stages.fit.creep_spectra import Branches, Endless
-from deformscope.stages.fit.relaxation import force_kept, kept_of, mean_relaxation_s, relaxing, seen_of
+from deformscope.stages.fit.relaxation import RelaxationDraws, force_kept, kept_of, mean_relaxation_s, relaxing
 from deformscope.stages.fit.weighted_draws import DrawnModel, draw_about_each
+
+
+def draws_of(strength: FloatArray, retarded_s: FloatArray, endless: BoolArray, weight: FloatArray) -> RelaxationDraws:
+    mean_s = mean_relaxation_s(strength, retarded_s)
+    return RelaxationDraws(weight, strength, retarded_s, mean_s, (strength > 0.0).sum(axis=1), endless)
 
 
 def test_relaxation_follows_from_creep() -> None:
@@ -45,10 +51,10 @@ def test_what_a_record_did_not_see_is_a_reason() -> None:
     strength, weight = np.array([[0.3, 0.0], [0.2, 0.2]]), np.array([0.4, 0.6])
     never = np.zeros(2, dtype=bool)
     for slow_s, codes in ((5.0, []), (50.0, ["short-record"])):
-        seen = seen_of(strength, np.array([[1.0, 1.0], [1.0, slow_s]]), never, weight, 8.0)
+        seen = draws_of(strength, np.array([[1.0, 1.0], [1.0, slow_s]]), never, weight).seen(8.0)
         assert [one.code for one in seen.reasons] == codes
         assert seen.within.tolist() == [True, not codes]
-    endless = seen_of(strength, np.array([[1.0, 1.0], [1.0, 50.0]]), np.array([False, True]), weight, 8.0)
+    endless = draws_of(strength, np.array([[1.0, 1.0], [1.0, 50.0]]), np.array([False, True]), weight).seen(8.0)
     assert [one.code for one in endless.reasons] == ["no-plateau"]
     assert endless.share == pytest.approx([0.3 / 1.3, 0.2 / 1.2]), "beyond the record nothing is counted"
     assert endless.bounded(0.4, (0.3, 0.5), 1.0) == (0.3, (0.3, 1.0))
@@ -58,7 +64,7 @@ def test_what_a_record_did_not_see_is_a_reason() -> None:
 def test_an_interval_is_open_where_the_end_may_be_unseen(unseen: float, opens: bool) -> None:
     strength, retarded_s, endless = np.full((3, 1), 0.3), np.array([[1.0], [50.0], [1.0]]), np.array([0, 0, 1], bool)
     weight = np.array([1.0 - unseen, 0.5 * unseen, 0.5 * unseen])
-    seen = seen_of(strength, retarded_s, endless, weight, 8.0)
+    seen = draws_of(strength, retarded_s, endless, weight).seen(8.0)
     assert (seen.reasons, seen.open) == ((), opens)
     assert seen.bounded(0.4, (0.3, 0.5), 1.0) == (0.4, (0.3, 1.0 if opens else 0.5))
 

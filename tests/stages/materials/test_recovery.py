@@ -10,8 +10,7 @@ import pytest
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.materials import recovery
-from deformscope.stages.materials.recovery import fit_recovery
-from deformscope.stages.materials.recovery_estimate import RecoveryEstimate
+from deformscope.stages.materials.recovery import RecoveryEstimate, fit_recovery
 
 FINE = 40
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 
 import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.relaxation import DOUBTED, OPEN, seen_of
-from deformscope.stages.poke import creep
+from deformscope.stages.fit.relaxation import DOUBTED, OPEN, RelaxationDraws
 from deformscope.stages.poke.contact import ArmCompliance
 from deformscope.stages.poke.creep import CreepFit, cycle_loss, fit_creep
 
@@ -133,7 +131,8 @@ def test_a_hold_says_only_what_it_saw_and_always_the_force_that_is_kept(
 
 def test_intervals_open_where_the_relaxed_state_may_be_unseen(monkeypatch: pytest.MonkeyPatch) -> None:
     opened = touch((0.3,), (1.0,), 3.0, noise_m=5e-5)
-    monkeypatch.setattr(creep, "seen_of", partial(seen_of, open_from=1.0))
+    seen = RelaxationDraws.seen
+    monkeypatch.setattr(RelaxationDraws, "seen", lambda draws, record_s: seen(draws, record_s, open_from=1.0))
     before = touch((0.3,), (1.0,), 3.0, noise_m=5e-5)
     assert OPEN < opened.short_record + opened.no_plateau < DOUBTED
     assert (opened.reasons, before.reasons) == ((), ())
