@@ -37,8 +37,8 @@ SET_MEDIAN, SET_SPREAD = 0.06, 1.0
 """Log-normal prior of the share that is kept: 1 to 40 % [assumed]."""
 MOST_BRANCHES = 3
 OPEN_RECOVERY = 0.13
-"""The same as `relaxation.OPEN` for recoveries. At .15 intervals of the share hold .82 of slow branches; at .1 the
-median width of the time of two branches is 1.8 times as large (pushes of a Maxwell solid, seeds 3000 to 3099)."""
+"""The same as `relaxation.OPEN` for recoveries: chosen on pushes of a Maxwell solid, seeds 3000 to 3099, before they
+shared the posterior of touches."""
 PRESSED = 0.95
 """Share of the largest displacement at which the push has come to its end."""
 FORCE_DRAWS = 400
