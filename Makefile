@@ -21,7 +21,7 @@ export PYTHONUNBUFFERED := 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime docs gallery lint format clean
+.PHONY: help setup system-libraries demo samples bench bench-suite test unit test-slow test-cores test-realtime docs gallery pictures lint format clean
 
 help:
 	@printf '%-20s%s\n' 'make demo' 'measure what is built in, and leave the recording (125 MB) in runs/'
@@ -34,6 +34,7 @@ help:
 	@printf '%-20s%s\n' 'make samples' 'make the small recordings in recordings/ anew'
 	@printf '%-20s%s\n' 'make docs' 'the site, in build/site'
 	@printf '%-20s%s\n' 'make gallery' 'pictures and films of every view, in build/gallery (needs Vulkan)'
+	@printf '%-20s%s\n' 'make pictures' 'the pictures of docs and README of today (needs Vulkan and Chromium)'
 	@printf '%-20s%s\n' 'make lint' 'lints and types alone'
 	@printf '%-20s%s\n' 'make format' 'write the house format'
 	@printf '%-20s%s\n' 'make setup' 'the virtual environment alone (the others do this by themselves)'
@@ -107,6 +108,9 @@ docs: setup
 
 gallery: setup
 	@$(PY) tools/gallery.py
+
+pictures: setup
+	@$(PY) tools/pictures.py
 
 bench: setup
 	@$(PY) -m deformscope bench

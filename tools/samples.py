@@ -69,10 +69,9 @@ def cube() -> bytes:
     return arrays(**named, noise_m=CUBE_NOISE_M, nu=POISSON, shape=made.seen.shape)
 
 
-def poke() -> bytes:
+def poke(at: tuple[float, float] = (0.12, 0.12), force_n: float = 6.0) -> bytes:
     """The surface of a slab of foam, 40 kPa and 5 cm thick, before and while a flat tip presses it, and the force."""
-    slab = Slab((0.4, 0.3, 0.05), 40e3, 0.3)
-    at, side, force_n = (0.12, 0.12), 0.03, 6.0
+    slab, side = Slab((0.4, 0.3, 0.05), 40e3, 0.3), 0.03
     rest = slab.grid(SPACING_M)
     dent = press_slab(slab, at, RigidTip((0.5 * side, 0.5 * side)), rest, force=force_n)
     contact = np.flatnonzero(dent.touched)

@@ -31,6 +31,7 @@ Theme = Literal["dark", "light"]
 LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
 LOAD_TIMEOUT_S = 30.0
 NOTICES_S = 5.0
+ATTEMPTS = 3
 PRESS = [
     {"name": "click", "args": {"role": "Button", "label_contains": "Light"}},
     {"name": "hover", "args": {"pos": {"x": -99.0, "y": -99.0}}},  # else the pointer is in the pictures
@@ -133,7 +134,12 @@ def shoot(
     else:
         viewer.set_time("frame", sequence=last_frame(recording) if frame is None else frame, play_state="paused")
     time.sleep(1.0)  # the first picture of a view may still lack its images
-    viewer.save_screenshot(str(out / f"{prefix}window.png"))  # before a hidden view has a notice over the window
+    for left in reversed(range(ATTEMPTS)):  # on a busy machine the viewer answers late
+        with contextlib.suppress(*[TimeoutError] * (left > 0)):
+            viewer.save_screenshot(
+                str(out / f"{prefix}window.png")
+            )  # before a hidden view has a notice over the window
+            break
     complaints = []
     for view in viewer.get_state().views:
         name = "".join(letter if letter.isalnum() else "_" for letter in view.name)[:40]

@@ -37,6 +37,8 @@ STEPS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0)
 """Possible ends of the colour scale."""
 ACROSS = 3
 """Most pictures next to each other."""
+SHORT = 8
+"""Most rows of tables that are shown below pictures, not next to them."""
 
 
 def log_findings(rec: rr.RecordingStream, found: Findings, below: rrb.Blueprint | None = None) -> None:
@@ -120,9 +122,12 @@ def findings_blueprint(found: Findings, below: rrb.Blueprint | None = None) -> r
     views = [*bodies, *pictures]
     root: rrb.Container | rrb.View = rrb.TextDocumentView(origin="/found/tables", name="Numbers")
     if views:
-        across = 1 if len(views) < ACROSS else min(ACROSS, math.ceil(math.sqrt(len(views))))
+        short = sum(len(one.rows) for one in found.tables) <= SHORT
+        across = min(ACROSS, math.ceil(math.sqrt(len(views)))) if short or len(views) >= ACROSS else 1
         grid = rrb.Grid(*views, grid_columns=across)
-        root = rrb.Horizontal(grid, root, column_shares=[3, 2])
+        root = (
+            rrb.Vertical(grid, root, row_shares=[2, 1]) if short else rrb.Horizontal(grid, root, column_shares=[3, 2])
+        )
     if below is not None:
         root = rrb.Vertical(root, below.root_container)
     return blueprint_of(root, "frame" if below is None else "session", play=None)

@@ -33,6 +33,7 @@ ERROR, INTERVAL, MINIMUM, POSTERIOR = "#1f5fd0", "#9db8e8", "#d92b2b", "#5b3fa0"
 
 VERDICT_COLORS = {"identified": "#177a2b", "weak": "#a86400"}
 OTHER_VERDICT = "#b01818"
+WORDS = "#3b4048"
 
 APART = 0.02
 """Largest distance of a posterior's peak from the estimate, as a share of the range, at which the peak has no mark. A
@@ -135,7 +136,7 @@ def results_png(results: Sequence[Result]) -> bytes:
     first = results[0].estimate
     if len(results) == 1:
         words = f"{headline(first)}\n{textwrap.fill(first.verdict_text(), 130)}\nstiffness: {first.stiffness_text()}"
-        figure.suptitle(words, color=verdict_color(first), fontsize=14, fontweight="bold")
+        figure.suptitle(words, color=WORDS, fontsize=13)
     else:
         figure.suptitle(f"{first.parameter} of {len(results)} pairs", fontsize=15, fontweight="bold")
     shown, every = len(rows), sum(len(one.comparisons) for one in results)
@@ -185,7 +186,7 @@ def _draw_evidence(
     _draw_curve(above, estimate, size)
     if titled:
         words = f"{textwrap.fill(headline(estimate), width)}\n{textwrap.fill(estimate.verdict_text(), width)}"
-        above.set_title(words, fontsize=size + 1, color=verdict_color(estimate), fontweight="bold")
+        above.set_title(words, fontsize=size, color=WORDS)
 
 
 def _draw_curve(axes: Axes, estimate: Estimate, size: int) -> None:

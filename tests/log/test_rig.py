@@ -412,6 +412,23 @@ def test_views_on_a_page_are_high_enough_for_a_label_at_their_axes(count: int, m
     assert len(shown) <= 3
 
 
+def test_names_of_a_hand_are_apart_in_a_narrow_view() -> None:
+    """270 px, as a view of eight has on the page; a letter is 7 px wide, and a name has 5 px around it."""
+    hand = Hand.of(rig.PADS)
+    (left, right), _ = hand.bounds_mm
+    boxes: dict[float, list[tuple[float, float]]] = {}
+    for x, y, name in hand.names():
+        middle, half = (x - left) / (right - left) * 270.0, 3.5 * len(name) + 5.0
+        boxes.setdefault(y, []).append((middle - half, middle + half))
+        assert middle - half >= 0.0
+    for line in boxes.values():
+        ends = sorted(line)
+        assert all(one[1] < other[0] for one, other in itertools.pairwise(ends))
+    first = min(left for _, left in hand.corners) * hand.texel_mm[0]
+    pads_px = (first - left) / (right - left) * 270.0
+    assert all(end <= pads_px + 1.0 for y, line in boxes.items() for _, end in line if len(line) == 1)
+
+
 def test_pads_of_other_hands() -> None:
     alone = Hand.of([Pad("palm", 3, 5, (0.002, 0.004), 0, 0, 0)])
     assert (alone.rows, alone.columns, alone.corners, alone.texel_mm) == (3, 5, ((0, 0),), (2.0, 4.0))

@@ -25,11 +25,11 @@ from deformscope.log.rig.columns import (
 )
 from deformscope.pictures.palette import BACKGROUND, colors, round_up, tints_of
 
-FINGER_GAP, PART_GAP = 8, 4
+FINGER_GAP, PART_GAP = 18, 8
 """Texels between the pads of two fingers, and between those of one: room for labels."""
-LEFT, RIGHT, ABOVE, BELOW = 8.0, 4.0, 4.0, 9.0
+LEFT, RIGHT, ABOVE, BELOW = 22.0, 10.0, 8.0, 18.0
 """Texels around all."""
-OVER, BESIDE = 3.2, 4.5
+OVER, BESIDE = 3.2, 11.0
 """Texels from a pad to its name."""
 BAR_STEPS = 128
 TEXEL_MM = 3.4
@@ -185,9 +185,9 @@ def _log_hand(rec: Sink, device: str, hand: Hand) -> None:
     bar = np.repeat(colors(np.linspace(0, 1, BAR_STEPS))[None], 2, axis=0)
     (width, height), (_, texel) = hand.size_mm, hand.texel_mm
     rec.log(f"{path}/bar", rr.Image(bar), static=True)
-    place = rr.Transform3D(translation=[0.0, height + 4.0 * texel, 0.0], scale=[width / BAR_STEPS, texel / 2, 1.0])
+    place = rr.Transform3D(translation=[0.0, height + 9.0 * texel, 0.0], scale=[width / BAR_STEPS, texel / 2, 1.0])
     rec.log(f"{path}/bar", place, static=True)
-    ticks = [(share * width, height + 5.0 * texel) for share in (0.0, 0.5, 1.0)]
+    ticks = [(share * width, height + 10.0 * texel) for share in (0.0, 0.5, 1.0)]
     _log_text(rec, f"{path}/scale", ticks, None)
 
 
