@@ -309,7 +309,7 @@ def explore_known(case: RegionCase) -> RegionOutcome:
     posterior = RegionPosterior.before_touches(MapGrid(cell_m=CELL_M), prior, seed=case.seed)
     with threadpool_limits(1):
         while True:
-            plan = plan_touch(posterior, FieldKernel(), options, seed=case.seed)
+            plan = plan_touch(posterior, FieldKernel(), options)
             if plan.stop is not None or plan.target_m is None:
                 break
             posterior = posterior.with_touch(surface.touch(plan.target_m, doubt))

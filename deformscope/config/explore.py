@@ -11,12 +11,12 @@ from deformscope.config import flags
 from deformscope.config.options import Flags, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
-BetaModel = Literal["volume", "thesis", "layers", "none"]
+BetaModel = Literal["volume", "thesis", "none"]
 Detail = Literal["full", "lean"]
 Feel = Literal["apparent", "relaxed", "loss"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
-Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
+Planner = Literal["regions", "thesis"]
 REGION_TOUCHES, INCLUSION_TOUCHES = 8, 30
 """Default number of touches."""
 MOST_HOLD_S = 60.0
@@ -24,10 +24,23 @@ BORDER_M, LEAST_BORDER_M = 0.02, 0.01
 """No touch is made closer to the surface's edge, unless requested; the least distance at which the law of edges was
 measured."""
 _GRID = flags.Rule(lambda grid: 0.002 <= grid <= 0.02, "a {flag} of 0.002 to 0.02 m")
-BetaGridFlag = Annotated[float, arg(name="beta-grid", metavar="M"), _GRID]
-BetaStepFlag = Annotated[float, flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")]
+_STEP = flags.Rule(lambda step: 0.001 <= step <= 0.5, "a {flag} of 0.001 to 0.5")
 _WIDTH = flags.Rule(lambda width: 0.05 <= width <= 10.0, "a {flag} of 0.05 to 10 m")
-SigmaWFlag = Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH]
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisFlags(Flags):
+    """Chapter 4 by its own rules: --planner thesis, --beta-model thesis. The defaults are the thesis's."""
+
+    beta_grid_m: Annotated[float, arg(name="beta-grid", metavar="M"), _GRID] = 0.005
+    """Spacing of the particles of the thesis's sweep, and with --planner thesis of the places whose variance is
+    evaluated [m]."""
+    beta_step: Annotated[float, _STEP] = 0.01
+    """Step of the thesis's sweep of beta, from 0 to below 1."""
+    sigma_w_m: Annotated[float, arg(name="sigma-w", metavar="M"), _WIDTH] = 0.5
+    """Width of the kernel of --planner thesis [m]. Together with --threshold it alone determines the number of touches
+    (n of table 4.1), whatever they measure. The thesis does not print it; with the default, 60 x 40 cm of one foam take
+    its 3 touches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +54,9 @@ class ExploreFlags(Flags):
     """The goal: regions of one stiffness each, or inclusions below a homogeneous surface, stiffer or softer than the
     foam around them. Inclusions end when a missed one of --smallest-inclusion or more is less likely than 5 %."""
     planner: Planner = "regions"
-    """How the next place is chosen. regions: largest gain of the map of regions per second (default); three rules use
-    the field's variance. thesis: all of chapter 4. It begins at --first (default: a preset place), touches while any
-    variance of its field of beta exceeds --threshold, and finds regions along isopleths."""
+    """How the next place is chosen. regions: largest gain of the map of regions per second (default). thesis: all of
+    chapter 4. It begins at --first (default: a preset place), touches while any variance of its field of beta exceeds
+    --threshold, and finds regions along isopleths."""
     threshold: float = 0.06
     """Variance, as a share of the variance before any touch, below which a place needs no touch (Th of the thesis)."""
     hold_s: Annotated[float, arg(name="hold", metavar="S")] = 0.0
@@ -63,16 +76,8 @@ class ExploreFlags(Flags):
     """Place of the first touch, in the surface frame [m]; default: the most informative place."""
     beta_model: BetaModel | None = None
     """Model that beta is fitted with. volume: layers below the surface (default); thesis: the thesis's sweep with one
-    held particle of a single layer (default of --planner thesis) or of layers; none."""
-    beta_grid_m: BetaGridFlag = 0.005
-    """Spacing of the particles of the thesis's sweep, and with --planner thesis of the places whose variance is
-    evaluated [m]; default: the thesis's."""
-    beta_step: BetaStepFlag = 0.01
-    """Step of the thesis's sweep of beta, from 0 to below 1; default: the thesis's."""
-    sigma_w_m: SigmaWFlag = 0.5
-    """Width of the kernel of --planner thesis [m]. Together with --threshold it alone determines the number of touches
-    (n of table 4.1), whatever they measure. The thesis does not print it; with the default, 60 x 40 cm of one foam take
-    its 3 touches."""
+    held particle of a single layer (default of --planner thesis); none."""
+    thesis: OmitArgPrefixes[ThesisFlags] = field(default_factory=ThesisFlags)
     detail: Detail = "full"
     """Content of the recording besides devices, estimates and maps. full: pixels with the rules that removed others,
     the surface under each touch, the error over beta, and training data with weights. full: force and pose at the

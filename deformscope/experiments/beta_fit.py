@@ -14,7 +14,8 @@ from deformscope.stages.fit.estimate import Curve
 from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.map.perception import SeenDent, TouchSurface
 from deformscope.stages.map.surface import fit_surface
-from deformscope.stages.map.touch_beta import BallContact, dent_of, fit_touch, thesis_beta
+from deformscope.stages.map.thesis import dent_of, thesis_beta
+from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.poke.contact import ArmCompliance, ContactFit
 from deformscope.stages.regions.touches import MapGrid
 from deformscope.stages.see.cloud import tactile_points
@@ -57,11 +58,9 @@ def fit_beta(
         return _rigid(touched, options) if as_thesis else BetaEstimate("rigid: no dent to fit")
     ball, thickness_m = _ball(touched, fit, arm, options.tip_radius_m), surface.layer.thickness_m
     if options.beta_model == "thesis":
-        return _swept(touched, ball, surface, None, options)
+        return _swept(touched, ball, surface, options)
     if thickness_m is None:
         return BetaEstimate("not fitted: the foam's thickness is not known")
-    if options.beta_model == "layers":
-        return _swept(touched, ball, surface, thickness_m, options)
     found = fit_touch(surface.process, touched.after_m, ball, thickness_m=thickness_m)
     made = BetaEstimate(
         found.estimate.verdict,
@@ -73,7 +72,7 @@ def fit_beta(
     )
     if not as_thesis:
         return made
-    under = _under(touched, ball, surface, options.beta_grid_m)
+    under = _under(touched, ball, surface, options.thesis.beta_grid_m)
     return dataclasses.replace(made, dented_m=under.dent.dented_m, surface=under)
 
 
@@ -81,7 +80,7 @@ def touch_surface(
     touched: TouchMeasurement, fit: ContactFit, surface: SeenSurface, arm: ArmCompliance, options: ExploreOptions
 ) -> TouchSurface:
     """The surface under a touch that is not rigid, if `fit_beta` did not compute it."""
-    return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface, options.beta_grid_m)
+    return _under(touched, _ball(touched, fit, arm, options.tip_radius_m), surface, options.thesis.beta_grid_m)
 
 
 def _rigid(touched: TouchMeasurement, options: ExploreOptions) -> BetaEstimate:
@@ -105,16 +104,10 @@ def _ball(touched: TouchMeasurement, fit: ContactFit, arm: ArmCompliance, radius
     )
 
 
-def _swept(
-    touched: TouchMeasurement,
-    ball: BallContact,
-    surface: SeenSurface,
-    thickness_m: float | None,
-    options: ExploreOptions,
-) -> BetaEstimate:
-    """By the thesis's sweep. thickness_m: thickness of the layers below the surface; None: a single layer"""
-    under = _under(touched, ball, surface, options.beta_grid_m)
-    swept = thesis_beta(under.dent, thickness_m=thickness_m, step=options.beta_step)
+def _swept(touched: TouchMeasurement, ball: BallContact, surface: SeenSurface, options: ExploreOptions) -> BetaEstimate:
+    """By the thesis's sweep."""
+    under = _under(touched, ball, surface, options.thesis.beta_grid_m)
+    swept = thesis_beta(under.dent, step=options.thesis.beta_step)
     return BetaEstimate(
         f"thesis: {swept.note}",
         value=swept.beta,

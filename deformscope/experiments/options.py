@@ -21,7 +21,7 @@ from deformscope.experiments.quantity import (
 from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
-from deformscope.stages.map.thesis_field import ThesisField
+from deformscope.stages.map.thesis import ThesisField
 from deformscope.stages.regions.levels import RegionPrior
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
@@ -101,10 +101,9 @@ class ExploreOptions(ExploreFlags):
         """Weights of the planner for touches."""
         touch_s, speed_m_s = PLANNED_COSTS[self.pace]
         return PlanOptions(
-            planner=self.planner,
             budget=self.budget,
             threshold=self.threshold,
-            cell_m=self.beta_grid_m if self.planner == "thesis" else PLAN_CELL_M,
+            cell_m=self.thesis.beta_grid_m if self.planner == "thesis" else PLAN_CELL_M,
             inclusion_m=self.inclusion_m,
             touch_s=touch_s,
             speed_m_s=speed_m_s,
@@ -127,8 +126,8 @@ class ExploreOptions(ExploreFlags):
             return InclusionSearch(InclusionPosterior(grid, prior))
         posterior = RegionPosterior.before_touches(grid, RegionPrior(error=error), seed=self.seed)
         if self.planner == "thesis":
-            return ThesisSearch(posterior, self.seed, thesis=ThesisField(width_m=self.sigma_w_m))
-        return RegionSearch(posterior, self.seed)
+            return ThesisSearch(posterior, self.seed, ThesisField(width_m=self.thesis.sigma_w_m))
+        return RegionSearch(posterior)
 
     def first_place(self, size_m: tuple[float, float], search: SurfaceSearch) -> tuple[FloatArray, str] | None:
         """Place of the first touch (2,) [m], and its reason; None = the most informative place."""

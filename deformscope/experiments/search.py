@@ -21,7 +21,7 @@ from deformscope.stages.map.inclusion_posterior import InclusionPosterior
 from deformscope.stages.map.map_score import boundary_distance, match_regions
 from deformscope.stages.map.perception import TrainedField
 from deformscope.stages.map.plan import FieldKernel, TouchChoice, plan_touch
-from deformscope.stages.map.thesis_field import FIRST_SHARE, SIGMA_E, SIGMA_N, SIGMA_W_M, ThesisField, contoured
+from deformscope.stages.map.thesis import FIRST_SHARE, SIGMA_E, SIGMA_N, ThesisField, contoured, plan_thesis_touch
 from deformscope.stages.poke.contact import EXPONENT_SD, LOADED, ContactFit
 from deformscope.stages.poke.law_response import LEAST_SHARE
 from deformscope.stages.regions.posterior import RegionMap, RegionPosterior
@@ -102,24 +102,25 @@ class SurfaceSearch(ABC):
 
 @dataclass(frozen=True, eq=False)
 class RegionSearch(SurfaceSearch):
-    """Search for regions of one stiffness each. seed: seed of planners with random choices"""
+    """Search for regions of one stiffness each."""
 
     posterior: RegionPosterior
-    seed: int
 
     def planner(self, touches: int) -> Callable[..., TouchChoice]:
-        return partial(plan_touch, self.posterior, FieldKernel(), seed=self.seed + touches)
+        return partial(plan_touch, self.posterior, FieldKernel())
 
 
 @dataclass(frozen=True, eq=False)
 class ThesisSearch(RegionSearch):
-    """Search for the thesis's regions, between isopleths of its field of beta. thesis: the field of beta"""
+    """Search for the thesis's regions, between isopleths of its field of beta. seed: seed of the random
+    choices; thesis: the field of beta"""
 
+    seed: int = 0
     thesis: ThesisField = field(default_factory=ThesisField)
     first_share = FIRST_SHARE
 
     def planner(self, touches: int) -> Callable[..., TouchChoice]:
-        return partial(super().planner(touches), thesis=self.thesis)
+        return partial(plan_thesis_touch, self.thesis, self.posterior, seed=self.seed + touches)
 
     def with_beta(self, dented_m: FloatArray, beta: float) -> ThesisSearch:
         return dataclasses.replace(self, thesis=self.thesis.with_touch(dented_m, beta))
@@ -131,7 +132,7 @@ class ThesisSearch(RegionSearch):
         thesis = self.thesis
         found = thesis.on(grid)
         trained = TrainedField(
-            kernel=Kernel(SIGMA_E, SIGMA_W_M),
+            kernel=Kernel(SIGMA_E, thesis.width_m),
             noise=SIGMA_N,
             place_m=thesis.places_m,
             value=thesis.beta,

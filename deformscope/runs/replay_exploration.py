@@ -4,11 +4,12 @@ plans with their maps, touches, maps) are computed again and must be equal to th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from deformscope.config import ReplayConfig
+from deformscope.config.explore import ThesisFlags
 from deformscope.errors import InputError
 from deformscope.pictures.report import Table
 from deformscope.plain import Json
@@ -61,8 +62,11 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     from deformscope.stages.map.perception import LookPerception, TouchPerception
 
     settings, path = recording.settings, config.recording
-    changes = _changes(config.set, ExploreOptions)
-    options = dataclasses.replace(msgspec.convert(settings["explore"], ExploreOptions), **changes)
+    changes = _changes(config.set, get_type_hints(ExploreOptions) | get_type_hints(ThesisFlags))
+    before = msgspec.convert(settings["explore"], ExploreOptions)
+    own = {name: changes[name] for name in changes.keys() & get_type_hints(ThesisFlags).keys()}
+    thesis = {"thesis": dataclasses.replace(before.thesis, **own)}
+    options = dataclasses.replace(before, **{name: changes[name] for name in changes.keys() - own.keys()} | thesis)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds: tuple[type, ...] = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
     if options.detail == "full" and not changes:
@@ -113,11 +117,11 @@ class _Heard:
         self.results += getattr(items, "results", ())
 
 
-def _changes(words: Sequence[str], kind: type) -> dict[str, Any]:
-    """KEY=VALUE, each of a field of this dataclass. Raises InputError."""
+def _changes(words: Sequence[str], hints: Mapping[str, Any]) -> dict[str, Any]:
+    """KEY=VALUE, each of a field with this type. Raises InputError."""
     import msgspec
 
-    known, found = get_type_hints(kind), {}
+    known, found = {name: hint for name, hint in hints.items() if not dataclasses.is_dataclass(hint)}, {}
     for word in words:
         name, equals, text = word.partition("=")
         if not equals or name not in known:

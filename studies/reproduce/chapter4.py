@@ -7,14 +7,15 @@ python -m studies reproduce chapter4 --quick --out figures --json -
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tyro.conf import OmitArgPrefixes
 
 from deformscope.config import flags
-from deformscope.config.explore import BetaGridFlag, BetaStepFlag, SigmaWFlag
+from deformscope.config.explore import ThesisFlags
 from deformscope.pictures.report import Table
 from studies.output import dict_table, pictures_of, write_rows
 from studies.reproduce.chapter4_figures import draw_betas, draw_clouds, draw_dents, draw_fields
@@ -43,12 +44,7 @@ class Chapter4Config(StudyOptions):
     """Folder for the figures (PNG) and tables (CSV); existing files are replaced."""
     seeds: flags.ManyFlag = 3
     """Layouts of each scenario, from seed 0 on; figure 4.7 shows the first."""
-    beta_grid_m: BetaGridFlag = 0.005
-    """Spacing of the particles, and of the places whose variance is evaluated [m]; default: the thesis's."""
-    beta_step: BetaStepFlag = 0.01
-    """Step of the sweep of beta, from 0 to below 1; default: the thesis's."""
-    sigma_w_m: SigmaWFlag = 0.5
-    """Width of the field's kernel [m], which determines the number of touches (`deformscope explore --help`)."""
+    thesis: OmitArgPrefixes[ThesisFlags] = field(default_factory=ThesisFlags)
     quick: bool = False
     """Only one foam and one scenario."""
 
@@ -57,7 +53,7 @@ def trials(options: Chapter4Config) -> list[Trials[Any, Any]]:
     """The foams, and the scenarios of each seed."""
     hardnesses = HARDNESSES_N[1:2] if options.quick else HARDNESSES_N
     scenes = list(SCENARIOS)[:1] if options.quick else list(SCENARIOS)
-    own = replace(OWN, beta_grid_m=options.beta_grid_m, beta_step=options.beta_step, sigma_w_m=options.sigma_w_m)
+    own = replace(OWN, thesis=options.thesis)
     seeds = range(1 if options.quick else options.seeds)
     return [
         Trials("foams", press_foam, [TouchedFoam(one, own) for one in hardnesses]),
@@ -94,7 +90,7 @@ def report(
     draw_betas(foams, out / "figure45.png")
     draw_dents(foams, out / "figure46.png")
     draw_fields([one for one in explored if one.seed == 0], out / "figure47.png")
-    why = to_text(foams, explored, options.beta_step)
+    why = to_text(foams, explored, options.thesis.beta_step)
     summary = {"betas": betas, "table": rows, "why": why, "explorations": [_run(one) for one in explored]}
     drawn = pictures_of(
         {

@@ -49,7 +49,7 @@ def true_log_stiffness(modulus_pa: FloatArray) -> FloatArray:
 def run_closed_form(job: TableJob, prior: RegionPrior | None = None) -> TableRun:
     """Explore one scene. prior: prior of the estimator, None = as in `explore`"""
     began = time.perf_counter()
-    scene, options = built_in(job.scene, job.seed), PlanOptions(planner=job.planner, budget=job.touches)
+    scene, options = built_in(job.scene, job.seed), PlanOptions(budget=job.touches)
     truth, random = _truth(scene), np.random.default_rng([job.seed, 0xC10])
     errors = (LabErrors.none() if job.clean else LabErrors()).draw([job.seed, 0xC11])
     posterior = RegionPosterior.before_touches(MapGrid(scene.size_m), prior, seed=job.seed)
@@ -58,7 +58,7 @@ def run_closed_form(job: TableJob, prior: RegionPrior | None = None) -> TableRun
     with threadpool_limits(1):
         while True:
             start = time.perf_counter()
-            choice = plan_touch(posterior, FieldKernel(), options, seed=job.seed + len(after))
+            choice = plan_touch(posterior, FieldKernel(), options)
             if after:
                 spent = time.perf_counter() - start
                 unseen = choice.missed.probability(options.inclusion_m)

@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, explore, within_loop
+from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, Steering, explore, within_loop
 from deformscope.experiments.explorer import ExplorationStages
 from deformscope.experiments.measured import off_the_border, sample_box
 from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
@@ -192,11 +192,15 @@ class LabRobot:
 
 
 def explore_at_once(
-    robot: LabRobot, stages: ExplorationStages, recorder: SessionRecorder, found: Exploration | None = None
+    robot: LabRobot,
+    stages: ExplorationStages,
+    recorder: SessionRecorder,
+    found: Exploration | None = None,
+    steering: Steering | None = None,
 ) -> None:
     """Explore with a robot that gives measurements immediately. Raises ExplorationStopped. recorder: receives every
-    stage's results; found: receives the touches"""
+    stage's results; found: receives the touches; steering: may change the next touch"""
     found = Exploration() if found is None else found
-    run([], explore(lambda: 0, within_loop(stages), found), recorder, AtOnce(robot))
+    run([], explore(lambda: 0, within_loop(stages), found, steering=steering), recorder, AtOnce(robot))
     if found.stop is not None:
         raise ExplorationStopped(found.stop, found.stop_ns)

@@ -21,8 +21,8 @@ from deformscope.config.explore import Pace
 from deformscope.errors import InputError
 from deformscope.lab.scenes import BUILT_IN, built_in
 from deformscope.pictures.report import Table
-from deformscope.stages.map.plan import Planner
 from studies.output import dict_table, pictures_of, write_rows
+from studies.planners import PLANNERS
 from studies.reproduce.closed_form_table import run_closed_form
 from studies.reproduce.table41_robot import run_table
 from studies.reproduce.table41_runs import TableJob, TableRun
@@ -41,7 +41,7 @@ class Table41Config(StudyOptions):
     scenes: Annotated[str, arg(metavar="NAME,NAME...")] = ""
     """Scenes, as `deformscope explore --list-scenarios` lists them; default: all."""
     planners: Annotated[str, arg(metavar="NAME,NAME...")] = "regions"
-    """Planners: regions, integrated-variance, max-variance, random-above. The first is compared with the others."""
+    """Planners: regions, max-variance, random-above (`studies.planners`). The first is compared with the others."""
     seeds: flags.ManyFlag = 20
     """Layouts of each scene, from seed 0 on."""
     touches: flags.ManyFlag = 12
@@ -61,8 +61,9 @@ def trials(options: Table41Config) -> list[Trials[TableJob, TableRun]]:
     paces = _named(options.pace, get_args(Pace), "paces")
     if options.closed_form and paces != ["careful"]:
         raise InputError("--pace with simulated touches", "--closed-form, which has no travel", "one of them")
-    # the thesis's planner is of `reproduce chapter4`
-    planners = _named(options.planners, [name for name in get_args(Planner) if name != "thesis"], "planners")
+    planners = _named(options.planners, list(PLANNERS), "planners")
+    if options.closed_form and planners != ["regions"]:
+        raise InputError("--planners with simulated touches", "--closed-form, which has no robot", "one of them")
     jobs = [
         TableJob(
             scene,

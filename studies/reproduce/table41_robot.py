@@ -11,7 +11,7 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deformscope.experiments.explore import Exploration
+from deformscope.experiments.explore import Exploration, PlannedBy
 from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
 from deformscope.experiments.measured import SetupGeometry, highest_m
 from deformscope.experiments.options import TRAVEL_M_S, ExploreOptions
@@ -23,6 +23,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.setup import CameraView
 from deformscope.stages.map.exploration import PlannedTouch, TouchEstimate
 from studies.map_score import TrueMap, score_map
+from studies.planners import PLANNERS
 from studies.reproduce.surface_robot import LabRobot, explore_at_once, true_map
 from studies.reproduce.table41_runs import MapAfter, TableJob, TableRun
 from studies.reproduce.touch_clock import PlannedTouches, TouchClock
@@ -34,7 +35,6 @@ def run_table(job: TableJob) -> TableRun:
     with threadpool_limits(1):
         scene = built_in(job.scene, job.seed)
         options = ExploreOptions(
-            planner=job.planner,
             budget=job.touches,
             beta_model="none",
             seed=job.seed,
@@ -52,7 +52,8 @@ def run_table(job: TableJob) -> TableRun:
         truth = true_map(robot.scene, options)
         found = Exploration()
         scores = _Scores(found, stages, robot, truth, clock)
-        explore_at_once(robot, stages, scores, found)
+        planner = PLANNERS[job.planner](job.seed)
+        explore_at_once(robot, stages, scores, found, None if planner is None else PlannedBy(planner, found))
     after, stop_after = tuple(scores.after), scores.stop_after
     return TableRun(job, scene.region_count, after, robot.most_force_n, stop_after, time.perf_counter() - began)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from deformscope.config.explore import Pace
-from deformscope.stages.map.plan import Planner
 from studies.map_score import MapScore
 
 
@@ -18,7 +17,7 @@ class TableJob:
 
     scene: str
     seed: int
-    planner: Planner = "regions"
+    planner: str = "regions"
     touches: int = 8
     go_on: bool = False
     closed_form: bool = False

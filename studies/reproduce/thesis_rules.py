@@ -30,17 +30,16 @@ from deformscope.lab.slab_world import SlabWorld
 from deformscope.stages.gaussian_process import ProcessPrediction
 from deformscope.stages.map.map_score import match_regions
 from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
-from deformscope.stages.map.thesis_field import FINE_SIGMA_W_M, ThesisField, contoured
-from deformscope.stages.map.touch_beta import (
-    THESIS_GRID_M,
+from deformscope.stages.map.thesis import (
     THESIS_SIDE_M,
     THESIS_STEP,
-    BallContact,
+    ThesisField,
+    contoured,
     dent_of,
-    fit_touch,
     swept_betas,
     thesis_beta,
 )
+from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.regions.touches import MapGrid
 from studies.reproduce.foam_fits import format_order
 from studies.reproduce.surface_robot import LabRobot, explore_at_once
@@ -76,11 +75,8 @@ AROUND_M = 2.0 * THESIS_SIDE_M
 """Width of the square of material points of the exact dent, which are 2.5 mm apart."""
 
 
-OWN = ExploreOptions(
-    planner="thesis", beta_model="layers", beta_grid_m=THESIS_GRID_M, beta_step=THESIS_STEP, sigma_w_m=FINE_SIGMA_W_M
-)
-"""The thesis's rules, except that layers below its single layer are fitted; the single layer is shown for
-comparison."""
+OWN = ExploreOptions(planner="thesis")
+"""The thesis's rules."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +126,7 @@ def press_foam(case: TouchedFoam) -> FoamDent:
     hardness_n, own = case.hardness_n, case.own
     with threadpool_limits(1):
         scene = built_in(f"homogeneous-{hardness_n}", 0)
-        options = replace(own, beta_model="thesis", thickness_m=scene.thickness_m)
+        options = replace(own, thickness_m=scene.thickness_m)
         robot = LabRobot(scene, options)
         explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
         at = 0.5 * np.asarray(scene.size_m)
@@ -143,7 +139,7 @@ def press_foam(case: TouchedFoam) -> FoamDent:
         level = thickness - found.depth_m
         ball = BallContact(np.append(at, level), radius, found.depth_m, found.peak_force_n)
         world = SlabWorld(robot.scene)
-        exact = _exact(world, at, level + radius, radius, own.beta_grid_m)
+        exact = _exact(world, at, level + radius, radius, own.thesis.beta_grid_m)
         betas: list[HeldBeta] = []
         for size in case.cluster_sizes:
             for hold, seen, below in (
@@ -151,7 +147,7 @@ def press_foam(case: TouchedFoam) -> FoamDent:
                 (HOLDS[1], dent, thickness),
                 (HOLDS[2], exact, thickness),
             ):
-                swept = thesis_beta(seen, thickness_m=below, cluster_size=size, step=own.beta_step)
+                swept = thesis_beta(seen, thickness_m=below, cluster_size=size, step=own.thesis.beta_step)
                 betas.append(HeldBeta(hold, size, swept.beta, swept.error_m))
             if size is not None:
                 ours = fit_touch(
@@ -197,8 +193,8 @@ class BetaField:
 
 
 def explore_scenario(case: ScenarioCase) -> Scenario:
-    """Explore a scene from a seed until its variance is below Th. The field is computed by layers, and by a single
-    layer from the same dents: the places of touches do not depend on beta."""
+    """Explore a scene from a seed until its variance is below Th. The field is computed by a single layer, and by
+    layers from the same dents: the places of touches do not depend on beta."""
     name, seed, own = case.scene, case.seed, case.own
     with threadpool_limits(1):
         scene = built_in(name, seed)
@@ -211,12 +207,15 @@ def explore_scenario(case: ScenarioCase) -> Scenario:
         explore_at_once(robot, stages, _Nowhere(), found)
         explorer = stages.explorer
         assert isinstance(explorer.search, ThesisSearch)
-        layers = explorer.search.thesis
+        single = explorer.search.thesis
         dents = [beta.dent for beta in explorer.betas if beta.value is not None]
-        counts = np.cumsum(layers.dented)
-        single = ThesisField(width_m=own.sigma_w_m)
-        for dent, places_m in zip(dents, np.split(layers.places_m, counts[:-1]), strict=True):
-            single = single.with_touch(places_m, 0.0 if dent is None else thesis_beta(dent, step=own.beta_step).beta)
+        counts = np.cumsum(single.dented)
+        layers = ThesisField(width_m=own.thesis.sigma_w_m)
+        for dent, places_m in zip(dents, np.split(single.places_m, counts[:-1]), strict=True):
+            beta = 0.0
+            if dent is not None:
+                beta = thesis_beta(dent, thickness_m=scene.thickness_m, step=own.thesis.beta_step).beta
+            layers = layers.with_touch(places_m, beta)
     fields = {"layers": _field(layers, truth), "single layer": _field(single, truth)}
     return Scenario(
         scene=name,

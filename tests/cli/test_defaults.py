@@ -115,7 +115,7 @@ def test_a_difference_would_be_seen() -> None:
 def test_options_of_explorations_are_those_of_the_command(given: dict[str, Any]) -> None:
     """Those too that follow from goal and planner."""
     options, flags = ExploreOptions(**given), deformscope.config.ExploreConfig(rig="lab:disc", **given)
-    for name in ("budget", "beta_model", "beta_grid_m", "beta_step", "sigma_w_m", "threshold", "border_m"):
+    for name in ("budget", "beta_model", "thesis", "threshold", "border_m"):
         assert getattr(options, name) == getattr(flags, name), name
     if not given:
         assert options.planning == PlanOptions()

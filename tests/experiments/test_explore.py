@@ -350,8 +350,8 @@ def test_the_thesis_way_says_what_its_trend_is() -> None:
 
 @pytest.mark.slow  # several whole touches
 def test_chapter_4_starts_at_its_place_ends_by_its_variance_and_cuts_along_isopleths() -> None:
-    """Of foam and something rigid, by layers: a single layer finds a beta of 0 in either."""
-    _, moments = explored("two-150-rigid", budget=8, planner="thesis", beta_model="layers", seed=1000)
+    """Of foam and something rigid, by a volume: a single layer finds a beta of 0 in either."""
+    _, moments = explored("two-150-rigid", budget=8, planner="thesis", beta_model="volume", seed=1000)
     touches = [one for one in moments if isinstance(one, TouchEstimate)]
     maps = [one for one in moments if isinstance(one, MapEstimate)]
     plans = [one for one in moments if isinstance(one, PlannedTouch)]

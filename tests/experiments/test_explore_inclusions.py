@@ -129,7 +129,7 @@ def test_what_was_found_is_recorded_without_loss(first: tuple[BumpRobot, Explora
 
 def test_it_has_a_planner_of_its_own() -> None:
     with pytest.raises(InputError, match="planner of --goal"):
-        ExploreOptions(goal="inclusions", planner="max-variance")
+        ExploreOptions(goal="inclusions", planner="thesis")
 
 
 def test_an_edge_is_no_soft_lump(first: tuple[BumpRobot, Exploration, list[object]]) -> None:

@@ -1,4 +1,4 @@
-"""`--planner thesis` has the thesis's grid and sweep unless others are asked for; older recordings keep theirs."""
+"""`--planner thesis` has the thesis's grid and sweep unless others are asked for."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from deformscope.experiments.robot_geometry import Touch
 from deformscope.experiments.search import ThesisSearch
 from deformscope.lab.scenes import built_in
 from deformscope.runs.opened_devices import setup_of
-from deformscope.stages.map.touch_beta import swept_betas
+from deformscope.stages.map.thesis import swept_betas
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 from studies.reproduce.surface_robot import LabRobot
@@ -41,18 +41,17 @@ def test_grid_sweep_and_places_are_the_thesiss_by_default() -> None:
     options = options_of()
 
     assert options.beta_model == "thesis"
-    assert options.beta_grid_m == options.planning.cell_m == 0.005
-    np.testing.assert_allclose(swept_betas(options.beta_step), np.arange(100) / 100.0)
+    assert options.thesis.beta_grid_m == options.planning.cell_m == 0.005
+    np.testing.assert_allclose(swept_betas(options.thesis.beta_step), np.arange(100) / 100.0)
     assert field_width(options) == 0.5
-    chosen = (OWN.beta_grid_m, OWN.beta_step, OWN.sigma_w_m)
-    assert chosen == (options.beta_grid_m, options.beta_step, options.sigma_w_m)
+    assert OWN.thesis == options.thesis
 
 
 def test_others_are_taken_where_they_are_asked_for() -> None:
     options = options_of(beta_grid_m=0.01, beta_step=0.25, sigma_w_m=0.7)
 
     assert options.planning.cell_m == 0.01
-    assert swept_betas(options.beta_step).tolist() == [0.0, 0.25, 0.5, 0.75]
+    assert swept_betas(options.thesis.beta_step).tolist() == [0.0, 0.25, 0.5, 0.75]
     assert field_width(options) == 0.7
     for wrong in ({"beta_grid_m": 0.0005}, {"beta_step": 0.0}, {"sigma_w_m": 0.0}):
         with pytest.raises(InputError):
@@ -74,7 +73,7 @@ def test_a_simulated_scene_leaves_the_tangent_free_where_it_is_asked_for(
 
 @pytest.mark.slow
 def test_a_touch_is_swept_on_that_grid_in_those_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The dent that the sweep is given, and the step, for each way to hold the model."""
+    """The dent that the sweep is given, and the step."""
     given = []
 
     def swept(dent: object, **options: object) -> None:
@@ -83,13 +82,13 @@ def test_a_touch_is_swept_on_that_grid_in_those_steps(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(beta_fit, "thesis_beta", swept)
     scene = built_in("homogeneous-60", 0)
-    options = dataclasses.replace(options_of(), beta_model="layers", thickness_m=scene.thickness_m)
+    options = dataclasses.replace(options_of(), thickness_m=scene.thickness_m)
     robot = LabRobot(scene, options)
     explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
     at = 0.5 * np.asarray(scene.size_m)
     explorer.touch(robot.touch(Touch(at, *explorer.surface.aim(at))))
 
     ((dent, how),) = given
-    assert how == {"thickness_m": pytest.approx(scene.thickness_m), "step": 0.01}
+    assert how == {"step": 0.01}
     assert dent.shape == (30, 30)
     np.testing.assert_allclose(np.diff(np.unique(dent.before[:, 0])), 0.005)

@@ -1,17 +1,16 @@
 """The next touch, and its reason: the expected information of each place, the cost of travel, and excluded places.
 
-`random-above`: any place whose field variance is above a threshold (Thesis 4.2). `thesis`: that rule with the thesis's
-field of beta, whose variance alone ends the touches (`thesis_field`). `max-variance`: the largest variance.
-`integrated-variance`: the largest drop of the mean variance (active learning Cohn, 1996). `regions`, the default:
-touches that fill the space first, then those that are expected to correct most of the map's labels. They show the
-course of borders, or an inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. All of these
-per second.
+Touches fill the space first, where the mean variance of a field drops the most (active learning Cohn, 1996). Then those
+follow that are expected to correct most of the map's labels per second. They show the course of borders, or an
+inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. `thesis` and `inclusion_plan` have other
+rules.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, cast, get_args
+from typing import Literal, cast
 
 import numpy as np
 from scipy.special import ndtr, ndtri, xlogy
@@ -22,15 +21,12 @@ from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import gaussian_between
 from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, UnseenInclusions, detection_limit
 from deformscope.stages.map.exploration import DetectionLimit
-from deformscope.stages.map.thesis_field import SIGMA_E, ThesisField
 from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
 from deformscope.stages.regions.levels import labels_of
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid
 
-Planner = Literal["regions", "integrated-variance", "max-variance", "random-above", "thesis"]
-PLANNERS: tuple[Planner, ...] = get_args(Planner)
 StopReason = Literal["budget", "nothing above the threshold", "little left to learn", "nowhere to go", "no lump missed"]
 
 ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE = range(4)
@@ -72,9 +68,9 @@ class FieldKernel:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """planner; fill: touches that fill the space before regions are planned; cell_m: cell size of the places considered
-    border_m, apart_m: least distance from the border and from earlier touches, except for `regions`, which may repeat
-    one; touch_s, speed_m_s: costs of touch and route
+    """fill: touches that fill the space before regions are planned; cell_m: cell size of the places considered
+    border_m, apart_m: least distance from the border and from earlier touches, except of those that are repeated
+    touch_s, speed_m_s: costs of touch and route
     threshold: threshold of variance, as a share of the field's variance before any touch (Th, thesis 4.2)
     least_gain: where less is to be gained it stops: of the share of cells with the right label; sure: the probability
     from which the number of regions is no longer in doubt; budget: most touches
@@ -83,7 +79,6 @@ class PlanOptions:
     inclusions alone are sought: probability of a missed one, below which enough is known (`inclusion_plan`)
     """
 
-    planner: Planner = "regions"
     fill: int = 4
     cell_m: float = 0.02
     border_m: float = 0.02
@@ -99,8 +94,6 @@ class PlanOptions:
     missed: float = 0.05
 
     def __post_init__(self) -> None:
-        if self.planner not in PLANNERS:
-            raise InputError(f"a planner of {', '.join(PLANNERS)}", self.planner)
         if min(self.cell_m, self.touch_s, self.speed_m_s, self.inclusion_m) <= 0.0 or self.budget < 1:
             raise InputError("cells, times, speed, inclusions and budget above 0", f"{self}")
 
@@ -127,6 +120,79 @@ class TouchChoice:
     missed: DetectionLimit
 
 
+@dataclass(frozen=True, slots=True)
+class PlannedPlaces:
+    """The places that are considered for a touch: cells of `grid`.
+
+    made_m: (n, 2) places of earlier touches, those without a result too [m]; excluded: (p,) codes, changed where a
+    touch may be repeated; cost_s: (p,) time of the route and the touch
+    """
+
+    grid: MapGrid
+    made_m: FloatArray
+    excluded: IntArray
+    cost_s: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        posterior: RegionPosterior,
+        options: PlanOptions,
+        *,
+        tip_m: FloatArray | None,
+        left_out_m: FloatArray | None,
+        reachable: BoolArray | None,
+    ) -> PlannedPlaces:
+        """Arguments as in `plan_touch`."""
+        grid = MapGrid(posterior.grid.size_m, options.cell_m)
+        touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
+        made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
+        tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
+        excluded = exclusions(grid.centres_m, made, posterior.grid, reachable, options)
+        return cls(grid, made, excluded, options.touch_s + np.hypot(*(grid.centres_m - tip).T) / options.speed_m_s)
+
+    @property
+    def allowed(self) -> BoolArray:
+        """(p,) where a touch is possible."""
+        return np.asarray(self.excluded == ALLOWED)
+
+    def ended(self, options: PlanOptions) -> StopReason | None:
+        """Why no touch is possible, None while one is."""
+        if len(self.made_m) >= options.budget:
+            return "budget"
+        return None if self.allowed.any() else "nowhere to go"
+
+    def choice(
+        self,
+        limit: DetectionLimit,
+        gain: FloatArray,
+        unit: str,
+        score: FloatArray,
+        stop: StopReason | None,
+        why: Callable[[int], str],
+        at_m: FloatArray | None = None,
+    ) -> TouchChoice:
+        """The place of the largest score. gain, score: (p,) of each place; why: the reason for a place; at_m: (p, 2)
+        where the touch of each place is made, default its middle [m]"""
+        target, reason = None, f"stopped: {stop}"
+        if self.allowed.any():
+            best = int(np.nanargmax(np.where(self.allowed, score, -np.inf)))
+            target = (self.grid.centres_m if at_m is None else at_m)[best]
+            reason = why(best) if stop is None else reason
+        shape = self.grid.shape
+        return TouchChoice(
+            grid=self.grid,
+            target_m=target,
+            stop=stop,
+            gain=gain.reshape(shape),
+            unit=unit,
+            cost_s=self.cost_s.reshape(shape),
+            excluded=self.excluded.reshape(shape),
+            reason=reason,
+            missed=limit,
+        )
+
+
 def plan_touch(
     posterior: RegionPosterior,
     kernel: FieldKernel,
@@ -135,61 +201,34 @@ def plan_touch(
     tip_m: FloatArray | None = None,
     left_out_m: FloatArray | None = None,
     reachable: BoolArray | None = None,
-    thesis: ThesisField | None = None,
-    seed: int = 0,
 ) -> TouchChoice:
     """The next touch.
 
     tip_m: (2,) present place of the tip, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) places of touches without a result: they count for the budget, and are not repeated
-    reachable: (rows, columns) cells of `posterior.grid` that the tip reaches; thesis: the field of the planner
-    "thesis"; seed: seed of random planners
+    reachable: (rows, columns) cells of `posterior.grid` that the tip reaches
     """
-    grid = MapGrid(posterior.grid.size_m, options.cell_m)
-    places = grid.centres_m
-    touched = np.array([touch.xy_m for touch in posterior.touches]).reshape(-1, 2)
-    made = touched if left_out_m is None else np.concatenate([touched, left_out_m])
-    tip = tip_m if tip_m is not None else touched[-1] if len(touched) else np.zeros(2)
-    excluded = exclusions(places, made, posterior.grid, reachable, options)
+    planned = PlannedPlaces.of(posterior, options, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+    places, excluded = planned.grid.centres_m, planned.excluded
+    touched, left_out = np.split(planned.made_m, [len(posterior.touches)])
     at_m, again = posterior.repeated(places, 0.5 * options.cell_m)
-    if options.planner == "regions" and len(touched) >= options.fill:
-        failed = exclusions(places, made[len(touched) :], posterior.grid, reachable, options) == TOUCHED_BEFORE
+    if len(touched) >= options.fill:
+        failed = exclusions(places, left_out, posterior.grid, reachable, options) == TOUCHED_BEFORE
         excluded[again & (excluded == TOUCHED_BEFORE) & ~failed] = ALLOWED
-    cost = options.touch_s + np.hypot(*(places - tip).T) / options.speed_m_s
-    if options.planner == "thesis":
-        variance, before = ((thesis or ThesisField()).at(places).deviation / SIGMA_E) ** 2, 1.0
-    else:
-        variance, before = _variance(kernel, touched, places), kernel.sd**2
-    allowed = excluded == ALLOWED
+    allowed = planned.allowed
     with threadpool_limits(1):
-        if options.planner in ("random-above", "thesis"):
-            gain, unit = np.where(allowed, variance, np.nan), "variance"
-            order = np.random.default_rng((seed, len(touched))).random(len(places))
-            score = np.where(variance / before > options.threshold, order, -1.0)
-        else:
-            gain, unit, score = _gain(posterior, kernel, options, places, allowed, touched, variance, cost)
-        limit = detection_limit(posterior, made, {*INCLUSION_RADII_M, options.inclusion_m})
-    stop = _stop(posterior, options, len(made), gain, unit, variance[allowed] / before, limit)
+        gain, unit = _gain(posterior, kernel, options, places, allowed, touched, planned.cost_s)
+        limit = detection_limit(posterior, planned.made_m, {*INCLUSION_RADII_M, options.inclusion_m})
+    stop = planned.ended(options)
+    if stop is None:
+        variance = _variance(kernel, touched, places[allowed]) / kernel.sd**2
+        stop = _enough(posterior, options, gain, unit, variance, limit)
 
-    target, reason = None, f"stopped: {stop}"
-    if allowed.any():
-        best = int(np.nanargmax(np.where(allowed, score, -np.inf)))
-        target = at_m[best]
-        if stop is None:
-            reason = _why(posterior, options, unit, float(gain[best]), float(cost[best]))
-            reason = "the same place again: " * bool(again[best]) + reason
-    shape = grid.shape
-    return TouchChoice(
-        grid=grid,
-        target_m=target,
-        stop=stop,
-        gain=gain.reshape(shape),
-        unit=unit,
-        cost_s=cost.reshape(shape),
-        excluded=excluded.reshape(shape),
-        reason=reason,
-        missed=limit,
-    )
+    def why(best: int) -> str:
+        text = _why(posterior, unit, float(gain[best]), float(planned.cost_s[best]))
+        return "the same place again: " * bool(again[best]) + text
+
+    return planned.choice(limit, gain, unit, gain / planned.cost_s, stop, why, at_m)
 
 
 def information(hypotheses: RegionHypotheses, touches: RelatedTouches, blur_m: float) -> FloatArray:
@@ -309,17 +348,11 @@ def _gain(
     places: FloatArray,
     allowed: BoolArray,
     touched: FloatArray,
-    variance: FloatArray,
     cost: FloatArray,
-) -> tuple[FloatArray, str, FloatArray]:
-    """Gain (p,), nan where not `allowed`, its unit, and the score (p,) whose largest is taken."""
-    if options.planner == "max-variance":
-        return np.where(allowed, variance, np.nan), "variance", variance
-    drop = np.where(allowed, _integrated_drop(kernel, touched, places), np.nan)
-    if options.planner == "integrated-variance":
-        return drop, "mean variance", drop
+) -> tuple[FloatArray, str]:
+    """Gain (p,), nan where not `allowed`, and its unit."""
     if len(touched) < options.fill:
-        return drop, "mean variance", drop / cost
+        return np.where(allowed, _integrated_drop(kernel, touched, places), np.nan), "mean variance"
     gain = np.full(len(places), np.nan)
     if allowed.any():
         gain[allowed] = _inclusion_gain(posterior, options.inclusion_m, places[allowed])
@@ -327,7 +360,7 @@ def _gain(
         if posterior.probability["1"] <= 0.5:
             at_m, _ = posterior.repeated(places[allowed], 0.5 * options.cell_m)
             gain[allowed] += _region_gain(posterior, posterior.related(at_m), cost[allowed])
-    return gain, "label", gain / cost
+    return gain, "label"
 
 
 def _inclusion_gain(posterior: RegionPosterior, smallest_m: float, places: FloatArray) -> FloatArray:
@@ -348,26 +381,19 @@ def _region_gain(posterior: RegionPosterior, touches: RelatedTouches, cost: Floa
     return gain
 
 
-def _stop(
+def _enough(
     posterior: RegionPosterior,
     options: PlanOptions,
-    made: int,
     gain: FloatArray,
     unit: str,
     variance: FloatArray,
     limit: DetectionLimit,
 ) -> StopReason | None:
-    """Why no further touch is made, None while one is. While the number of regions is in doubt, or inclusions may be
+    """Why no further touch is needed, None while one is. While the number of regions is in doubt, or inclusions may be
     there unseen, only the budget and the reach end it. gain: (n,) gain of each place, NaN where no touch is allowed"""
-    if made >= options.budget:
-        return "budget"
-    if not np.isfinite(gain).any():
-        return "nowhere to go"
-    if options.planner == "thesis":
-        return "nothing above the threshold" if variance.max() < options.threshold else None
     if len(posterior.touches) < 3 or max(posterior.probability.values()) < options.sure:
         return None
-    if options.planner == "regions" and limit.probability(options.inclusion_m) > options.unmet:
+    if limit.probability(options.inclusion_m) > options.unmet:
         return None
     if variance.max() < options.threshold:
         return "nothing above the threshold"
@@ -376,12 +402,8 @@ def _stop(
     return None
 
 
-def _why(posterior: RegionPosterior, options: PlanOptions, unit: str, gain: float, cost_s: float) -> str:
+def _why(posterior: RegionPosterior, unit: str, gain: float, cost_s: float) -> str:
     """Why here, in words."""
-    if options.planner in ("random-above", "thesis"):
-        return f"drawn at random from the places with a variance above the threshold; here it is {gain:.3g}"
-    if options.planner == "max-variance":
-        return f"the place where the map is least certain: variance of log stiffness {gain:.3g}"
     if unit == "mean variance":
         return f"spreads the touches over the surface, where the map is least certain; takes {cost_s:.0f} s"
     if posterior.probability["1"] > 0.5:

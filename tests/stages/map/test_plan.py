@@ -18,19 +18,18 @@ from deformscope.stages.map.plan import (
     INCLUSION_WORTH,
     LARGER,
     OUT_OF_REACH,
-    PLANNERS,
     TOUCHED_BEFORE,
     FieldKernel,
-    Planner,
     PlanOptions,
     information,
     label_gain,
     plan_touch,
 )
+from deformscope.stages.map.thesis import ThesisField, plan_thesis_touch
 from deformscope.stages.regions.hypotheses import RegionHypotheses, RelatedTouches
-from deformscope.stages.regions.levels import RegionPrior
+from deformscope.stages.regions.levels import RegionPrior, readings_of
 from deformscope.stages.regions.partitions import draw
-from deformscope.stages.regions.posterior import RegionPosterior, _readings
+from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touch_error import TouchErrorModel
 from deformscope.stages.regions.touches import MapGrid, StiffnessSample
 
@@ -54,13 +53,14 @@ def one_material() -> RegionPosterior:
     return mapped([StiffnessSample(np.array(xy), 0.02 * (-1.0) ** i, 0.08) for i, xy in enumerate(SPREAD)])
 
 
-@pytest.mark.parametrize("planner", PLANNERS)
-def test_no_target_is_out_of_reach_at_the_border_or_where_it_was_touched(
-    planner: Planner, halves: RegionPosterior
-) -> None:
+@pytest.mark.parametrize("thesis", [False, True])
+def test_no_target_is_out_of_reach_at_the_border_or_where_it_was_touched(thesis: bool, halves: RegionPosterior) -> None:
     reachable = GRID.centres_m[:, 0].reshape(GRID.shape) < 0.45
-    for seed in range(3):
-        plan = plan_touch(halves, KERNEL, PlanOptions(planner), reachable=reachable, seed=seed)
+    for seed in range(3 if thesis else 1):
+        if thesis:
+            plan = plan_thesis_touch(ThesisField(), halves, PlanOptions(), reachable=reachable, seed=seed)
+        else:
+            plan = plan_touch(halves, KERNEL, PlanOptions(), reachable=reachable)
         assert plan.target_m is not None
         assert plan.target_m[0] < 0.45
         assert 0.02 < plan.target_m[1] < 0.38
@@ -79,7 +79,7 @@ def test_cost_is_the_touch_and_the_way_to_it(halves: RegionPosterior) -> None:
 
 def test_integrated_variance_is_what_one_more_touch_really_takes_off(one_material: RegionPosterior) -> None:
     """Against the variance of the process computed anew with the touch in it."""
-    options = PlanOptions("integrated-variance", cell_m=0.05, border_m=0.0, apart_m=0.0)
+    options = PlanOptions(fill=20, cell_m=0.05, border_m=0.0, apart_m=0.0)
     plan = plan_touch(one_material, KERNEL, options)
     places, touched = plan.grid.centres_m, np.array(SPREAD)
 
@@ -94,23 +94,6 @@ def test_integrated_variance_is_what_one_more_touch_really_takes_off(one_materia
         assert plan.gain.ravel()[place] == pytest.approx(drop, rel=1e-6)
 
 
-def test_maximum_variance_takes_the_largest_and_random_any_above_the_threshold(one_material: RegionPosterior) -> None:
-    largest = plan_touch(one_material, KERNEL, PlanOptions("max-variance"))
-    assert largest.target_m is not None
-    here = np.argmin(np.hypot(*(largest.grid.centres_m - largest.target_m).T))
-    assert largest.gain.ravel()[here] == np.nanmax(largest.gain)
-
-    options = PlanOptions("random-above", threshold=0.5)
-    targets = []
-    for seed in range(12):
-        plan = plan_touch(one_material, KERNEL, options, seed=seed)
-        assert plan.target_m is not None
-        here = np.argmin(np.hypot(*(plan.grid.centres_m - plan.target_m).T))
-        assert plan.gain.ravel()[here] > 0.5 * KERNEL.sd**2
-        targets.append(here)
-    assert len(set(targets)) > 8
-
-
 def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     """Two maps that are equally likely: the entropy of a mixture of two normals, by quadrature."""
     maps = draw(np.random.default_rng(0), 2, GRID.size_m, 200)
@@ -123,7 +106,7 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     weighed = ((pair, level, np.zeros((2, 2, 2)), np.array([0.5, 0.5])),)
     hypotheses = RegionHypotheses(weighed, (), True, (np.zeros(2),))
     prior = RegionPrior(mixed_share=0.0)
-    new = RelatedTouches(places, _readings((), prior), prior, 0.2)
+    new = RelatedTouches(places, readings_of((), prior), prior, 0.2)
     found = information(hypotheses, new, 0.012)
 
     mean = np.log(pair.shares(places, 0.012) @ np.exp(level[0]))[..., None]
@@ -180,26 +163,6 @@ def test_lumps_are_sought_where_there_are_two_materials_too(halves: RegionPoster
     assert plan_touch(halves, KERNEL, PlanOptions(sure=0.1, least_gain=1.0, threshold=0.0)).stop is None
 
 
-def test_a_search_for_inclusions_leaves_smaller_holes_than_the_variance() -> None:
-    """Ten touches of one material: what fits between them."""
-    grid = MapGrid(cell_m=0.02)
-    places = grid.centres_m
-    inner = np.minimum(places, np.asarray(grid.size_m) - places).min(axis=1)
-
-    def hole(planner: Planner) -> float:
-        touches: list[StiffnessSample] = []
-        posterior = RegionPosterior.before_touches(grid, particle_count=50)
-        for _ in range(10):
-            plan = plan_touch(posterior, KERNEL, PlanOptions(planner))
-            assert plan.target_m is not None
-            touches.append(StiffnessSample(plan.target_m, 0.0, 0.03))
-            posterior = posterior.with_touch(touches[-1])
-        away = np.min([np.hypot(*(places - touch.xy_m).T) for touch in touches], axis=0)
-        return float(np.minimum(away, inner).max())
-
-    assert hole("regions") < 0.95 * hole("max-variance")
-
-
 def test_one_material_is_enough_once_lumps_would_have_been_felt() -> None:
     """It stops by itself, before its budget; later where smaller lumps are asked for, and then all have been met."""
     made = []
@@ -235,8 +198,6 @@ def test_why_it_stops(halves: RegionPosterior, one_material: RegionPosterior) ->
 
 
 def test_what_makes_no_sense_is_refused(halves: RegionPosterior) -> None:
-    with pytest.raises(InputError, match="planner"):
-        PlanOptions("luck")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="above 0"):
         PlanOptions(budget=0)
     with pytest.raises(InputError, match="mask"):
@@ -253,11 +214,11 @@ def test_a_touch_may_be_repeated_at_its_very_place_and_says_less_than_one_beside
     assert plan.excluded.ravel()[cells].tolist() == [ALLOWED, TOUCHED_BEFORE]
     assert plan.gain.ravel()[cells[0]] > 0.0
 
-    # where that touch gave nothing it is not made again; neither in a filling, nor by the other planners
+    # where that touch gave nothing it is not made again; nor in a filling
     failed = plan_touch(posterior, KERNEL, PlanOptions(), left_out_m=here[None])
     assert failed.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
-    for options in (PlanOptions(fill=20), PlanOptions("max-variance")):
-        assert plan_touch(posterior, KERNEL, options).excluded.ravel()[cells[0]] == TOUCHED_BEFORE
+    filling = plan_touch(posterior, KERNEL, PlanOptions(fill=20))
+    assert filling.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
 
     # the place itself is touched, not its cell's middle; and it was as good as known what it reads
     off = xy[5]
@@ -304,7 +265,7 @@ def test_a_touch_next_to_others_of_its_material_says_less_than_one_between_them_
     new = np.array([(0.29, 0.29), (0.31, 0.33), (0.2, 0.2)])
     hypotheses, blur = replace(posterior.hypotheses(), smooth=()), posterior.prior.blur_m
     related = posterior.related(new)
-    alone = information(hypotheses, replace(related, readings=_readings((), posterior.prior)), blur)
+    alone = information(hypotheses, replace(related, readings=readings_of((), posterior.prior)), blur)
     known = information(hypotheses, related, blur)
     assert (known[:2] < 0.8 * alone[:2]).all()
     assert known[2] == pytest.approx(alone[2], rel=0.25)

@@ -11,7 +11,8 @@ from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.lab import slab
 from deformscope.stages.map.surface import HeightProcess, fit_surface
-from deformscope.stages.map.touch_beta import THESIS_NOTE, BallContact, dent_of, fit_touch, thesis_beta
+from deformscope.stages.map.thesis import THESIS_NOTE, dent_of, thesis_beta
+from deformscope.stages.map.touch_beta import BallContact, fit_touch
 from deformscope.stages.msm.poke import Law, Poke, Tip, press
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import scene_below

@@ -9,8 +9,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from deformscope.stages.map.field import FieldMap
 from deformscope.stages.map.perception import SeenDent
-from deformscope.stages.map.plan import FieldKernel, PlanOptions, plan_touch
-from deformscope.stages.map.thesis_field import SIGMA_E, SIGMA_N, SIGMA_W_M, ThesisField, contoured
+from deformscope.stages.map.plan import PlanOptions
+from deformscope.stages.map.thesis import SIGMA_E, SIGMA_N, SIGMA_W_M, ThesisField, contoured, plan_thesis_touch
 from deformscope.stages.regions.posterior import RegionPosterior
 from deformscope.stages.regions.touches import MapGrid
 
@@ -66,15 +66,15 @@ def test_a_dent_is_all_that_sank_by_a_tenth_of_the_deepest() -> None:
 
 def test_the_plan_goes_where_the_field_is_unknown_and_ends_with_its_variance_alone() -> None:
     posterior = RegionPosterior.before_touches(MapGrid((0.6, 0.4)), seed=0)
-    options = PlanOptions(planner="thesis", budget=12)
+    options = PlanOptions(budget=12)
     field, seen = touched((0.15, 0.2, 0.7)), set()
     for seed in range(8):
-        plan = plan_touch(posterior, FieldKernel(), options, thesis=field, seed=seed)
+        plan = plan_thesis_touch(field, posterior, options, seed=seed)
         assert plan.target_m is not None
         assert plan.stop is None
         assert float(field.at(plan.target_m[None]).deviation[0]) ** 2 > options.threshold * SIGMA_E**2
         seen.add(tuple(plan.target_m))
     assert len(seen) > 4
     everywhere = touched(*((x, y, 0.5) for x in (0.1, 0.3, 0.5) for y in (0.1, 0.3)))
-    plan = plan_touch(posterior, FieldKernel(), options, thesis=everywhere)
+    plan = plan_thesis_touch(everywhere, posterior, options)
     assert plan.stop == "nothing above the threshold"

@@ -1,0 +1,268 @@
+"""Thesis chapter 4 by its own rules: beta of a dent, its field over the surface, the next touch, and regions.
+
+    dent = dent_of(world, touched, place_m)                      # the surface before and under the touch
+    found = thesis_beta(dent)                                    # the sweep of beta on a single layer (4.3, 4.4)
+    field = ThesisField().with_touch(dent.dented_m, found.beta)  # a process through all dented places (4.1 to 4.4)
+    choice = plan_thesis_touch(field, posterior, options)        # any place above the threshold of variance (4.2)
+    regions = contoured(field.on(grid), field.isopleths)         # cut along isopleths
+
+Unlike `deformscope.stages.map.field` the field has mean 0 and fixed hyper-parameters. The places of one dent count as
+independent measurements. Its variance shows the distance from dents, not the uncertainty of beta.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.special import ndtr
+from threadpoolctl import threadpool_limits
+
+from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.errors import InputError
+from deformscope.stages.fit.distance import nearest_error
+from deformscope.stages.fit.estimate import Curve
+from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
+from deformscope.stages.map.detection_limit import INCLUSION_RADII_M, detection_limit
+from deformscope.stages.map.field import FieldMap
+from deformscope.stages.map.perception import COARSE_GRID_M, SeenDent
+from deformscope.stages.map.plan import PlannedPlaces, PlanOptions, TouchChoice
+from deformscope.stages.msm import clusters
+from deformscope.stages.msm.poke import Law, PokeSetup, hold, settle
+from deformscope.stages.poke.poke_fit import DOWN
+from deformscope.stages.regions.posterior import RegionPosterior
+from deformscope.stages.regions.touches import MapGrid
+
+SIGMA_E, SIGMA_W_M, SIGMA_N = 1.0, 0.5, 0.05
+"""Parameters of the kernel (eq. 4.5), and the noise. The thesis prints none of them ("empirically estimated based on a
+set of experiments"). With this sigma_e, Th = 0.06 is a share of the variance before any touch. sigma_w determines n =
+3. It was chosen on tuning seeds (`studies.seeds`) such that 60 x 40 cm of one foam take the 3 touches of its table 4.1,
+on the thesis's grid of 0.5 cm, each place of which counts as a measurement: 3 touches for 21 of 24 seeds, 4 for the
+others (0.6 m: 2 for 5 of them; 0.45 m: 4 to 6 for 23)."""
+
+FIRST_SHARE = (0.25, 0.5)
+"""Default place of the first touch, in shares of the surface: one is preset (Thesis 4.5)."""
+
+APART = 0.1
+"""Touches whose betas are farther apart have an isopleth between them: ten steps of the sweep of Algorithm 3."""
+
+THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
+"""Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
+
+THESIS_NOTE = (
+    "a trend of this beta with firmness is an effect of the contact patch, which grows with the dent. One "
+    "held particle makes the model interpret the patch's width as deformability; with the whole patch held "
+    "the trend disappears"
+)
+"""Remark wherever beta of the thesis's model is shown."""
+
+
+# beta of a dent ------------------------------------------------------------------------------------------------------
+
+
+class SurfaceHeights(Protocol):
+    """A surface with known heights at requested places, such as a `HeightProcess`."""
+
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
+        """Prediction at places (n, 2) [m]."""
+
+
+def dent_of(
+    world: SurfaceHeights, touched: SurfaceHeights, place_m: FloatArray, cell_m: float = COARSE_GRID_M
+) -> SeenDent:
+    """The dent in a square of `THESIS_SIDE_M` around a place (2,) [m]. world, touched: the surface before and under
+    touch, the second with the tactile points; cell_m: cell size of the grid"""
+    grid = MapGrid((THESIS_SIDE_M, THESIS_SIDE_M), cell_m)
+    places_m = np.asarray(place_m)[:2] - 0.5 * THESIS_SIDE_M + grid.centres_m
+    rest, under = world.at(places_m), touched.at(places_m)
+    before, after = (np.column_stack([places_m, one.mean]) for one in (rest, under))
+    return SeenDent(before, after, grid.shape, cell_m, under.deviation)
+
+
+def swept_betas(step: float) -> FloatArray:
+    """(b,) values of the sweep: 0, step, 2 step... below 1 (Algorithm 3)."""
+    return step * np.arange(np.ceil(1.0 / step - 1e-9))
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisBeta:
+    """beta of a lattice with fixed edges and one held particle (Thesis 4.3).
+
+    curve: error over beta (eq. 4.6) [m]; depth_m: depth of the particle held; simulated_m: (p, 3) the particles of the
+    surface at beta; converged: the state at beta settled; dent: the fitted dent; note: remark on its trend
+    """
+
+    beta: float
+    curve: Curve
+    depth_m: float
+    simulated_m: FloatArray
+    converged: bool
+    dent: SeenDent
+    note: str = THESIS_NOTE
+
+    @property
+    def error_m(self) -> float:
+        """Mean distance from each simulated point to the nearest observed one, at beta [m] (Thesis eq. 4.6)."""
+        return float(np.nanmin(self.curve.aee))
+
+
+def thesis_beta(
+    dent: SeenDent,
+    *,
+    thickness_m: float | None = None,
+    cluster_size: int | None = 3,
+    step: float = THESIS_STEP,
+) -> ThesisBeta:
+    """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
+
+    thickness_m: layers down to a ground that is held, this far below; default a single layer, as in the thesis
+    cluster_size: particles a side; None: one cluster of all particles, which deforms quadratically (the thesis's "no
+    cluster")
+    step: step of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any
+    beta: on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents.
+    With one held particle of a volume lattice, beta depends on firmness: 0.55 to 0.14 there. Raises InputError if the
+    lowest point is at the square's edge.
+    """
+    before, after, shape = dent.before, dent.after, dent.shape
+    lowest = int(np.argmax(dent.sunk_m))
+    row, column = np.unravel_index(np.arange(len(before)), shape)
+    edge = (row == 0) | (row == shape[0] - 1) | (column == 0) | (column == shape[1] - 1)
+    if edge[lowest]:
+        raise InputError("a dent inside the square", "the lowest point at its edge", "a place nearer to the touch")
+    layers = 1 if thickness_m is None else max(2, round(thickness_m / dent.cell_m) + 1)
+    rest = np.repeat(before[:, None], layers, axis=1)
+    if thickness_m is not None:
+        rest[:, :, 2] -= thickness_m * np.arange(layers - 1, -1, -1) / (layers - 1)
+    rest = rest.reshape(-1, 3)
+    fixed = np.repeat(edge[:, None], layers, axis=1)
+    fixed[:, 0] |= thickness_m is not None
+    top = np.arange(layers - 1, len(rest), layers)
+    if cluster_size is None:
+        grouped, law = clusters.single(len(rest)), Law(0.0, cluster_size=None, basis="quadratic")
+    else:
+        lattice = shape if layers == 1 else (*shape, layers)
+        grouped = clusters.lattice(rest, lattice, np.arange(len(rest)), cluster_size)
+        law = Law(0.0, cluster_size=cluster_size)
+    scene = PokeSetup(
+        rest=rest, clusters=grouped, fixed=np.flatnonzero(fixed), open=top, toward=DOWN, spacing=dent.cell_m
+    )
+    here = top[[lowest]]
+    body = hold(scene, here, law, "float32", "cpu")
+    beta = swept_betas(step)
+    laws = [dataclasses.replace(law, beta=float(one)) for one in beta]
+    state = settle(scene, body, laws, here, after[[lowest]], slips=False, start=None)
+    surface = np.asarray(state.position, dtype=np.float64)[:, top]
+    error = np.array([nearest_error(one, after) for one in surface])
+    best = int(np.argmin(error))
+    return ThesisBeta(
+        beta=float(beta[best]),
+        curve=Curve(beta, error),
+        depth_m=float(dent.sunk_m[lowest]),
+        simulated_m=surface[best],
+        converged=bool(state.converged[best]),
+        dent=dent,
+    )
+
+
+# Its field -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisField:
+    """places_m: (n, 2) dented places of all touches [m]; beta: (n,) beta of their touches
+    touches: beta of each touch; dented: number of places dented by each touch; width_m: sigma_w of the kernel"""
+
+    places_m: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    beta: FloatArray = field(default_factory=lambda: np.zeros(0))
+    touches: tuple[float, ...] = ()
+    dented: tuple[int, ...] = ()
+    width_m: float = SIGMA_W_M
+
+    def with_touch(self, dented_m: FloatArray, beta: float) -> ThesisField:
+        """The field after a touch that dented places (m, 2) [m]."""
+        return dataclasses.replace(
+            self,
+            places_m=np.concatenate([self.places_m, dented_m]),
+            beta=np.concatenate([self.beta, np.full(len(dented_m), beta)]),
+            touches=(*self.touches, beta),
+            dented=(*self.dented, len(dented_m)),
+        )
+
+    def at(self, places_m: FloatArray) -> ProcessPrediction:
+        """Mean (m,) and deviation (m,) at places (m, 2) [m] (Thesis eq. 4.3 and 4.4)."""
+        kernel = Kernel(SIGMA_E, self.width_m)
+        if not len(self.places_m):
+            return ProcessPrediction(np.zeros(len(places_m)), np.full(len(places_m), SIGMA_E))
+        with threadpool_limits(1):
+            own = kernel.between(self.places_m, self.places_m) + SIGMA_N**2 * np.eye(len(self.places_m))
+            factor = cholesky(own, lower=True)
+            across = kernel.between(self.places_m, places_m)
+            mean = across.T @ cho_solve((factor, True), self.beta)
+            variance = SIGMA_E**2 - np.sum(solve_triangular(factor, across, lower=True) ** 2, axis=0)
+        return ProcessPrediction(mean, np.sqrt(variance.clip(0.0)))
+
+    def on(self, grid: MapGrid) -> FieldMap:
+        """Mean and deviation at the centres of a grid's cells."""
+        found = self.at(grid.centres_m)
+        return FieldMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
+
+    @property
+    def isopleths(self) -> FloatArray:
+        """(k,) rising levels of beta that divide the field: halfway between touches that are apart."""
+        betas = np.sort(self.touches)
+        gaps = np.flatnonzero(np.diff(betas) > APART)
+        return np.asarray(0.5 * (betas[gaps] + betas[gaps + 1]))
+
+
+@dataclass(frozen=True, slots=True)
+class Contoured:
+    """The field cut along its isopleths. labels: (rows, columns) regions, 0 that of the largest beta; probability:
+    (rows, columns) probability that beta is between the isopleths of its label, by the field's variance"""
+
+    labels: IntArray
+    probability: FloatArray
+
+
+def contoured(found: FieldMap, isopleths: FloatArray) -> Contoured:
+    """The regions between rising isopleths (k,); regions without a cell are left out."""
+    band = np.searchsorted(isopleths, found.mean)
+    ends = np.concatenate([[-np.inf], isopleths, [np.inf]])
+    sd = np.maximum(found.deviation, 1e-12)
+    probability = ndtr((ends[band + 1] - found.mean) / sd) - ndtr((ends[band] - found.mean) / sd)
+    labels = np.unique(-band, return_inverse=True)[1]
+    return Contoured(labels.reshape(band.shape).astype(np.int64), probability)
+
+
+# The next touch ------------------------------------------------------------------------------------------------------
+
+
+def plan_thesis_touch(
+    field: ThesisField,
+    posterior: RegionPosterior,
+    options: PlanOptions,
+    *,
+    tip_m: FloatArray | None = None,
+    left_out_m: FloatArray | None = None,
+    reachable: BoolArray | None = None,
+    seed: int = 0,
+) -> TouchChoice:
+    """Any place whose variance is above the threshold (Thesis 4.2); the field's variance alone ends the touches. Other
+    arguments as in `plan.plan_touch`; seed: seed of the random choice"""
+    places = PlannedPlaces.of(posterior, options, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
+    variance = (field.at(places.grid.centres_m).deviation / SIGMA_E) ** 2
+    order = np.random.default_rng((seed, len(posterior.touches))).random(len(variance))
+    score = np.where(variance > options.threshold, order, -1.0)
+    stop = places.ended(options)
+    if stop is None and variance[places.allowed].max() < options.threshold:
+        stop = "nothing above the threshold"
+
+    def why(best: int) -> str:
+        return f"drawn at random from the places with a variance above the threshold; here it is {variance[best]:.3g}"
+
+    with threadpool_limits(1):
+        limit = detection_limit(posterior, places.made_m, {*INCLUSION_RADII_M, options.inclusion_m})
+    gain = np.where(places.allowed, variance, np.nan)
+    return places.choice(limit, gain, "variance", score, stop, why)
