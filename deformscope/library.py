@@ -17,7 +17,7 @@ from deformscope.terminal import Progress, Say, messages_to, shown_progress
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray, ImageArray
     from deformscope.config import AxesConfig, BetaConfig, FieldConfig, ThetaConfig, ViscousConfig, YieldConfig
-    from deformscope.config.explore import BetaModel, Detail, Feel, Goal, Pace, Planner
+    from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
     from deformscope.config.flags import Selectable, TipName
     from deformscope.config.rigs import ExportFormat
     from deformscope.runs.calibration import CalibrationResult, PairArrays
@@ -258,7 +258,6 @@ def explore(
     pace: Pace = "careful",
     hold_s: float = 0.0,
     feel: Feel = "apparent",
-    detail: Detail = "full",
     seed: int = 0,
     record: Path | str | None = None,
     viewer: ViewerChoice = "none",
@@ -275,7 +274,7 @@ def explore(
     inclusions to find, default 0.06, with goal inclusions 0.02; set_force_n: force of a touch, at most 5 N; pace: quick
     = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows how the foam
     creeps; feel: what is mapped: immediate stiffness, relaxed stiffness, or the share of its energy that a touch loses
-    record: a recording to make (.rrd); detail: lean = without results between frames and estimates
+    record: a recording to make (.rrd)
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
     terminal or a notebook; True: always, False: never; without it those of a rig file always, unless there is a

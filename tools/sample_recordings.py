@@ -27,7 +27,7 @@ from rerun.chunk import Chunk, RrdReader
 
 from deformscope.cli import main
 from deformscope.images import PNG_SIGNATURE
-from deformscope.lab import container_setup, scene_lab
+from deformscope.lab import container_setup, scene_lab, touch_lab
 from deformscope.recording.facts import read_facts, run_rrd
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_results
@@ -44,6 +44,8 @@ CAMERA_HZ = 4.0
 """Of the squeeze's camera, whose images are most of its bytes."""
 CAMERA_PX = {"width": 160, "height": 120}
 """Of the exploration's camera."""
+FORCE_HZ = 333.0
+"""Of the exploration's force sensor."""
 EVERY = {"depth": 40, "wrench": 20, "arm": 5}
 """Of rows that nothing is computed from, one in so many stays to be looked at, by the first part of their entity."""
 USED = {
@@ -95,7 +97,7 @@ def everything(kind: str, host_ns: Any) -> Any:
 
 SAMPLES = {
     "explore": Sample(
-        "explore lab:buried --touches 2 --pace quick --seed 3 --detail lean --viewer none",
+        "explore lab:buried --touches 2 --pace quick --seed 3 --viewer none",
         "Two touches of a simulated piece of foam, 20 by 20 cm, its camera at 160 x 120 pixels, with its maps",
         3,
         keep=used_by_touches,
@@ -225,6 +227,7 @@ def run() -> None:
     container_setup.container_lab = partial(container_setup.container_lab, camera_hz=CAMERA_HZ)
     view = scene_lab.DepthViewConfig
     scene_lab.DepthViewConfig = lambda **given: view(**(given | CAMERA_PX))  # type: ignore[misc, assignment]
+    touch_lab.OptoforceConfig = partial(touch_lab.OptoforceConfig, rate_hz=FORCE_HZ)  # type: ignore[misc, assignment]
     manifest = RECORDINGS / "manifest.toml"
     text = manifest.read_text(encoding="utf-8")
     entries = {one["file"]: one for one in tomllib.loads(text)["recording"]}

@@ -31,5 +31,5 @@ def run(config: DemoConfig) -> None:
         calibrate(BetaConfig((f"sample:{SAMPLE}",), output=output))
     else:
         say(f"{TOUCHES} touches of a simulated table; writes {record} (125 MB); after the first: the time left")
-        explore(ExploreConfig(rig=SCENE, budget=TOUCHES, detail=config.detail, output=output))
+        explore(ExploreConfig(rig=SCENE, budget=TOUCHES, output=output))
     wrote("recording", record)

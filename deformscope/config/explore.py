@@ -12,7 +12,6 @@ from deformscope.config.options import Flags, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
 BetaModel = Literal["volume", "thesis", "none"]
-Detail = Literal["full", "lean"]
 Feel = Literal["apparent", "relaxed", "loss"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
@@ -78,10 +77,6 @@ class ExploreFlags(Flags):
     """Model that beta is fitted with. volume: layers below the surface (default); thesis: the thesis's sweep with one
     held particle of a single layer (default of --planner thesis); none."""
     thesis: OmitArgPrefixes[ThesisFlags] = field(default_factory=ThesisFlags)
-    detail: Detail = "full"
-    """Content of the recording besides devices, estimates and maps. full: pixels with the rules that removed others,
-    the surface under each touch, the error over beta, and training data with weights. full: force and pose at the
-    force's rate, and frames and maps in space. lean: none of these."""
 
     def __post_init__(self) -> None:
         inclusions = self.goal == "inclusions"

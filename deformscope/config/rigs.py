@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from deformscope.config import flags
-from deformscope.config.explore import Detail
 from deformscope.config.images import ParticleFlags
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions, ViewOptions
 from deformscope.errors import InputError
@@ -320,9 +319,6 @@ class DemoConfig(RecordedOptions):
 
     images: bool = False
     """Measure the included images instead: a specimen under tension, filmed."""
-    detail: Detail = "full"
-    """Same meaning as in `deformscope explore`."""
-
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
 
 

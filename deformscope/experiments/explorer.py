@@ -406,7 +406,7 @@ class Explorer:
     ) -> TouchPerception | None:
         """Perception of the newest touch, with the training data of its maps; None unless requested."""
         options, beta = self.options, self.betas[-1]
-        if options.detail == "lean":
+        if not options.perception:
             return None
         under = beta.surface
         if under is None and options.beta_model == "volume" and contact is not None and not contact.fit.rigid:

@@ -246,7 +246,7 @@ class SetupGeometry:
         if used.held_ns is not None:
             loading, held = len(used.arm_ns), int(np.searchsorted(1e9 * time_s, used.seen_ns, side="right"))
         felt = None
-        if options.detail == "full" and forces_n:
+        if options.perception and forces_n:
             states = np.unique(np.concatenate([used.arm_ns, used.pose_ns, [used.end_ns]]))
             T = self.placement.T_surface_center(np.array([data.arm[int(when)].T_base_ee for when in states]))
             felt = force_pose(used.wrench_ns, np.array(forces_n), states, T)
@@ -429,7 +429,7 @@ class SetupGeometry:
 
 
 def _pixels(camera: str, depth_ns: IntArray, clouds: Sequence[Perceived], options: ExploreOptions) -> SeenPixels | None:
-    if options.detail == "lean":
+    if not options.perception:
         return None
     first = np.cumsum([0, *(len(cloud.points_m) for cloud in clouds)])
     point = np.concatenate([cloud.point + before for cloud, before in zip(clouds, first, strict=False)])

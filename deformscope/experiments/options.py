@@ -10,7 +10,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
-from deformscope.config.explore import BORDER_M, BetaModel, Detail, ExploreFlags
+from deformscope.config.explore import BORDER_M, BetaModel, ExploreFlags
 from deformscope.errors import InputError
 from deformscope.experiments.quantity import (
     ApparentStiffness,
@@ -57,6 +57,7 @@ class ExploreOptions(ExploreFlags):
     lift_m: height above the surface at which all touches of a dry run are made, without contact
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: thickness_m was stated; otherwise it is only the height at which the surface is sought
+    perception: compute also results between frames and estimates, for a recording
     """
 
     budget: flags.ManyFlag = None  # type: ignore[assignment]  # the flags' default follows from the goal
@@ -73,7 +74,7 @@ class ExploreOptions(ExploreFlags):
     lift_m: float = 0.0
     tangential: Literal["held", "free"] = "held"
     thickness_stated: bool = True
-    detail: Detail = "lean"
+    perception: bool = False
 
     def check(self) -> None:
         ExploreFlags.check(self)

@@ -84,7 +84,7 @@ class SeenSurface:
     @property
     def perception(self) -> LookPerception | None:
         """The input of the surface; None unless requested."""
-        if self.options.detail == "lean":
+        if not self.options.perception:
             return None
         masks = None if self.pixels is None else self.pixels.masks(self.process.used)
         return LookPerception(masks, self.process.learned, int(self.process.used.sum()))

@@ -89,10 +89,9 @@ def explore_on(
     quiet_warp()
     inclusions = config.goal == "inclusions"
     given = {one.name: getattr(config, one.name) for one in dataclasses.fields(ExploreFlags)}
-    if config.output.record is None:
-        given["detail"] = "lean"  # nothing keeps it
     options = ExploreOptions(
         **given,
+        perception=config.output.record is not None or config.output.viewer != "none",
         seed=config.output.seed,
         inclusion_m=config.smallest_inclusion_m or (0.02 if inclusions else INCLUSION_M),
         lift_m=DRY_RUN_M if config.dry_run else 0.0,
@@ -215,7 +214,6 @@ def _run(
             truth,
             inclusions,
             mapped,
-            full=options.detail == "full",
             T_surface_camera=setup.camera.T_surface_camera,
         )
         recorder.start(layout, ending.start_ns)

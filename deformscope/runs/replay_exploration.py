@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 TRUTH = ("truth_labels", "iou", "boundary_m", "truth_m", "reason")
 """Fields that are not compared: the truth is no input, and a plan's reason puts numbers into words that are compared
 elsewhere."""
-LEAN = "recorded lean: no pixel masks, surfaces under touches, errors over beta, or training"
 
 
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
@@ -69,7 +68,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     options = dataclasses.replace(before, **{name: changes[name] for name in changes.keys() - own.keys()} | thesis)
     geometry = SetupGeometry.from_json(settings.get("setup", {}))
     kinds: tuple[type, ...] = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate, InclusionsResult)
-    if options.detail == "full" and not changes:
+    if not changes:
         kinds = (*kinds, LookPerception, TouchPerception)
     rows = list(read_results(path, kinds, trust=True))
     recorded = [row.item for row in rows]
@@ -100,10 +99,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     return ReplayResult(
         {"results": len(recorded), "identical": True, "failures": failed},
         verdict=f"replay: {len(recorded)} results from {start}, identical to the recorded numbers",
-        notes=(
-            *(f"failed during the recording: {format_failure(one)}" for one in failed),
-            *([LEAN] if options.detail == "lean" else []),
-        ),
+        notes=tuple(f"failed during the recording: {format_failure(one)}" for one in failed),
     )
 
 

@@ -67,7 +67,7 @@ def test_the_estimator_finds_the_same_touches_in_what_was_exported_and_imported(
     use_coarse_maps(monkeypatch)
     monkeypatch.setattr("deformscope.lab.scene_lab.slab_world", _Layers)
     made = tmp_path / "made.rrd"
-    flags = ["--beta-model", "none", "--detail", "lean"]
+    flags = ["--beta-model", "none"]
     assert main(["explore", "lab:two-60-150", "--touches", "2", "--clean", *flags, "--record", str(made)]) == 0
     again = brought_back(made, to, tmp_path)
 

@@ -48,7 +48,6 @@ def exploration_blueprint(
     tabs: bool = False,
     compared: str = "",
     mapped: str = "stiffness",
-    full: bool = False,
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
@@ -56,7 +55,7 @@ def exploration_blueprint(
     shown instead; inclusions: whether inclusions are sought: they replace beta
     tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
     compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: the quantity that
-    distinguishes regions; full: show also results between frames and estimates, as tabs
+    distinguishes regions
     """
     titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
     maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
@@ -75,8 +74,8 @@ def exploration_blueprint(
                 _picture(path, f"{name.capitalize()}: recorded, {compared}") for name, path in COMPARED_TOUCHES.items()
             ]
         known = rrb.Vertical(rrb.Tabs(*regions), fields, rrb.Tabs(gain, summary))
-        at_touch = rrb.Tabs(*touches, *_sections(full), *_looks(streams), *_pixels(full), *_over_time(streams))
-        robot = rrb.Vertical(_scenes(streams, size_m, full), at_touch, row_shares=[4, 3])
+        at_touch = rrb.Tabs(*touches, *_sections(), *_looks(streams), *_pixels(), *_over_time(streams))
+        robot = rrb.Vertical(_scenes(streams, size_m), at_touch, row_shares=[4, 3])
         views = rrb.Horizontal(robot, known, column_shares=[5, 4])
         return blueprint_of(views, play="paused" if compared else "following")
     known = rrb.Vertical(
@@ -84,32 +83,29 @@ def exploration_blueprint(
         rrb.Horizontal(maps["beta"], maps["beta_deviation"], force),
         rrb.Horizontal(maps["regions"], truly, summary),
     )
-    return blueprint_of(rrb.Horizontal(_robot(streams, size_m, full), known, column_shares=[4, 6]))
+    return blueprint_of(rrb.Horizontal(_robot(streams, size_m), known, column_shares=[4, 6]))
 
 
-def _robot(streams: Sequence[Stream], size_m: tuple[float, float], full: bool) -> rrb.Container:
+def _robot(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container:
     dent, *depths = _looks(streams)
-    pixels = _pixels(full)
-    looks = [_tabbed([dent, *pixels[1:]]), *([_tabbed([*depths, *pixels[:1]])] if depths else pixels[:1])]
+    pixels, under = _pixels()
     *plots, lanes = _over_time(streams)
-    close = rrb.Horizontal(*looks) if len(looks) > 1 else looks[0]
+    close = rrb.Horizontal(_tabbed([dent, under]), _tabbed([*depths, pixels]))
     over_time = rrb.Vertical(*plots, lanes, row_shares=[*[1.6] * len(plots), 1.0])
-    below = rrb.Horizontal(_tabbed(_sections(full)), over_time, column_shares=[1.0, 1.05])
-    return rrb.Vertical(_scenes(streams, size_m, full), close, below, row_shares=[3.6, 2.7, 2.9])
+    below = rrb.Horizontal(_tabbed(_sections()), over_time, column_shares=[1.0, 1.05])
+    return rrb.Vertical(_scenes(streams, size_m), close, below, row_shares=[3.6, 2.7, 2.9])
 
 
 def _tabbed(views: Sequence[rrb.View]) -> rrb.Container | rrb.View:
     return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0]
 
 
-def _sections(full: bool) -> list[rrb.View]:
-    return [_picture(SECTION, "The dent in section"), *([_picture(ERROR, "Error over beta")] if full else [])]
+def _sections() -> list[rrb.View]:
+    return [_picture(SECTION, "The dent in section"), _picture(ERROR, "Error over beta")]
 
 
-def _pixels(full: bool) -> list[rrb.View]:
+def _pixels() -> list[rrb.View]:
     """Which pixels were used, and the surface under the touch."""
-    if not full:
-        return []
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=[0.06, -0.2, 0.12], look_target=[0, -0.01, 0], eye_up=[0, 0, 1]
     )
@@ -127,14 +123,11 @@ def _pixels(full: bool) -> list[rrb.View]:
     ]
 
 
-def _scenes(streams: Sequence[Stream], size_m: tuple[float, float], full: bool) -> rrb.Container | rrb.View:
+def _scenes(streams: Sequence[Stream], size_m: tuple[float, float]) -> rrb.Container | rrb.View:
     """The scene, and each map on the surface."""
-    scene = _scene(streams, size_m)
-    if not full:
-        return scene
     names = {quantity: f"{quantity.replace('_', ': ').capitalize()} on the surface" for quantity in FIELDS}
     maps = [_scene((), size_m, f"{FIELD_MAPS}/{one}", name) for one, name in names.items()]
-    return _tabbed([scene, *maps])
+    return _tabbed([_scene(streams, size_m), *maps])
 
 
 def _looks(streams: Sequence[Stream]) -> list[rrb.View]:

@@ -57,12 +57,11 @@ def log_height(now: ResultBatch, surface: SurfaceEstimate) -> None:
     now.show_png(HEIGHT, pictures.height_png, surface)
 
 
-def log_maps(now: ResultBatch, maps: MapEstimate, *, on_surface: bool = False) -> None:
-    """on_surface: fields also as images in space"""
+def log_maps(now: ResultBatch, maps: MapEstimate) -> None:
     for path, quantity in MAPS.items():
         drawn = render(pictures.draw_map, quantity, maps)
         now.show(path, rr.EncodedImage(contents=drawn.png, media_type="image/png"))
-        if on_surface and drawn.values.size:
+        if drawn.values.size:
             log_on_surface(now, quantity, drawn)
 
 

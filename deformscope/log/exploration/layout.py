@@ -26,7 +26,7 @@ class ExplorationLayout(RecordingLayout):
     the arm's base frame [m], None = the same
 
     truth: whether the truth is known; inclusions: whether inclusions are sought; mapped: as in `MapEstimate`
-    full: show also results between frames and estimates; T_surface_camera: (4, 4), None = not known
+    T_surface_camera: (4, 4), None = not known
     """
 
     size_m: tuple[float, float]
@@ -34,7 +34,6 @@ class ExplorationLayout(RecordingLayout):
     truth: bool
     inclusions: bool = False
     mapped: str = "stiffness"
-    full: bool = False
     T_surface_camera: FloatArray | None = None
 
     by_touch: ClassVar[bool] = True
@@ -49,24 +48,21 @@ class ExplorationLayout(RecordingLayout):
             inclusions=self.inclusions,
             tabs=on_page,
             mapped=self.mapped,
-            full=self.full,
         )
 
     def log_start(self, rec: rr.RecordingStream) -> None:
+        from deformscope.log.exploration.perception import log_frames
         from deformscope.log.exploration.results import log_exploration_start
 
-        log_exploration_start(rec, self.streams, self.base_from_surface, full=self.full)
-        if self.full:
-            from deformscope.log.exploration.perception import log_frames
-
-            log_frames(rec, self.base_from_surface, self.T_surface_camera)
+        log_exploration_start(rec, self.streams, self.base_from_surface)
+        log_frames(rec, self.base_from_surface, self.T_surface_camera)
 
     def prepare(
         self, results: Sequence[object], session_ns: int, place: Place, cell_m: float, failed: list[StageFailure]
     ) -> Batch:
         from deformscope.log.exploration.results import prepare_results
 
-        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed, full=self.full)
+        return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)
 
     def touch_after(self, results: Sequence[object], touch: int) -> int:
         """Device items after the plan of a touch belong to that touch."""

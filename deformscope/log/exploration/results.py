@@ -15,7 +15,7 @@ measurement of a touch is at the frame of its dent. `deformscope.recording.items
     display/plan/gain                     why the next touch goes where it goes
     display/touch/force|section           force over depth; the dent's height over the distance from the contact
     display/summary results as text
-    exploration/perception/look|touch with --detail full: results between frames and estimates
+    exploration/perception/look|touch    results between frames and estimates
     exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
     display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text
@@ -82,15 +82,15 @@ DENT = ShownStage("dent", 4, "points measured around the tip during the press", 
 BETA = ShownStage(
     "beta", 3, "particles of the model fitted to the dent (eq. 4.6)", field="simulated_m", when="explore.beta_model"
 )
-PERCEPTION = ShownStage("perception", 4, "pixels used and removed; what was trained", when="explore.detail=full")
+PERCEPTION = ShownStage("perception", 4, "pixels used and removed; what was trained", when="explore.perception")
 TOUCH_SURFACE = ShownStage(
-    "touch surface", 4, "under the tip (eq. 4.3, 4.4)", field="surface.tactile_m", when="explore.detail=full"
+    "touch surface", 4, "under the tip (eq. 4.3, 4.4)", field="surface.tactile_m", when="explore.perception"
 )
 BETA_ERROR = ShownStage(
-    "error over beta", 4, "(eq. 4.6)", field="error.aee", when="explore.detail=full explore.beta_model"
+    "error over beta", 4, "(eq. 4.6)", field="error.aee", when="explore.perception explore.beta_model"
 )
 FORCE_POSE = ShownStage(
-    "force and pose", 4, "at the force's rate", entity="exploration/force_pose", when="explore.detail=full"
+    "force and pose", 4, "at the force's rate", entity="exploration/force_pose", when="explore.perception"
 )
 CREEP = ShownStage("creep", 4, "relaxation and loss of a hold", field="creep.held_s", when="explore.hold_s")
 REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", costs=("maps",))
@@ -121,8 +121,6 @@ def log_exploration_start(
     rec: rr.RecordingStream,
     streams: Sequence[Stream],
     base_from_surface: FloatArray | None = None,
-    *,
-    full: bool = False,
 ) -> None:
     """Log constants: the phases' colours, the pose of each arm's base in the surface frame; and empty results at the
     start.
@@ -141,8 +139,7 @@ def log_exploration_start(
     log_nothing_known(start)
     log_no_dent(start)
     start.show_text(SUMMARY, "# No touch yet")
-    if full:
-        log_no_touch(start)
+    log_no_touch(start)
     batch.send(rec)
 
 
@@ -153,19 +150,18 @@ def prepare_results(
     *,
     cell_m: float = CELL_M,
     failed: list[StageFailure] | None = None,
-    full: bool = False,
 ) -> Batch:
     """Prepare results for one stream or several, including pictures: about 0.1 s for each, six of them for the maps.
 
     session_ns: time since the recording's start [ns]; place: place on the other timelines; cell_m: cell size of a
-    plan's maps, without a map of the same time; full: show the maps also on the surface
+    plan's maps, without a map of the same time
     failed: receives errors of views: every result is recorded nevertheless, with the error. A plan with maps is drawn
     over their contacts. Raises TypeError if it is no result of an exploration.
     """
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)
     maps = next((result for result in results if isinstance(result, MapEstimate)), None)
-    views = exploration_views(place.touch, maps, cell_m, full=full)
+    views = exploration_views(place.touch, maps, cell_m)
     for result in results:
         shown = views_of(type(result), views)
         now.record(result)
@@ -181,16 +177,16 @@ def prepare_results(
     return batch
 
 
-def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float, *, full: bool = False) -> Views[ResultBatch]:
+def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Views[ResultBatch]:
     """The view of each result of a touch. maps: maps of the same moment; cell_m: cell size of a plan's maps where there
     are none"""
     gain = partial(log_gain, cell_m=cell_m, contacts_m=None)
     if maps is not None:
         gain = partial(log_gain, cell_m=maps.cell_m, contacts_m=maps.contacts_m)
     return {
-        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height, *[log_ground] * full),
+        SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height, log_ground),
         TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
-        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, partial(log_maps, on_surface=full), log_summary),
+        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, log_maps, log_summary),
         InclusionsResult: (INCLUSIONS, log_inclusions),
         PlannedTouch: (PLAN, log_target, gain),
         TouchForecast: (AIM, log_forecast),

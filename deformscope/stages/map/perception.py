@@ -126,4 +126,4 @@ class TouchPerception:
 
 
 Perception = LookPerception | TouchPerception | ForcePose
-"""Content of `--detail full` besides estimates and maps."""
+"""What an exploration records between frames and estimates."""

@@ -1,4 +1,4 @@
-"""`explore --detail`: what lies between frames and estimates is recorded as it was computed, and costs few bytes."""
+"""What lies between frames and estimates of `explore` is recorded as it was computed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from deformscope.experiments.measured import SetupGeometry
 from deformscope.frames import ArmFrame, DepthFrame
 from deformscope.recording.items import read_items, read_results, read_series
 from deformscope.recording.reader import Replay
-from deformscope.runs.replay_exploration import LEAN
-from deformscope.stages.map.exploration import SurfaceEstimate, TouchEstimate
+from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate
 from deformscope.stages.map.force_pose import ForcePose
 from deformscope.stages.map.measured import TouchFrames
 from deformscope.stages.map.perception import LookPerception, TouchPerception
@@ -31,10 +30,10 @@ Explore = Callable[..., Path]
 @pytest.fixture(scope="module")
 def explore(tmp_path_factory: pytest.TempPathFactory) -> Explore:
     """Records an exploration of one touch; each only once."""
-    folder = tmp_path_factory.mktemp("detail")
+    folder = tmp_path_factory.mktemp("perception")
 
     def recorded(*flags: str) -> Path:
-        path = folder / f"{'-'.join(flags)}.rrd"
+        path = folder / f"explored{'-'.join(flags)}.rrd"
         if not path.exists():
             command = ["explore", "lab:two-60-150", "--touches", "1", "--seed", "3", "--viewer", "none"]
             with pytest.MonkeyPatch.context() as monkeypatch:
@@ -51,7 +50,7 @@ def of(path: Path, kind: type) -> list[Any]:
 
 @pytest.mark.slow
 def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -> None:
-    path = explore("--detail", "full")
+    path = explore()
     depth = {one.stamp.host_ns: one.depth for one in read_items(path, trust=True, kinds=(DepthFrame,))}
     (look,), (touch,) = of(path, LookPerception), of(path, TouchPerception)
     (surface,) = of(path, SurfaceEstimate)
@@ -69,7 +68,7 @@ def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -
 
 
 def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(explore: Explore) -> None:
-    path = explore("--detail", "full")
+    path = explore()
     (felt,) = read_series(path, ForcePose, trust=True)
     (used,) = of(path, TouchFrames)
     np.testing.assert_array_equal(felt.host_ns, used.wrench_ns)
@@ -100,7 +99,7 @@ def test_force_and_pose_are_the_forces_rows_with_the_arm_between_its_states(expl
 
 
 def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) -> None:
-    path = explore("--detail", "full")
+    path = explore()
     (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
     under = perception.surface
     deepest = under.dent.after[np.argmax(under.dent.sunk_m)]
@@ -114,7 +113,7 @@ def test_the_surface_under_a_touch_dents_where_it_was_touched(explore: Explore) 
 
 @pytest.mark.parametrize("planner", ["regions", pytest.param("thesis", marks=pytest.mark.slow)])
 def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str, explore: Explore) -> None:
-    path = explore("--detail", "full", *(["--planner", "thesis"] if planner == "thesis" else []))
+    path = explore(*(["--planner", "thesis"] if planner == "thesis" else []))
     (perception,), (touch,) = of(path, TouchPerception), of(path, TouchEstimate)
     assert perception.estimate == touch.beta
     assert touch.beta in perception.error.parameter
@@ -127,27 +126,20 @@ def test_the_error_over_beta_has_the_estimate_among_what_was_tried(planner: str,
 
 
 @pytest.mark.slow
-def test_full_costs_few_bytes_and_lean_has_none_of_it(explore: Explore, capsys: pytest.CaptureFixture[str]) -> None:
-    full, lean = explore("--detail", "full"), explore("--detail", "lean")
-    assert lean.stat().st_size < full.stat().st_size <= 1.3 * lean.stat().st_size
-    assert not of(lean, LookPerception)
-    assert not of(lean, TouchPerception)
-    assert not read_series(lean, ForcePose, trust=True)
-    entities = {chunk.entity_path for chunk in Replay(lean, trust=True).chunks("/**")}
-    assert not [one for one in entities if "perception" in one or "force_pose" in one]
-    for path, words in ((full, ""), (lean, LEAN)):
-        capsys.readouterr()
-        with pytest.MonkeyPatch.context() as monkeypatch:
-            use_quick_scene(monkeypatch)
-            assert main(["replay", str(path), "--viewer", "none"]) == 0
-        said = " ".join("".join(capsys.readouterr()).split())
-        assert "identical to the recorded numbers" in said
-        assert (LEAN in said) == bool(words)
+def test_a_replay_computes_all_of_it_again(explore: Explore, capsys: pytest.CaptureFixture[str]) -> None:
+    path = explore()
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        use_quick_scene(monkeypatch)
+        assert main(["replay", str(path), "--viewer", "none"]) == 0
+    shown = " ".join("".join(capsys.readouterr()).split())
+    kinds = (LookPerception, TouchPerception, SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
+    assert f"{len(list(read_results(path, kinds, trust=True)))} results" in shown
+    assert "identical to the recorded numbers" in shown
 
 
 def test_the_frames_are_one_tree(explore: Explore) -> None:
     parents = {}
-    for chunk in Replay(explore("--detail", "full"), trust=True).chunks("/display/perception/frames/**"):
+    for chunk in Replay(explore(), trust=True).chunks("/display/perception/frames/**"):
         batch = chunk.to_record_batch()
         frames = (batch.column(f"Transform3D:{end}_frame").to_pylist() for end in ("child", "parent"))
         parents |= {child: parent for (child,), (parent,) in zip(*frames, strict=True)}
