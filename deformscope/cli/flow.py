@@ -1,7 +1,7 @@
 """`deformscope flow`: dense optical flow of two images, and its error.
 
 deformscope flow before.png after.png --out flow.npz
-deformscope flow before.png after.png --out flow.npz --method farneback --picture flow.png
+deformscope flow before.png after.png --out flow.npz --picture flow.png
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def run(config: FlowConfig) -> None:
     if before.shape[:2] != after.shape[:2]:
         sizes = " and ".join(f"{image.shape[1]} x {image.shape[0]}" for image in (before, after))
         raise InputError("two images of one size", f"{sizes} px", "crop both alike", config.after)
-    forward, backward = flow_both_ways(before, after, config.method)
+    forward, backward = flow_both_ways(before, after)
     flow_px, backward_px = (np.asarray(one.flow_px, dtype=np.float32) for one in (forward, backward))
 
     arrays = {"flow_px": flow_px} | ({"backward_px": backward_px} if config.backward else {})
@@ -55,14 +55,14 @@ def run(config: FlowConfig) -> None:
         ("largest motion", _px(numbers["max_px"])),
         ("forward-backward error (median)", _px(numbers["forward_backward_median_px"])),
     ]
-    title = f"Flow of {config.before.name} to {config.after.name} ({width} x {height}, {config.method})"
+    title = f"Flow of {config.before.name} to {config.after.name} ({width} x {height})"
     found = Findings((Table(rows, caption=title),))
     show(found)
     with recorder_of(config, FLOW) as recorder:
         for index, image in enumerate((before, after)):
             recorder.write(ColorFrame(Stamp(round(index * 1e9 / DEFAULT_FPS)), index, image))
         recorder.write(Step((forward, found)))
-    settings = {"method": config.method, "width": width, "height": height, "out": config.out}
+    settings = {"width": width, "height": height, "out": config.out}
     write_json(settings | numbers, config.output.json)
 
 

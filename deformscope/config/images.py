@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
@@ -61,8 +61,6 @@ class ImageOptions(ParticleFlags):
     """For a recording or a rig with several cameras: the camera to use."""
     fps: flags.PositiveFlag = None
     """Frame rate of images without one [Hz]; default: the video's."""
-    flow: Literal["dis", "farneback"] = "dis"
-    """Method of the dense optical flow."""
 
 
 # deformscope flow ----------------------------------------------------------------------------------------------------
@@ -78,8 +76,6 @@ class FlowConfig(RecordedOptions):
     """The second image, of the same size."""
     out: Annotated[Path, arg(metavar="FILE.npz"), flags.ends(".npz"), flags.Writes()]
     """Output file of `flow_px (height, width, 2)` in (x, y) [px]. An existing file is replaced."""
-    method: Literal["dis", "farneback"] = "dis"
-    """Dense inverse search, or Farneback's polynomials."""
     backward: bool = False
     """Write `backward_px`, the flow from AFTER to BEFORE, as well."""
     picture: flags.PictureFlag = None

@@ -8,7 +8,7 @@ from deformscope.arrays import BoolArray, ImageArray
 from deformscope.errors import InputError
 from deformscope.experiments.foam_video import ParticleOptions
 from deformscope.frames import ColorFrame
-from deformscope.stages.see.flow import FlowField, FlowMethod, FlowStep, flow_onward
+from deformscope.stages.see.flow import FlowField, FlowStep, flow_onward
 from deformscope.stages.see.particles import ParticleGrid, Tracked, advance, seed_grid, select_held, start
 
 MOST_BYTES = 2 << 30
@@ -18,18 +18,18 @@ MOST_BYTES = 2 << 30
 class CachedFlow:
     """first, last: first and last image; `follow` follows particles.
 
-    frames: the frames in order; method: method of the flow; note: called with the number of frames taken so far.
+    frames: the frames in order; note: called with the number of frames taken so far.
     Raises InputError for a single frame, and for more frames than may be held in memory.
     """
 
-    def __init__(self, frames: Iterable[ColorFrame], method: FlowMethod, note: Callable[[int], None]) -> None:
+    def __init__(self, frames: Iterable[ColorFrame], note: Callable[[int], None]) -> None:
         self._flows: list[tuple[FlowField, FlowField]] = []
         images: list[ImageArray] = []
         held_bytes = 0
         step: FlowStep | None = None
         for done, frame in enumerate(frames, 1):
             if images:
-                step = flow_onward(images[-1], frame.image, method, step)
+                step = flow_onward(images[-1], frame.image, step)
                 forward, backward = step.forward, step.backward
                 self._flows.append((forward, FlowField(backward.flow_px)))  # all of them that `advance` looks at
                 maps = (forward.flow_px, forward.noise_px, forward.misfit, backward.flow_px)

@@ -58,7 +58,7 @@ def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
     if any(value is not None for value in particles):
         return dataclasses.replace(asked, fps=asked.fps or known.fps)
     fps = asked.fps or known.fps
-    return dataclasses.replace(known, fps=fps, stride=asked.stride, flow=asked.flow, px_per_cm=asked.px_per_cm)
+    return dataclasses.replace(known, fps=fps, stride=asked.stride, px_per_cm=asked.px_per_cm)
 
 
 def particle_options(images: ParticleFlags, noise_px: float | None = None) -> ParticleOptions:

@@ -361,7 +361,7 @@ def _particles_at(
     if spacing is None and particles.grid is None:
         spacing = max(height, width) / PARTICLES_ALONG
     grid = seed_grid((height, width), None, particles.grid, spacing)
-    tracked = advance(start(grid), *flow_both_ways(first.image, second.image, particles.flow))
+    tracked = advance(start(grid), *flow_both_ways(first.image, second.image))
     scale = first.scale
     whole = ParticleGrid(first.whole(grid.rest_px), grid.shape, grid.cell, grid.spacing_px * scale)
     return whole, Tracked(

@@ -19,7 +19,7 @@ from deformscope.errors import InputError
 from deformscope.session import Experiment, Step, measuring
 from deformscope.stages.fit.calibrate import Calibration, FitOptions, Model, Observation, Progress, calibrate
 from deformscope.stages.fit.estimate import Comparison
-from deformscope.stages.see.flow import FlowMethod, FlowStep, flow_onward
+from deformscope.stages.see.flow import FlowStep, flow_onward
 from deformscope.stages.see.particles import ParticleGrid, Rect, Tracked, advance, seed_grid, select_held, start
 
 FRAMES_AT_ONCE = 256
@@ -32,7 +32,6 @@ class ParticleOptions(ParticleFlags):
     frames_of: number of frames in the sequence, if only some are followed; None = all are followed"""
 
     held: tuple[HeldPart, ...] = ("top", "bottom")
-    flow: FlowMethod = "dis"
     px_per_cm: float | None = None
     noise_px: float | None = None
     frames_of: int | None = None
@@ -77,7 +76,6 @@ def last_pose(
         "particles": len(grid.rest_px),
         "lost": int(np.count_nonzero(~history[-1].seen)),
         "held": len(seen.held),
-        "flow": particles.flow,
         "held_parts": list(particles.held),
         "held_moved": moved,
         "noise_source": "flow" if particles.noise_px is None else "given",
@@ -105,7 +103,7 @@ def track(
         following = yield step
         if following is None:
             return grid, history
-        flow = flow_onward(frame.image, following.image, particles.flow, flow)
+        flow = flow_onward(frame.image, following.image, flow)
         history.append(advance(history[-1], flow.forward, flow.backward))
         if times is not None:
             times.append(1e-9 * (following.stamp.host_ns - began.host_ns))

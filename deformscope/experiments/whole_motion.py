@@ -141,7 +141,6 @@ def fit_motion(
         "particles": len(motion.grid.rest_px),
         "lost": int(np.count_nonzero(~last.seen)),
         "held": len(way.held),
-        "flow": particles.flow,
         "held_parts": list(way.parts),
         "held_moved": list(way.moved),
         "noise_source": "flow" if particles.noise_px is None else "given",

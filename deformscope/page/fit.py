@@ -417,9 +417,9 @@ def run_fit(
             else:
                 flow = stack.enter_context(StageProcesses(("flow",), quiet_warp, nice=NICE))["flow"]
                 send("want")
-                name, method = config.images.camera or "", config.images.flow
+                name = config.images.camera or ""
                 first = _first_picture(pipe, name)
-                camera = FollowedCamera(name, first, method, flow, next_folder, lambda: send("want"))
+                camera = FollowedCamera(name, first, flow, next_folder, lambda: send("want"))
                 camera.request(lambda: None)
                 subject = ImagesSubject(camera.motion())
             fit = PageFit(config, subject, send, camera, keeps_last=keeps_last)

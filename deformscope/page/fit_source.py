@@ -23,7 +23,6 @@ from deformscope.files.pairs import parse_pair
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_jpeg, encode_png
 from deformscope.stages.fit.model import Observation
-from deformscope.stages.see.flow import FlowMethod
 from deformscope.stages.see.particles import clean_mask
 from deformscope_drivers.clock import Stamp
 
@@ -96,13 +95,13 @@ def subject_of(config: BetaConfig | ThetaConfig, note: Callable[[str], None]) ->
     images = images_of(config)
     with opened_images(config.sources, images) as source:
         of = "" if source.count is None else f" of {source.count}"
-        return ImagesSubject(CachedFlow(source, images.flow, lambda done: note(f"optical flow: frame {done}{of}")))
+        return ImagesSubject(CachedFlow(source, lambda done: note(f"optical flow: frame {done}{of}")))
 
 
 class FollowedCamera:
     """A camera that is followed. Pictures may come from any thread; only one other thread may call the other methods.
 
-    name: name of the camera; first: its first picture, which shows the thing at rest; method: method of the flow
+    name: name of the camera; first: its first picture, which shows the thing at rest
     flow: computes the motion in a process in which nothing else uses OpenCV: the same pictures give the same result to
     the last bit; next_folder: makes a folder for pictures to store; want: requests the next picture
     """
@@ -111,14 +110,13 @@ class FollowedCamera:
         self,
         name: str,
         first: ImageArray,
-        method: FlowMethod,
         flow: StageExecutor,
         next_folder: Callable[[], Path],
         want: Callable[[], None],
     ) -> None:
         self.name = name
         self._rest = self._newest = first
-        self._method, self._flow, self._next_folder, self._want = method, flow, next_folder, want
+        self._flow, self._next_folder, self._want = flow, next_folder, want
         self._wants = False
         self._requested: Future[CachedFlow] | None = None
         self._pair: tuple[ImageArray, ImageArray] | None = None
@@ -145,7 +143,7 @@ class FollowedCamera:
         if self._requested is not None or (self._pair and self._pair[0] is rest and self._pair[1] is newest):
             return
         self._pair = rest, newest  # also where nothing comes of it: it is not computed again
-        self._requested = self._flow.submit(motion_of, rest, newest, self._method, cv2.getNumThreads())
+        self._requested = self._flow.submit(motion_of, rest, newest, cv2.getNumThreads())
         self._requested.add_done_callback(lambda future: call())
 
     @property
@@ -185,7 +183,7 @@ class FollowedCamera:
         return dataclasses.replace(config, sources=self._kept, images=dataclasses.replace(config.images, camera=None))
 
 
-def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads: int) -> CachedFlow:
+def motion_of(rest: ImageArray, newest: ImageArray, threads: int) -> CachedFlow:
     """Motion from one picture (H, W[, 3]) to the other, as with two files. threads: number of threads of OpenCV. Raises
     InputError if the sizes differ."""
     if rest.shape != newest.shape:
@@ -193,7 +191,7 @@ def motion_of(rest: ImageArray, newest: ImageArray, method: FlowMethod, threads:
         raise InputError("pictures of one size", came, "take the image at rest again")
     cv2.setNumThreads(threads)
     pair = [ColorFrame(Stamp(index), index, image) for index, image in enumerate((rest, newest))]
-    return CachedFlow(pair, method, lambda done: None)
+    return CachedFlow(pair, lambda done: None)
 
 
 def _eight_bits(image: ImageArray, low: float, high: float) -> ImageArray:

@@ -58,7 +58,7 @@ class Camera(Watched):
         quiet_warp()
         config = beta_of(Path("rig.toml"), images=ImageOptions(roi=(6, 5, 88, 105), grid=(5, 4)))
         self.wants = 0
-        self.camera = FollowedCamera("side", stretched(0), "dis", beside or Inline(), lambda: folder, self._want)
+        self.camera = FollowedCamera("side", stretched(0), beside or Inline(), lambda: folder, self._want)
         self.camera.request(lambda: None)
         subject = ImagesSubject(self.camera.motion())
         self.fitting = PageFit(config, subject, self._take, self.camera, keeps_last=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -14,8 +14,6 @@ import scipy  # its parts are imported as they are first used: who only reads re
 
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
-
-FlowMethod = Literal["dis", "farneback"]
 
 T = TypeVar("T")
 
@@ -31,9 +29,9 @@ class FlowField:
     """Displacement of every pixel of the first image towards the second.
 
     flow_px: (H, W, 2) float32, (x, y) [px]; x to the right, y down; noise_px: (H, W) float32, one standard deviation of
-    each coordinate [px] as image noise and texture let expect; None where the method does not say
+    each coordinate [px] as image noise and texture let expect
     misfit: (H, W) float32, 0 to 1, share of the contrast around a pixel that the flow leaves unexplained beyond the
-    usual noise: near 1 the pixel is not visible at its new place; None for methods without it
+    usual noise: near 1 the pixel is not visible at its new place
     """
 
     flow_px: FloatArray
@@ -53,30 +51,28 @@ def grey(image: Image) -> FloatArray:
     raise InputError("an image of shape (H, W), (H, W, 3) or (H, W, 4)", f"shape {image.shape}")
 
 
-def dense_flow(before: Image, after: Image, method: FlowMethod = "dis") -> FlowField:
+def dense_flow(before: Image, after: Image) -> FlowField:
     """Flow from `before` to `after`.
 
-    "dis": feature matches that agree with their neighbours (SIFT, Lowe 2004) start DIS (Kroeger 2016), which finds
+    Feature matches that agree with their neighbours (SIFT, Lowe 2004) start DIS (Kroeger 2016), which finds
     large motions. A windowed least-squares refinement (Lucas and Kanade 1981) makes the result sub-pixel. Rms vector
     error against known displacement (this, against DIS "medium" alone; 360 x 360 px, grey noise 2 of 255). Speckles of
     3 px: 5 px shift .003 / .055, 20 % strain .011 / .22, 30 px shift .010 / 30, 10 degrees .011 / .18. Foam: 0.1 px
     waves .03 / .04, 60 px shift .05 / .6; faint texture, 3 degrees .09 / .22. DIC Challenge sample 14 L1: .010 / .028.
     Motion waves shorter than about 60 px are flattened; without texture the flow is a guess.
 
-    "farneback": OpenCV's Farnebäck 2003, without refinement.
-
     Repeatable bit for bit on one machine; DIS splits its work by the number of OpenCV threads, so another thread
     count changes the last digits.
     """
-    a, b = _views(before, after, method)
-    return _flow(_featured(a, method), _featured(b, method), method)
+    a, b = _views(before, after)
+    return _flow(_featured(a), _featured(b))
 
 
-def flow_both_ways(before: Image, after: Image, method: FlowMethod = "dis") -> tuple[FlowField, FlowField]:
+def flow_both_ways(before: Image, after: Image) -> tuple[FlowField, FlowField]:
     """`dense_flow` from `before` to `after` and back; at once where OpenCV is held to one thread."""
-    first, second = _views(before, after, method)
-    a, b = _both(lambda: _featured(first, method), lambda: _featured(second, method))
-    return _both(lambda: _flow(a, b, method), lambda: _flow(b, a, method))
+    first, second = _views(before, after)
+    a, b = _both(lambda: _featured(first), lambda: _featured(second))
+    return _both(lambda: _flow(a, b), lambda: _flow(b, a))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,30 +80,30 @@ class FlowStep:
     """A step from one image of a sequence to the next.
 
     forward, backward: flow there and back
-    fits: (H, W) each, local correlation of the images under each of them; empty if the method does not refine
+    fits: (H, W) each, local correlation of the images under each of them
     """
 
     forward: FlowField
     backward: FlowField
-    fits: tuple[FloatArray, ...] = ()
+    fits: tuple[FloatArray, FloatArray]
 
 
-def flow_onward(before: Image, after: Image, method: FlowMethod = "dis", last: FlowStep | None = None) -> FlowStep:
+def flow_onward(before: Image, after: Image, last: FlowStep | None = None) -> FlowStep:
     """Flow both ways in a sequence, in a seventh of the time if the motion continues.
 
     last: result of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
     correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed, and the flow is computed
     as for a pair.
     """
-    a, b = _views(before, after, method)
-    if last is not None and last.fits:
+    a, b = _views(before, after)
+    if last is not None:
         there, back = last.forward.flow_px, last.backward.flow_px
         fields = _both(lambda: _refine(a, b, there, PASSES_ONWARD), lambda: _refine(b, a, back, PASSES_ONWARD))
         fits = _fits(a, b, fields)
         if all(float((was - fit).max()) < FIT_DROP for was, fit in zip(last.fits, fits, strict=True)):
             return FlowStep(*fields, fits)
-    fields = flow_both_ways(before, after, method)
-    return FlowStep(*fields, _fits(a, b, fields) if method == "dis" else ())
+    fields = flow_both_ways(before, after)
+    return FlowStep(*fields, _fits(a, b, fields))
 
 
 def _fits(a: FloatArray, b: FloatArray, fields: tuple[FlowField, FlowField]) -> tuple[FloatArray, FloatArray]:
@@ -135,19 +131,15 @@ class _Featured:
     words: Any
 
 
-def _featured(grey: FloatArray, method: FlowMethod) -> _Featured:
-    """An image (h, w), 0 to 255, with its features where the method uses them."""
+def _featured(grey: FloatArray) -> _Featured:
+    """An image (h, w), 0 to 255, with its features."""
     grey8 = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    if method == "farneback":
-        return _Featured(grey, grey8, np.zeros((0, 2)), None)
     keys, words = cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02).detectAndCompute(grey8, None)
     return _Featured(grey, grey8, np.array([key.pt for key in keys]), words)
 
 
-def _views(before: Image, after: Image, method: FlowMethod) -> tuple[FloatArray, FloatArray]:
+def _views(before: Image, after: Image) -> tuple[FloatArray, FloatArray]:
     """Both (H, W), on 0..255."""
-    if method not in get_args(FlowMethod):
-        raise InputError(f"a flow method out of {', '.join(get_args(FlowMethod))}", repr(method))
     if before.dtype != after.dtype:
         raise InputError("two images of one type", f"{before.dtype} and {after.dtype}", "convert one of them")
     a, b = grey(before), grey(after)
@@ -158,21 +150,7 @@ def _views(before: Image, after: Image, method: FlowMethod) -> tuple[FloatArray,
     return _stretch(a, b)
 
 
-def _flow(a: _Featured, b: _Featured, method: FlowMethod) -> FlowField:
-    if method == "farneback":
-        flow = cv2.calcOpticalFlowFarneback(
-            a.grey8,
-            b.grey8,
-            None,
-            0.5,
-            6,
-            21,
-            5,
-            7,
-            1.5,
-            cv2.OPTFLOW_FARNEBACK_GAUSSIAN,  # type: ignore[call-overload]
-        )
-        return FlowField(np.asarray(flow, dtype=np.float32))
+def _flow(a: _Featured, b: _Featured) -> FlowField:
     return _refine(a.grey, b.grey, _coarse(a, b))
 
 

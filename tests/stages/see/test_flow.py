@@ -14,7 +14,7 @@ import scipy.io
 
 from deformscope.errors import InputError
 from deformscope.stages.see import flow as flows
-from deformscope.stages.see.flow import SMALLEST_PX, FlowMethod, FlowStep, dense_flow, flow_both_ways, flow_onward, grey
+from deformscope.stages.see.flow import SMALLEST_PX, FlowStep, dense_flow, flow_both_ways, flow_onward, grey
 from tests.cases import slow_but
 
 Array = npt.NDArray[np.float64]
@@ -220,11 +220,6 @@ def test_misfit_tells_a_covered_patch() -> None:
     assert np.percentile(misfit[160:220, 20:220], 99) < 0.1
 
 
-def test_farneback_is_there() -> None:
-    before, after, truth = pair(shift(2.4, 1.1))
-    assert rms(dense_flow(eight_bit(before), eight_bit(after), "farneback").flow_px, truth) < 0.3
-
-
 @pytest.mark.parametrize(
     ("before", "after", "said"),
     [
@@ -238,11 +233,6 @@ def test_farneback_is_there() -> None:
 def test_refuses(before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8], said: str) -> None:
     with pytest.raises(InputError, match=said):
         dense_flow(before, after)
-
-
-def test_refuses_an_unknown_method() -> None:
-    with pytest.raises(InputError, match="dis, farneback"):
-        dense_flow(np.zeros((40, 40), np.uint8), np.zeros((40, 40), np.uint8), "raft")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -264,9 +254,9 @@ def whole(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """An entry for each step of a sequence that is worked out as a pair."""
     calls: list[str] = []
 
-    def counted(before: Array, after: Array, method: FlowMethod = "dis") -> tuple[flows.FlowField, flows.FlowField]:
-        calls.append(method)
-        return flow_both_ways(before, after, method)
+    def counted(before: Array, after: Array) -> tuple[flows.FlowField, flows.FlowField]:
+        calls.append("pair")
+        return flow_both_ways(before, after)
 
     monkeypatch.setattr(flows, "flow_both_ways", counted)
     return calls
@@ -285,7 +275,7 @@ def test_steady_motion_is_refined_alone_and_as_exact_as_of_pairs(whole: list[str
     images, _ = frames_of(steps)
     last: FlowStep | None = None
     for n, (before, after) in enumerate(pairwise(images)):
-        last = flow_onward(before, after, "dis", last)
+        last = flow_onward(before, after, last)
         # the motion of a step, exactly: rest of the place, then on to the next image
         y, x = np.mgrid[:SIDE, :SIDE].astype(float)
         rest = np.stack([x, y]) if n == 0 else np.stack([x, y]) + np.stack(steps[n - 1](x, y))
@@ -297,7 +287,7 @@ def test_steady_motion_is_refined_alone_and_as_exact_as_of_pairs(whole: list[str
         alone = rms(dense_flow(before, after).flow_px, truth)
         assert alone < 0.04
         assert rms(last.forward.flow_px, truth) < 1.1 * alone + 0.002
-    assert whole == ["dis"]
+    assert whole == ["pair"]
 
 
 def test_a_jump_and_a_change_of_light_give_what_a_pair_gives(whole: list[str]) -> None:
@@ -305,17 +295,9 @@ def test_a_jump_and_a_change_of_light_give_what_a_pair_gives(whole: list[str]) -
     images.append(np.roll(images[-1][::-1], 40, axis=1))  # what was there is gone
     last: FlowStep | None = None
     for before, after in pairwise(images):
-        last = flow_onward(before, after, "dis", last)
+        last = flow_onward(before, after, last)
     assert len(whole) == 3  # the first, the jump, what is new
     assert last is not None
     again = flow_both_ways(images[-2], images[-1])
     np.testing.assert_array_equal(last.forward.flow_px, again[0].flow_px)
     np.testing.assert_array_equal(last.backward.flow_px, again[1].flow_px)
-
-
-def test_farneback_takes_every_pair_anew(whole: list[str]) -> None:
-    images, _ = frames_of([shift(0.4, 0.1), shift(0.8, 0.2)])
-    last = flow_onward(images[0], images[1], "farneback")
-    step = flow_onward(images[1], images[2], "farneback", last)
-    np.testing.assert_array_equal(step.forward.flow_px, dense_flow(images[1], images[2], "farneback").flow_px)
-    assert whole == ["farneback"] * 2
