@@ -83,16 +83,14 @@ def _follow_low(nice: int, begin: Callable[..., object], *given: Any) -> None:
 
 
 @contextlib.contextmanager
-def child_process(
-    name: str, target: Callable[..., None], *arguments: Any, makes_others: bool = False, nice: int = 0
-) -> Iterator[Connection]:
+def child_process(name: str, target: Callable[..., None], *arguments: Any, nice: int = 0) -> Iterator[Connection]:
     """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
 
-    makes_others: it may start processes; nice: its priority, unless this process's is lower; 0 = that of this process
+    nice: its priority, unless this process's is lower; 0 = that of this process
     """
     ours, theirs = SPAWN.Pipe()
     given = (nice, target, theirs, *arguments)
-    process = SPAWN.Process(target=_follow_low, args=given, name=name, daemon=not makes_others)
+    process = SPAWN.Process(target=_follow_low, args=given, name=name, daemon=True)
     with starting():
         process.start()
     theirs.close()

@@ -109,17 +109,12 @@ def check_arrays(sources: tuple[str, ...], images: ImageOptions, noise_px: float
         raise InputError(f"--noise-m for {called}", "--noise-px", "give the noise in metres")
 
 
-def _names_rig(source: str) -> bool:
-    return source.startswith("lab:") or Path(source).suffix.lower() == ".toml"
-
-
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions(RecordedOptions):
     """Options that `calibrate beta` and `calibrate theta` share."""
 
     sources: flags.Sources
-    """A video, a folder of frames, images in the given order, pair files (.npz), or a recording (.rrd). With --viewer
-    page also a rig (.toml, lab:NAME), whose camera supplies the images."""
+    """A video, a folder of frames, images in the given order, pair files (.npz), or a recording (.rrd)."""
     alpha: AlphaFlag = field(default=1.0, kw_only=True)
     """Stiffness of the pull to the goal positions."""
     at: flags.ShareFlag = field(default=None, kw_only=True)
@@ -127,28 +122,20 @@ class CalibrateOptions(RecordedOptions):
     adjust: bool = field(default=False, kw_only=True)
     """With --viewer page: set region, particles and model on the page, then fit. At a terminal the page does so without
     this flag."""
-    trust_rig: flags.TrustFlag = field(default=False, kw_only=True)
     search: OmitArgPrefixes[SearchOptions] = field(default_factory=SearchOptions, kw_only=True)
     images: OmitArgPrefixes[ImageOptions] = field(default_factory=ImageOptions, kw_only=True)
     model: OmitArgPrefixes[ModelOptions] = field(default_factory=ModelOptions, kw_only=True)
     summary: OmitArgPrefixes[SummaryOptions] = field(default_factory=SummaryOptions, kw_only=True)
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions, kw_only=True)
 
-    @property
-    def from_rig(self) -> bool:
-        """Whether the images come from a rig's camera during the run."""
-        return any(map(_names_rig, self.sources))
-
     def check(self) -> None:
         if self.adjust and self.output.viewer != "page":
             raise InputError("--viewer page with --adjust", self.output.viewer)
-        if not self.from_rig:
-            return
-        rig = next(filter(_names_rig, self.sources))
-        if len(self.sources) > 1:
-            raise InputError("a rig alone, or files", "both", where=rig)
-        if self.images.stride != 1:
-            raise InputError("no --stride with a rig", f"{self.images.stride}", "leave it out", rig)
+        for rig in self.sources:
+            if rig.startswith("lab:") or Path(rig).suffix.lower() == ".toml":
+                raise InputError(
+                    "files", "a rig", f"deformscope live {rig} --stage beta; or fit a recording of it", rig
+                )
 
 
 @dataclass(frozen=True, slots=True)

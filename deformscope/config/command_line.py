@@ -10,7 +10,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 from deformscope.config import flags
 from deformscope.config.options import Flags, flags_of, marks_of
 
-LEFT_OUT = frozenset({"viewer", "overwrite", "adjust", "trust_rig"})
+LEFT_OUT = frozenset({"viewer", "overwrite", "adjust"})
 """Flags of views and output, not of the computation."""
 
 

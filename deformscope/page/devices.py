@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from deformscope.arrays import ImageArray
-from deformscope.frames import ColorFrame, DepthFrame, HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
+from deformscope.frames import HealthReport, LinkChange, SessionNote, Stream, WrenchFrame
 from deformscope.page.server.messages import DeviceState, DriftState
 from deformscope.page.server.page_session import PageSession
 from deformscope.rig.drift import TareDrift
@@ -120,10 +119,3 @@ def remark_of(item: object) -> tuple[str, bool] | None:
         began = item.about == "alarm"
         return item.text if began else f"over: {item.text}", began
     return None
-
-
-def picture_of(item: object, camera: str) -> ImageArray | None:
-    """The image (H, W, 3) of this camera, in colour; None for any other item."""
-    if not isinstance(item, ColorFrame | DepthFrame) or item.device != camera:
-        return None
-    return item.image if isinstance(item, ColorFrame) else item.color

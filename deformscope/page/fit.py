@@ -1,9 +1,5 @@
 """A fit whose settings are made on a page, in a separate process: changes are simulated immediately, and only the
-newest one counts.
-
-Images of a followed camera are in no file. A picture that is held, by a person or by a whole fit, is written together
-with the picture at rest, and the command line names both.
-"""
+newest one counts."""
 
 from __future__ import annotations
 
@@ -15,32 +11,21 @@ import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from operator import itemgetter
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from deformscope.arrays import FloatArray, ImageArray
+from deformscope.arrays import FloatArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
 from deformscope.errors import InputError
 from deformscope.experiments.calibration_inputs import fit_options, images_of
-from deformscope.experiments.stage_processes import StageProcesses
 from deformscope.page.fit_settings import IN_PICTURE, images_with
-from deformscope.page.fit_source import FitSubject, FollowedCamera, ImagesSubject, subject_of
+from deformscope.page.fit_source import FitSubject, subject_of
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState, Points
-from deformscope.page.server.messages import (
-    FollowCamera,
-    HoldPicture,
-    PageCommand,
-    RunFit,
-    SetFit,
-    StopRun,
-    TakeRest,
-)
+from deformscope.page.server.messages import PageCommand, RunFit, SetFit, StopRun
 from deformscope.pictures.evidence import Result, results_png
-from deformscope.processes import NICE
 from deformscope.stages.fit.at_value import errors_of, simulate
 from deformscope.stages.fit.calibrate import calibrate
 from deformscope.stages.fit.estimate import Comparison, Estimate
@@ -48,17 +33,11 @@ from deformscope.stages.fit.model import Model, Observation
 from deformscope.stages.msm.quiet import quiet_warp
 from deformscope.stages.msm.solver import Msm
 
-FIRST_S = 10.0
-"""Longest wait for the first picture."""
 VALUES, COARSELY = 25, 5
 """Values of the error curve: one after the other while nothing changes, every fifth of them first."""
 QUIET_S = 0.3
 """Time without a change after which it begins."""
-SWIFT_S = 0.15
-"""Longest time for drawing the error curve of each picture of a followed camera."""
 BUSY_EVERY_S = 0.2
-PICTURE_NAMES = 8
-"""Number of a camera's pictures that can still be requested: a page draws one together with its particles."""
 COMMANDS = ("stop", "set-fit", "run-fit", "fit-drawn")
 
 
@@ -71,40 +50,27 @@ class PageFit:
 
     config: config of the command, with which it begins; subject: source of the fit
     send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
-    camera: the camera that is followed: each of its pictures becomes the subject, until one is held
-    keeps_last: the final picture is held
     """
 
-    def __init__(
-        self,
-        config: BetaConfig | ThetaConfig,
-        subject: FitSubject,
-        send: Callable[..., None],
-        camera: FollowedCamera | None = None,
-        *,
-        keeps_last: bool = False,
-    ) -> None:
-        self._subject, self._send, self._camera, self._keeps_last = subject, send, camera, keeps_last
+    def __init__(self, config: BetaConfig | ThetaConfig, subject: FitSubject, send: Callable[..., None]) -> None:
+        self._subject, self._send = subject, send
         self._base, self._images = config, images_of(config)
         self._began = _settings_of(config)
         self._seen: tuple[object, Observation, dict[str, object]] | None = None
         self._body: tuple[Model, Observation, Msm] | None = None
         self._curve: list[float] = []
-        self._curve_s = 0.0
         self._found: BetaConfig | ThetaConfig | None = None
         self._news = threading.Condition()
         self._asked: SetFit | None = SetFit(0, 0, self._began)
-        self._shown = self._asked
-        self._for_camera: TakeRest | HoldPicture | FollowCamera | None = None
         self._wants_fit = self._finished = False
         self._busy_s = 0.0
-        self._pictures = time.monotonic_ns() // 10**6  # no page has one of this name from before
         self.config = config
         model = fit_options(config)
-        began = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
-        name = "" if camera is None else camera.name
-        self.state = msgspec.structs.replace(began, camera=name, following=camera is not None)
-        self._show(pictures=self._offer_images())
+        self.state = FitState(subject.kind, model.model.parameter, self._began, model.bounds, subject.size_px)
+        pictures = tuple(zip(("rest.jpg", "deformed.jpg"), subject.images, strict=False))
+        for name, content in pictures:
+            send("file", name, content, "image/jpeg")
+        self._show(pictures=tuple(name for name, _ in pictures))
 
     def handle(self, command: PageCommand) -> None:
         """Have `run` carry out a request."""
@@ -116,8 +82,6 @@ class PageFit:
                     self._asked, self._wants_fit = command, False
                 case RunFit():
                     self._wants_fit = True
-                case TakeRest() | HoldPicture() | FollowCamera():
-                    self._for_camera = command
             self._news.notify()
 
     def run(self) -> None:
@@ -129,8 +93,6 @@ class PageFit:
                 asked, fit, finished = self._asked, self._wants_fit, self._finished
                 self._asked = None
                 self._wants_fit = fit and asked is not None  # first what it is to be made of
-            if self._camera is not None:
-                self._follow(self._camera, holds=fit or (finished and self._keeps_last))
             if asked is not None:
                 self._set(asked)
             elif finished:
@@ -141,84 +103,25 @@ class PageFit:
                 self._go_on_with_curve()
 
     @property
-    def result_config(self) -> BetaConfig | ThetaConfig:
-        """The options that were set last, of files. Raises InputError if pictures of a camera could not be stored."""
-        return self.config if self._camera is None else self._camera.named(self.config)
-
-    @property
     def command(self) -> str:
-        """The command that gives the same numbers at a terminal; empty without one."""
-        if self.state.following:
-            return ""
-        return shlex.join(command_line(f"calibrate {self.state.parameter}", self.result_config))
+        """The command that gives the same numbers at a terminal."""
+        return shlex.join(command_line(f"calibrate {self.state.parameter}", self.config))
 
     def _wait(self) -> None:
         """Until there is something to do."""
-        if self._camera is not None and self.state.following:
-            self._camera.request(self._wake)
-            self._news.wait_for(self._is_wanted, QUIET_S)
-        elif not self._curve:
+        if not self._curve:
             self._news.wait_for(self._is_wanted)
         elif not self.state.values:
             self._news.wait_for(self._is_wanted, QUIET_S)
 
-    def _wake(self) -> None:
-        with self._news:
-            self._news.notify()
-
     def _is_wanted(self) -> bool:
-        asked = self._asked is not None or self._wants_fit or self._finished or self._for_camera is not None
-        return asked or (self._camera is not None and self.state.following and self._camera.is_ready)
-
-    # Of a camera -----------------------------------------------------------------------------------------------------
-
-    def _follow(self, camera: FollowedCamera, *, holds: bool) -> None:
-        """Carry out its requests; else show its newest picture. holds: the shown picture is to stay"""
-        with self._news:
-            command, self._for_camera = self._for_camera, None
-        match command:
-            case TakeRest():
-                camera.take_rest()
-            case FollowCamera():
-                self._show(following=True)
-        if self.state.following and (holds or isinstance(command, HoldPicture)):
-            self._hold(camera)
-        elif self.state.following and camera.is_ready:
-            self._show_newest(camera)
-
-    def _show_newest(self, camera: FollowedCamera) -> None:
-        try:
-            self._subject = ImagesSubject(camera.motion())
-        except Exception as problem:
-            self._show(problem=format_error(problem))
-            return
-        self._seen = self._found = None
-        self._set(self._shown, self._offer_images())
-
-    def _hold(self, camera: FollowedCamera) -> None:
-        """The shown state becomes files."""
-        try:
-            camera.keep()
-        except Exception as problem:
-            self._show(problem=f"the pictures cannot be stored: {format_error(problem)}")
-            return
-        self._show(following=False)
-        self._set(self._shown)
-
-    def _offer_images(self) -> tuple[str, ...]:
-        """The names under which a page finds them; those of a camera do not replace the last ones at once."""
-        self._pictures += 1
-        of = "" if self._camera is None else f"-{self._pictures % PICTURE_NAMES}"
-        names = tuple(f"{name}{of}.jpg" for name in ("rest", "deformed")[: len(self._subject.images)])
-        for name, content in zip(names, self._subject.images, strict=True):
-            self._send("file", name, content, "image/jpeg")
-        return names if self._camera is None else tuple(f"{name}?{self._pictures}" for name in names)
+        return self._asked is not None or self._wants_fit or self._finished
 
     # What is shown ---------------------------------------------------------------------------------------------------
 
-    def _set(self, asked: SetFit, pictures: tuple[str, ...] = ()) -> None:
-        """Simulate the requested settings, and show the result. pictures: the new ones"""
-        self._curve, self._shown = [], asked
+    def _set(self, asked: SetFit) -> None:
+        """Simulate the requested settings, and show the result."""
+        self._curve = []
         try:
             self.config = config = self._config_of(asked.settings)
             seen, body, model = self._prepared(config)
@@ -227,17 +130,17 @@ class PageFit:
             error = errors_of([seen], value, [found])
             drawn = self._drawn(seen, found)
         except Exception as problem:  # whatever is set on a page, the next change may be better
-            gone = dict.fromkeys(("rest", "observed", "simulated", "seen", "held", "values", "errors"), ())
-            new: dict[str, Any] = {**gone, "pictures": pictures, "aee": None, "aee_free": None} if pictures else {}
             shown = {"settings": asked.settings, "number": asked.number, "command": self.command, "busy": ""}
-            self._show(**shown, problem=format_error(problem), **new)
+            self._show(**shown, problem=format_error(problem))
             return
         same = self._found == dataclasses.replace(config, at=None)
-        restless = "" if error.converged else "the simulation does not converge with these settings"
-        changes: dict[str, Any] = {"problem": restless, **drawn, **self._begun_curve(seen, body, model)}
+        spread = np.linspace(*self.state.bounds, VALUES).tolist()
+        self._curve = [value for first in range(COARSELY) for value in spread[first::COARSELY]]
         self._show(
-            **changes,
-            pictures=pictures or self.state.pictures,
+            **drawn,
+            problem="" if error.converged else "the simulation does not converge with these settings",
+            values=(),
+            errors=(),
             settings=asked.settings,
             number=asked.number,
             command=self.command,
@@ -267,26 +170,6 @@ class PageFit:
             "held": tuple(found.held.tolist()),
             "unit": found.unit,
         }
-
-    def _begun_curve(self, seen: Observation, body: Msm, model: Model) -> dict[str, Any]:
-        """Immediate values of it: for a followed camera all of it, if that is fast; else none yet."""
-        spread = np.linspace(*self.state.bounds, VALUES)
-        self._curve = []
-        nothing: dict[str, Any] = {"values": (), "errors": ()}
-        if not self.state.following:
-            self._curve = [value for first in range(COARSELY) for value in spread.tolist()[first::COARSELY]]
-            return nothing
-        if self._curve_s > SWIFT_S:
-            self._curve_s *= 0.9  # with other settings it may be swifter
-            return nothing
-        began_s, values = time.monotonic(), spread[::2]
-        try:
-            found = simulate(seen, model, values, body)
-            errors = [errors_of([seen], value, [one]).aee for value, one in zip(values.tolist(), found, strict=True)]
-        except Exception as problem:
-            return {**nothing, "problem": f"no error curve: {format_error(problem)}"}
-        self._curve_s = time.monotonic() - began_s
-        return {"values": tuple(values.tolist()), "errors": tuple(errors)}
 
     def _go_on_with_curve(self) -> None:
         """One more value, between two checks for new requests; one that cannot be simulated has no error, and is
@@ -354,10 +237,7 @@ class PageFit:
 
     def _show(self, **changes: Any) -> None:
         self.state = msgspec.structs.replace(self.state, **changes)
-        more: tuple[str, ...] = ()
-        if self._camera is not None:
-            more = ("take-rest", "hold-picture") if self.state.following else ("follow-camera",)
-        self._send("fit", self.state, (*COMMANDS, *more))
+        self._send("fit", self.state, COMMANDS)
 
 
 def format_error(problem: Exception) -> str:
@@ -394,64 +274,34 @@ def _settings_of(config: BetaConfig | ThetaConfig) -> FitSettings:
 # Its process ---------------------------------------------------------------------------------------------------------
 
 
-def run_fit(
-    config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
-) -> None:
-    """Run the fit until a `StopRun` comes, or the pipe ends. next_folder: makes a folder for pictures of a camera, None
-    = a fit of files
+def run_fit(config: BetaConfig | ThetaConfig, pipe: Connection) -> None:
+    """Run the fit until a `StopRun` comes, or the pipe ends.
 
-    The pipe gives ("picture", image) after each ("want",), and ("command", of a page). It is given the messages of a
-    `PageFit`, ("note", a step before it), and ("end", the last options if keeps_last, or an error).
+    The pipe gives commands of a page. It is given the messages of a `PageFit`, ("note", a step before it), and ("end",
+    the last options, or an error).
     """
     quiet_warp()
 
     def send(*message: object) -> None:
         pipe.send(message)
 
-    outcome: BetaConfig | ThetaConfig | Exception | None = None
     try:
-        with contextlib.ExitStack() as stack:
-            camera: FollowedCamera | None = None
-            if next_folder is None:
-                subject = subject_of(config, lambda words: send("note", words))
-            else:
-                flow = stack.enter_context(StageProcesses(("flow",), quiet_warp, nice=NICE))["flow"]
-                send("want")
-                name = config.images.camera or ""
-                first = _first_picture(pipe, name)
-                camera = FollowedCamera(name, first, flow, next_folder, lambda: send("want"))
-                camera.request(lambda: None)
-                subject = ImagesSubject(camera.motion())
-            fit = PageFit(config, subject, send, camera, keeps_last=keeps_last)
-            threading.Thread(target=_dispatch, args=(pipe, fit, camera), daemon=True).start()
-            fit.run()
-            outcome = fit.result_config if keeps_last else None
+        fit = PageFit(config, subject_of(config, lambda words: send("note", words)), send)
+        threading.Thread(target=_dispatch, args=(pipe, fit), daemon=True).start()
+        fit.run()
+        outcome: BetaConfig | ThetaConfig | Exception = fit.config
     except Exception as error:  # as it can travel
         outcome = error if isinstance(error, InputError | OSError) else RuntimeError(format_error(error))
     with contextlib.suppress(OSError):
         send("end", outcome)
 
 
-def _first_picture(pipe: Connection, camera: str) -> ImageArray:
-    """Raises InputError where none comes."""
-    if not pipe.poll(FIRST_S):
-        raise InputError("pictures of the camera", f"none within {FIRST_S:g} s", "deformscope doctor RIG", camera)
-    kind, what = pipe.recv()
-    if kind != "picture":
-        raise InputError("pictures of the camera", "the fit was ended", where=camera)
-    image: ImageArray = what
-    return image
-
-
-def _dispatch(pipe: Connection, fit: PageFit, camera: FollowedCamera | None) -> None:
+def _dispatch(pipe: Connection, fit: PageFit) -> None:
     """Pass on requests, until the fit is to end."""
-    what: Any = None
-    while not isinstance(what, StopRun):
+    command: Any = None
+    while not isinstance(command, StopRun):
         try:
-            kind, what = pipe.recv()
+            command = pipe.recv()
         except (EOFError, OSError):
-            kind, what = "command", StopRun(0)
-        if kind == "command":
-            fit.handle(what)
-        elif camera is not None:
-            camera.on_picture(what)
+            command = StopRun(0)
+        fit.handle(command)

@@ -9,15 +9,11 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.page.server.fit_messages import FitState
-from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, StopRun, TakeRest
+from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, StopRun
 from deformscope.page.server.page_server import PageServer
 from deformscope.processes import END_S, RENEW_S, child_process
 from deformscope.terminal import say
@@ -29,13 +25,11 @@ MOST_CHANGES = 1000
 
 
 class FitProcess:
-    """`PageRun` of a fit. The process of a fit, which requests a camera's newest picture when it is ready for one. The
-    device loop passes pictures on without waiting, and none while no page shows the fit.
+    """`PageRun` of a fit, and its process.
 
     config: the command's options, with which it begins; state: the state that was shown last; commands: commands that
     are possible then; changed: called with the state after every change, in the thread that receives from the process
-    next_folder: makes a folder for held pictures of a camera, None = it is a fit of files
-    keeps_last: the final picture is held; drawn_ms: time from a change on the page until the page has drawn it [ms]
+    drawn_ms: time from a change on the page until the page has drawn it [ms]
     """
 
     def __init__(
@@ -44,21 +38,16 @@ class FitProcess:
         state: FitState,
         page: PageServer,
         changed: Callable[[FitProcess], None],
-        next_folder: Callable[[], Path] | None = None,
-        *,
-        keeps_last: bool = False,
     ) -> None:
-        self._target = partial(_fit, config, next_folder, keeps_last)
+        self._target = partial(_fit, config)
         self._page, self._changed = page, changed
         self.state = state
         self.commands: tuple[str, ...] = ()
-        self.goes_on = self.is_shown = True
+        self.goes_on = True
         self.ending = False
-        self.outcome: BetaConfig | ThetaConfig | Exception | None = RuntimeError("its process has died")
+        self.outcome: BetaConfig | ThetaConfig | Exception = RuntimeError("its process has died")
         self.drawn_ms: deque[float] = deque(maxlen=MOST_CHANGES)
-        self._wanted = self._has_first = False
-        self._newest: ImageArray | None = None
-        self._out: queue.SimpleQueue[tuple[str, object] | None] = queue.SimpleQueue()
+        self._out: queue.SimpleQueue[PageCommand | None] = queue.SimpleQueue()
         self.thread = threading.Thread(target=self._listen, name="deformscope-fit", daemon=True)
 
     def start(self) -> FitProcess:
@@ -66,20 +55,12 @@ class FitProcess:
         self.thread.start()
         return self
 
-    def on_picture(self, image: ImageArray) -> None:
-        """A camera's newest picture (H, W[, 3]). Called by the thread that receives the picture, which does not
-        wait."""
-        self._newest = image
-        self._pass_picture()
-
     def handle(self, command: PageCommand) -> tuple[Outcome, str]:
         """See `PageRun.handle`."""
         if isinstance(command, FitDrawn):
             self.drawn_ms.append(command.after_ms)
             return "done", ""
-        if isinstance(command, TakeRest) and self._newest is not None:  # what is seen at this moment
-            self._out.put(("picture", self._newest))
-        self._out.put(("command", command))
+        self._out.put(command)
         return "begun", ""
 
     def result(self) -> BetaConfig | ThetaConfig:
@@ -88,7 +69,6 @@ class FitProcess:
             self.thread.join(RENEW_S)
         if isinstance(self.outcome, Exception):
             raise self.outcome
-        assert self.outcome is not None
         return self.outcome
 
     def end(self) -> None:
@@ -97,8 +77,8 @@ class FitProcess:
         if not self.ending:
             # What has not begun yet handles no command: it ends once its pipe does.
             self._until_s = time.monotonic() + (END_S if self.commands else 0.0)
-            self.ending, self.is_shown = True, False
-            self._out.put(("command", StopRun(0)))
+            self.ending = True
+            self._out.put(StopRun(0))
             if self.state.command:
                 say(f"as set on the page: {self.state.command}")
 
@@ -108,16 +88,9 @@ class FitProcess:
         if self.thread.ident is not None:
             self.thread.join(3 * END_S)
 
-    def _pass_picture(self) -> None:
-        """To the process if it waits for one: the first in any case, later ones if a page shows them."""
-        seen = not self._has_first or (self.is_shown and not self._page.session.absent())
-        if self._wanted and seen and self._newest is not None:
-            self._wanted, self._has_first = False, True
-            self._out.put(("picture", self._newest))
-
     def _listen(self) -> None:
         try:
-            with child_process("fit", self._target, makes_others=True, nice=NICE) as pipe:
+            with child_process("fit", self._target, nice=NICE) as pipe:
                 threading.Thread(target=self._send, args=(pipe,), daemon=True).start()
                 while not self.ending or time.monotonic() < self._until_s:
                     if not pipe.poll(0.5):
@@ -144,24 +117,17 @@ class FitProcess:
     def _take(self, kind: str, *what: Any) -> None:
         """Results of the process."""
         match kind:
-            case "want":
-                self._wanted = True
-                if not self._has_first:
-                    self._pass_picture()
             case "note":
                 self._page.session.show(reason=what[0])
             case "file" if not self.ending:  # else it may be one of another fit's by now
                 self._page.offer(*what)
             case "fit":
-                state, self.commands = what
-                self.state = msgspec.structs.replace(state, cameras=self.state.cameras)
+                self.state, self.commands = what
                 self._changed(self)
 
 
-def _fit(
-    config: BetaConfig | ThetaConfig, next_folder: Callable[[], Path] | None, keeps_last: bool, pipe: Connection
-) -> None:
+def _fit(config: BetaConfig | ThetaConfig, pipe: Connection) -> None:
     """In the process, which alone loads the simulation."""
     from deformscope.page.fit import run_fit
 
-    run_fit(config, next_folder, keeps_last, pipe)
+    run_fit(config, pipe)

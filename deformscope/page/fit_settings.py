@@ -35,4 +35,4 @@ def asked_on_page(config: BetaConfig | ThetaConfig, *, at_terminal: bool) -> boo
     """Whether the fit's settings are made on a page: if a person is at a terminal, or if it is requested."""
     if config.output.viewer != "page":
         return False
-    return config.adjust or config.from_rig or (at_terminal and not_on_a_page(config) is None)
+    return config.adjust or (at_terminal and not_on_a_page(config) is None)

@@ -15,7 +15,6 @@ from deformscope.frames import HealthReport, NoteKind, SessionNote, Stream, host
 from deformscope.interruption import Interruption
 from deformscope.log.rig_layout import RigLayout
 from deformscope.page.devices import ShownDevices
-from deformscope.page.fit_panel import FitPanel
 from deformscope.page.server.messages import (
     BeginEpisode,
     DiscardPart,
@@ -154,7 +153,7 @@ class PageRecorder:
 
     file: the first file, None = none yet; next_file: gives a name for each further file
     ended: set if the page requests a stop; recent: the last seconds, which can still be recorded
-    fit: fit that can be set during the recording; at_end: file for items that are in memory at the end
+    at_end: file for items that are in memory at the end
     """
 
     def __init__(
@@ -165,11 +164,10 @@ class PageRecorder:
         ended: Interruption,
         recent: RecentItems | None = None,
         *,
-        fit: FitPanel,
         at_end: Path | None = None,
     ) -> None:
         self._make, self._next_file, self._ended = make, next_file, ended
-        self._recent, self._fit = recent, fit
+        self._recent = recent
         self._end_message = None if at_end is None else make(at_end, "none", at_once=True)
         self._watch = make(None, "page")
         self._take = None if file is None else _FileTake(make(file, "none"), file)
@@ -205,7 +203,6 @@ class PageRecorder:
     ) -> None:
         self._work.join()
         with ExitStack() as stack:  # each is closed whatever another's closing raises
-            stack.callback(self._fit.close)  # last: no file waits for it
             stack.callback(self._watch.__exit__, kind, error, trace)
             if self._end_message is not None:
                 stack.callback(self._end_last, self._end_message, kind)
@@ -237,8 +234,6 @@ class PageRecorder:
         self.session.bind(self)
         self.session.show(tares=tares)
         self._enter()
-        assert self._watch.page is not None
-        self._fit.bind(self._watch.page, self._streams, self._found)
 
     def write(self, items: object) -> None:
         """See `Recorder.write`."""
@@ -254,7 +249,6 @@ class PageRecorder:
                 except RecordingError as error:
                     self._lose_file(self._take, error)
         if isinstance(items, Sequence) and self._shown is not None:
-            self._fit.on_items(items)
             self._shown.on_items(items)
             if any(isinstance(item, HealthReport) for item in items):
                 self._show_file()
@@ -347,12 +341,6 @@ class PageRecorder:
             self.session.enter("recording", **changes)
         else:
             self.session.recording_began(str(take.path), **changes)
-
-    def _found(self, words: str) -> None:
-        """A fit's result is reported, and noted in the recording."""
-        with self._lock:
-            self._notes.note("note", words)
-        self.session.remark(words)
 
     def _taken_notes(self) -> list[SessionNote]:
         notes = self._notes.take()

@@ -167,9 +167,6 @@ def calibrate(
     several pairs."""
     quiet_warp()
     sources, search, output = config.sources, config.search, config.output
-    if config.from_rig:
-        again = "--viewer page; or fit a recording of it (deformscope record)"
-        raise InputError("--viewer page with a rig, whose camera supplies the images", output.viewer, again, sources[0])
     check_arrays(sources, config.images, search.noise_px, "pair files")  # a page sets both until its fit is made
     fit = fit_options(config)
     layers = _layers(config)

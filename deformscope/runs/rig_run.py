@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.config import OutputOptions, RigRunOptions
-from deformscope.config.images import ImageOptions
 from deformscope.config.rigs import StageOptions
 from deformscope.experiments.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
@@ -23,7 +22,6 @@ from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import members_of
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.page.devices import remark_of
-from deformscope.page.fit_panel import FitPanel
 from deformscope.page.recorder import PageRecorder
 from deformscope.pictures.report import Table
 from deformscope.plain import plain
@@ -80,11 +78,9 @@ def run_rig(config: RigRunOptions, auto: Literal["none", "native"], *, always_re
         settings["stages"] = dataclasses.asdict(options)
     recent = _recent(config.keep_last, viewer, names)
     at_end = config.keep_last is not None and always_record
-    begun = ImageOptions(**config.stages.shared(ImageOptions))  # a fit on the page begins as in the stages
-    fit = FitPanel(config.rig, Path(rig.record.folder), rig.name.replace(":", "-"), begun)
     with (
         until_interrupted() as asked,
-        _recorder(output, settings, rig, names, asked, recent, fit, at_end=at_end) as recorder,
+        _recorder(output, settings, rig, names, asked, recent, at_end=at_end) as recorder,
         _processes(options.names) if options is not None else contextlib.nullcontext({}) as beside,
         members_of(rig) as members,
     ):
@@ -122,7 +118,6 @@ def _recorder(
     names: Sequence[str],
     asked: Interruption,
     recent: RecentItems | None,
-    fit: FitPanel,
     *,
     at_end: bool,
 ) -> Recorder | WatchedRecorder | PageRecorder:
@@ -138,7 +133,7 @@ def _recorder(
 
     if output.viewer == "page":
         first, last = (None, output.record) if at_end else (output.record, None)
-        return PageRecorder(make, first, next_file, asked, recent, fit=fit, at_end=last)
+        return PageRecorder(make, first, next_file, asked, recent, at_end=last)
     if at_end and recent is not None:
         return LastRecorder(make(None, output.viewer), make(output.record, "none", at_once=True), recent)
     if output.viewer == "native" and output.record is not None:

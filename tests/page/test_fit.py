@@ -83,7 +83,7 @@ class Watched:
         self._changed = threading.Event()
         self.session.watch(self._change)
         quiet_warp()
-        self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take, keeps_last=True)
+        self.fitting = PageFit(config, subject_of(config, lambda words: None), self._take)
         self._began = self.fitting.state.settings
 
     def _take(self, kind: str, *what: Any) -> None:
@@ -306,7 +306,7 @@ def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: p
         if fit.goes_on:
             page.session.enter("adjusting", commands=fit.commands, fit=fit.state)
 
-    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed, keeps_last=True).start()
+    one = FitProcess(config, FitState("pair", "beta", FitSettings()), page, changed).start()
     page.session.bind(one)
     came = threading.Event()
     end = page.session.watch(lambda: came.set() if page.session.state.commands else None)
@@ -324,7 +324,7 @@ def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: p
 
 
 @contextmanager
-def in_this_process(name: str, target: Any, *, makes_others: bool, nice: int) -> Iterator[Connection]:
+def in_this_process(name: str, target: Any, *, nice: int) -> Iterator[Connection]:
     """As `processes.child_process`, in a thread."""
     ours, theirs = Pipe()
     thread = threading.Thread(target=target, args=(theirs,))
@@ -422,6 +422,8 @@ def test_what_is_set_on_a_page(pair: Path) -> None:
         pass
     with pytest.raises(InputError, match="--viewer page with --adjust"):
         beta_of(pair, adjust=True)
+    with pytest.raises(InputError, match="deformscope live lab:bench --stage beta"):
+        beta_of(Path("lab:bench"), output=paged)
     with pytest.raises(InputError, match="no --at with"):
         BetaConfig(("x",), motion=MotionFlags(whole_motion=True), at=0.5)
 

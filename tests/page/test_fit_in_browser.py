@@ -11,21 +11,9 @@ import numpy as np
 import pytest
 
 from deformscope.page.server.fit_messages import FitSettings, FitState
-from deformscope.page.server.messages import (
-    CloseFit,
-    FitDrawn,
-    FollowCamera,
-    HoldPicture,
-    OpenFit,
-    Outcome,
-    PageCommand,
-    RunFit,
-    SetFit,
-    StopRun,
-    TakeRest,
-)
+from deformscope.page.server.messages import FitDrawn, Outcome, PageCommand, RunFit, SetFit, StopRun
 from deformscope.page.server.page_server import PageServer
-from tests.page.test_in_browser import chromium, fake_viewer, shown, until
+from tests.page.test_in_browser import chromium, shown, until
 
 __all__ = ["shown"]
 
@@ -183,120 +171,6 @@ def test_what_is_set_on_the_page_is_asked_for(setting: Setting, shown: Any) -> N
     assert wrong == []
 
 
-def test_a_camera_is_followed_and_held(setting: Setting, shown: Any) -> None:
-    page, commands = setting.page, ("stop", "set-fit", "run-fit", "fit-drawn")
-
-    def show(number: int, **changes: Any) -> None:
-        names = (f"rest-{number}.jpg?{number}", f"deformed-{number}.jpg?{number}")
-        for name in names if number < 3 else ():
-            page.offer(name.split("?")[0], PIXEL, "image/png")
-        more = ("take-rest", "hold-picture") if changes["following"] else ("follow-camera",)
-        page.session.show(
-            commands=(*commands, *more),
-            fit=msgspec.structs.replace(setting.state, camera="side", pictures=names, aee=float(number), **changes),
-        )
-
-    show(1, following=True, command="", values=(0.0, 0.5, 0.99), errors=(2.0, None, 1.5))
-    shown.goto(page.address)
-    until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 1.000 px"))
-    assert shown.inner_text("#fit-least") == "least of 3 tried: 1.500 px (all particles) at beta 0.99"
-    assert "hold the picture (h)" in shown.inner_text("#fit-command")
-    assert shown.is_disabled("#fit-copy")
-    assert shown.is_hidden("[data-kind=follow-camera]")
-    until(shown, lambda: shown.inner_text("#fit-age").startswith("picture 0."))
-
-    # numbers and particles come with their picture, the newest of those that came while one was loaded
-    page.session.show(fit=setting.state)
-    for number in (1, 2):
-        show(number, following=True, command="")
-    until(shown, lambda: shown.inner_text("#fit-error").startswith("average error 2.000 px"))
-    shown.keyboard.press("z")
-    shown.keyboard.press("h")
-    until(shown, lambda: len(setting.commands) == 2)  # while they are still allowed
-    show(2, following=False)
-    until(shown, lambda: shown.inner_text("#fit-command") == "deformscope calibrate beta x")
-    assert shown.is_visible("[data-kind=follow-camera]")
-    shown.keyboard.press("h")
-    shown.focus("#fit-beta")
-    shown.keyboard.press("q")
-    until(shown, lambda: len(setting.commands) == 4)
-    assert [type(one) for one in setting.commands] == [TakeRest, HoldPicture, FollowCamera, StopRun]
-
-
-class SettingBeside:
-    """A rig that is watched, and a fit beside it that a page opens and closes."""
-
-    def __init__(self, page: PageServer, state: FitState) -> None:
-        self.page, self.commands = page, list[PageCommand]()
-        self.state = msgspec.structs.replace(state, camera="side", cameras=("side", "top"), following=True)
-        page.session.bind_secondary(self)
-        page.session.show_secondary(("open-fit",))
-
-    def handle(self, command: PageCommand) -> tuple[Outcome, str]:
-        self.commands.append(command)
-        if isinstance(command, OpenFit):
-            shown = msgspec.structs.replace(self.state, parameter=command.parameter)
-            self.page.session.show_secondary(("open-fit", "close-fit", "set-fit", "hold-picture"), fit=shown)
-        elif isinstance(command, CloseFit):
-            self.page.session.show_secondary(("open-fit",), fit=None)
-        return "begun", ""
-
-
-def test_a_fit_is_opened_over_the_viewer_of_a_rig(setting: Setting, shown: Any) -> None:
-    wrong = list[str]()
-    shown.on("pageerror", lambda error: wrong.append(str(error)))
-    fake_viewer(shown)
-    with PageServer("bench") as page:
-        for name in setting.state.pictures:
-            page.offer(name, PIXEL, "image/png")
-        page.session.enter("live", commands=("stop", "stop-recording", "write-note"))
-        beside = SettingBeside(page, setting.state)
-        page.pieces.add(b"views", lasting=True)
-        shown.goto(page.address)
-        until(shown, lambda: shown.is_enabled("[data-kind=open-fit][data-parameter=beta]"))
-        until(shown, lambda: "viewer" in shown.inner_text("#lag"))
-        assert shown.is_hidden("#fit")
-        shown.keyboard.press("m")
-        until(
-            shown,
-            lambda: shown.inner_text("#fit-error").startswith(
-                "average error 1.000 px (all particles; free ones alone 1.250 px)"
-            ),
-        )
-        assert shown.evaluate("document.elementFromPoint(600, 400).id") == "fit-canvas"
-        assert shown.is_visible("[aria-label=devices]")  # they go on, and are seen
-        assert shown.is_hidden("[data-kind=start-recording]")
-        assert shown.locator("#shown [aria-pressed=true]").inner_text() == "Fit beta"
-
-        # the viewer below it gets one batch at most; then nothing, until it is seen again
-        for number in range(1, 4):
-            page.pieces.add(b"numbers", lasting=False, until_ns=number * 10**9)
-            shown.wait_for_timeout(100)
-        below = shown.evaluate("window.pieces.length")
-        assert below <= 2
-        shown.focus("#fit-beta")
-        shown.keyboard.press("ArrowRight")
-        until(shown, lambda: isinstance(beside.commands[-1], SetFit))
-        shown.keyboard.press("n")  # what is written into a field is seen
-        until(shown, lambda: "m shows the viewer" in shown.text_content("#remarks"))
-        shown.select_option("#fit-cameras", "top")
-        until(shown, lambda: isinstance(beside.commands[-1], OpenFit))
-        assert beside.commands[-1] == OpenFit(beside.commands[-1].id, "beta", "top")
-        shown.click("[data-parameter=theta]")
-        until(shown, lambda: shown.locator("#shown [aria-pressed=true]").inner_text() == "Fit theta")
-        shown.evaluate("document.activeElement.blur()")
-        shown.keyboard.press("m")
-        until(shown, lambda: shown.is_hidden("#fit"))
-        until(shown, lambda: shown.evaluate("window.pieces.length") > below)
-        assert shown.evaluate("document.elementFromPoint(600, 400).id") == "canvas"
-        shown.keyboard.press("m")  # of what it was before
-        until(shown, lambda: isinstance(beside.commands[-1], OpenFit) and beside.commands[-1].parameter == "theta")
-        until(shown, lambda: shown.is_visible("#fit"))
-        page.session.enter("stopped", "it has ended")
-        until(shown, lambda: shown.is_hidden("#fit"))
-    assert wrong == []
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("grid", [(7, 15), (24, 12)])
 def test_a_slider_is_seen_within_300_ms(
@@ -317,7 +191,7 @@ def test_a_slider_is_seen_within_300_ms(
     config = BetaConfig(("sample:tension",), images=ImageOptions(grid=grid, roi=(150, 0, 100, 330)))
     with PageServer("tension", adjusting=True) as page:
         began = FitState("images", "beta", FitSettings())
-        fitting = FitProcess(config, began, page, changed, keeps_last=True).start()
+        fitting = FitProcess(config, began, page, changed).start()
         page.session.bind(fitting)
         shown = browser.new_page(viewport={"width": 1280, "height": 800})
         shown.goto(page.address)

@@ -73,27 +73,6 @@ def test_two_pages_see_the_same_and_one_steers(page: PageServer) -> None:
         assert third.until(lambda state: state["controls"] == "c")["pages"] == 1
 
 
-def test_what_goes_on_beside_has_its_own_commands() -> None:
-    session, main, aside = PageSession("x"), Notebook(), Notebook()
-    session.come("a")
-    session.bind(main)
-    session.enter("live", commands=("write-note", "stop"))
-    session.bind_secondary(aside)
-    session.show_secondary(("tare",))
-    assert session.state.commands == ("write-note", "stop", "tare")
-    assert session.command("a", WriteNote(1, "x")).outcome == "done"
-    assert session.command("a", TareDevice(2, "tip")).words == "the sensor moves"
-    assert (main.notes, aside.notes) == (["x"], [])
-    session.enter("live", commands=("stop",))  # the one does not know of the other
-    assert list(session.state.commands) == ["stop", "tare"]
-    session.show_secondary(("write-note",), reason="beside")
-    assert session.command("a", WriteNote(3, "y")).outcome == "done"
-    assert (session.state.reason, aside.notes) == ("beside", ["y"])
-    session.enter("stopped")
-    session.show_secondary(("tare",))
-    assert not session.state.commands
-
-
 def test_through_a_forwarded_port(page: PageServer) -> None:
     """As by ssh -L: the browser's Host and Origin have another port than the server."""
     page.session.bind(Notebook())

@@ -60,8 +60,6 @@ class FitState(msgspec.Struct, frozen=True):
     which particles are held; aee_free: average error of the free particles [unit]; the average of all that were seen is
     `aee`; values, errors: simulated values of the parameter, and the average error of all seen particles at each [unit]
     busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none
-    camera: the followed camera, empty = none; following: the camera's newest picture is shown, which has no command
-    line yet; cameras: other cameras that can be followed
     """
 
     kind: Literal["images", "pair"]
@@ -88,6 +86,3 @@ class FitState(msgspec.Struct, frozen=True):
     busy: str = ""
     found: FitResult | None = None
     picture: str = ""
-    camera: str = ""
-    following: bool = False
-    cameras: tuple[str, ...] = ()

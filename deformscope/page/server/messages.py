@@ -142,18 +142,6 @@ class TouchPicked(FromPage, frozen=True, tag="touch-picked"):
     position_m: tuple[Length, Length, Length]
 
 
-class OpenFit(FromPage, frozen=True, tag="open-fit"):
-    """Show the model of a camera's images, in addition to the main session. camera: None = the last one used, or the
-    first"""
-
-    parameter: Literal["beta", "theta"]
-    camera: Name | None = None
-
-
-class CloseFit(FromPage, frozen=True, tag="close-fit"):
-    """Show the main session again."""
-
-
 class SetFit(FromPage, frozen=True, tag="set-fit"):
     """Show the model with these settings. number: counts the settings; earlier ones not yet shown are skipped"""
 
@@ -163,18 +151,6 @@ class SetFit(FromPage, frozen=True, tag="set-fit"):
 
 class RunFit(FromPage, frozen=True, tag="run-fit"):
     """Fit the parameter, with its interval, with the settings. A later change of a setting ends it."""
-
-
-class TakeRest(FromPage, frozen=True, tag="take-rest"):
-    """A camera's newest picture shows the thing at rest."""
-
-
-class HoldPicture(FromPage, frozen=True, tag="hold-picture"):
-    """Stop following a camera: the shown picture stays, and is written to files."""
-
-
-class FollowCamera(FromPage, frozen=True, tag="follow-camera"):
-    """Show the model of a camera's newest picture again."""
 
 
 class FitDrawn(FromPage, frozen=True, tag="fit-drawn"):
@@ -206,13 +182,8 @@ PageCommand = (
     | TouchNext
     | TouchAt
     | TouchPicked
-    | OpenFit
-    | CloseFit
     | SetFit
     | RunFit
-    | TakeRest
-    | HoldPicture
-    | FollowCamera
     | FitDrawn
 )
 

@@ -64,9 +64,6 @@ class PageSession:
         self._began_s = clock()
         self._state = PageState(title=title, beat_s=beat_s)
         self._run: PageRun | None = None
-        self._secondary: PageRun | None = None
-        self._commands: tuple[str, ...] = ()
-        self._secondary_commands: tuple[str, ...] = ()
         self._beats: dict[str, tuple[float, bool]] = {}
         self._moves = 0
         self._answers: tuple[Callable[[], None], Callable[[str], None]] = (_nothing, _nothing)
@@ -92,17 +89,6 @@ class PageSession:
         """From now on this run gets the commands."""
         self._run = run
 
-    def bind_secondary(self, run: PageRun) -> None:
-        """From now on this run gets the commands that `show_secondary` names."""
-        self._secondary = run
-
-    def show_secondary(self, commands: tuple[str, ...], **changes: Any) -> None:
-        """Offer these commands in addition to those of the main run, until it has stopped. changes: as `show`"""
-        with self._lock:
-            if self._state.phase != "stopped":
-                self._secondary_commands = commands
-                self.show(commands=self._commands, **changes)
-
     def enter(self, phase: Phase, reason: str = "", **changes: Any) -> None:
         """Change to another phase, or stay in this one; changes: fields of the state. Raises ValueError if the phase
         may not follow."""
@@ -119,15 +105,11 @@ class PageSession:
                     "next_place": None,
                 }
                 changes = over | changes
-                self._secondary_commands = ()
             self.show(phase=phase, reason=reason, **changes)
 
     def show(self, **changes: Any) -> None:
         """Change fields of the state."""
         with self._lock:
-            if "commands" in changes:
-                self._commands = changes["commands"]
-                changes["commands"] = (*self._commands, *self._secondary_commands)
             self._state = msgspec.structs.replace(self._state, **changes)
             watchers = tuple(self._watchers)
         for call in watchers:
@@ -234,11 +216,10 @@ class PageSession:
         if isinstance(command, SeeMove):
             return self._see(command.number)
         kind = str(command.__struct_config__.tag)
-        run = self._secondary if kind in self._secondary_commands else self._run
-        if run is None or kind not in state.commands:
+        if self._run is None or kind not in state.commands:
             return "refused", _refusal(kind, state.phase, state.commands)
         try:
-            return run.handle(command)
+            return self._run.handle(command)
         except Exception as error:  # whatever a command does, the server goes on
             return "refused", " ".join(str(error).split()) or type(error).__name__
 

@@ -4,14 +4,11 @@ const at = (id) => document.getElementById(id);
 const HELD = ["top", "bottom", "left", "right", "border", "contact"];
 const COLORS = { rest: "#1ebe50", observed: "#286eff", simulated: "#eb2d2d", held: "#ffc800", box: "#ffffff" };
 const FINEST_PX = 4;
-const STALE_S = 3;
 const MOST_CHANGES = 1000; // of so many, the newest, it is said how long they took to be seen
 const NEAR_PX = 12; // of the screen: a click so near to the first corner closes an outline
 
-// session: gives commands; say: words that answer them; cover: whether a fit lies over the viewer
-export function startFitting(session, say, cover) {
-  const alone = document.body.dataset.fit !== undefined; // there is no viewer
-  let parameter = "beta";
+// session: gives commands; say: words that answer them
+export function startFitting(session, say) {
   let fit = null;
   let mine = false;
   let settings = null; // as they are on the page, shown or not
@@ -28,7 +25,6 @@ export function startFitting(session, say, cover) {
   const images = new Map(); // that were loaded, by name
   let loading = false;
   let newest = null; // state that came, and of which page
-  let came_ms = 0; // when the newest picture of a camera came
   const canvas = at("fit-canvas");
 
   // What is set -------------------------------------------------------------------------------------------------------
@@ -78,9 +74,6 @@ export function startFitting(session, say, cover) {
   // From the server ---------------------------------------------------------------------------------------------------
 
   function show(state, page) {
-    if (!alone) {
-      showOver(state.phase === "stopped" ? null : state.fit); // then nothing else would show the viewer again
-    }
     if (!state.fit) {
       [mine, flight, changed_ms, running] = [false, null, null, false];
       return;
@@ -113,23 +106,6 @@ export function startFitting(session, say, cover) {
     shown = drawing();
   }
 
-  // In the viewer's place, while what goes on goes on.
-  function showOver(now) {
-    cover(now !== null);
-    if (now) {
-      document.body.dataset.fit = "beside";
-      parameter = now.parameter;
-    } else {
-      delete document.body.dataset.fit;
-    }
-    for (const button of document.querySelectorAll("#shown button")) {
-      button.ariaPressed = String(now ? button.dataset.parameter === parameter : button.dataset.kind === "close-fit");
-    }
-  }
-
-  // What shows the fit in place of the viewer, or the viewer.
-  const other = () => (document.body.dataset.fit === undefined ? ["open-fit", { parameter }] : ["close-fit"]);
-
   // Whether pictures of a state are still to be loaded: it is shown with them, and after it the newest that came meanwhile.
   function missing(state, page) {
     newest = [state, page];
@@ -142,7 +118,7 @@ export function startFitting(session, say, cover) {
       Promise.all(names.map(loaded)).then((all) => {
         images.clear();
         names.forEach((name, i) => images.set(name, all[i]));
-        [loading, came_ms] = [false, performance.now()];
+        loading = false;
         const later = newest;
         show(state, page);
         if (later[0] !== state) {
@@ -161,14 +137,6 @@ export function startFitting(session, say, cover) {
     }
     return image;
   }
-
-  setInterval(() => {
-    if (fit?.pictures.length && fit.camera) {
-      const age_s = (performance.now() - came_ms) / 1000;
-      at("fit-age").textContent = !fit.following ? "held as files" : `picture ${age_s.toFixed(1)} s old`;
-      at("fit-age").className = fit.following && age_s > STALE_S ? "numbers bad" : "numbers";
-    }
-  }, 500);
 
   function showControls() {
     const now = settings;
@@ -221,13 +189,9 @@ export function startFitting(session, say, cover) {
     at("fit-error").title = `${fit.aee} ${fit.unit} all, ${fit.aee_free} ${fit.unit} free`;
     at("fit-problem").textContent = fit.problem || fit.busy;
     at("fit-problem").className = fit.problem ? "numbers bad" : "numbers";
-    at("fit-command").textContent = fit.command || "hold the picture (h): what is shown gets its command line";
+    at("fit-command").textContent = fit.command;
     at("fit-copy").disabled = !fit.command;
-    showCameras();
     at("fit-words").textContent = fit.kind === "images" && !fit.pictures.length ? fit.busy : "";
-    for (const [kind, now] of [["hold-picture", fit.following], ["follow-camera", !fit.following]]) {
-      document.querySelector(`[data-kind=${kind}]`).hidden = !now;
-    }
     const found = fit.found;
     at("fit-found").textContent = found
       ? `${fit.parameter} ${found.value.toFixed(4)}, ${found.low.toFixed(3)} to ${found.high.toFixed(3)} (${100 * found.level} %). ${found.verdict}`
@@ -237,18 +201,6 @@ export function startFitting(session, say, cover) {
     const lowest = fit.values[fit.errors.indexOf(least)];
     at("fit-least").textContent = lowest === undefined ? "" : `least of ${fit.values.length} tried: ${length(least)} (all particles) at ${fit.parameter} ${lowest.toFixed(2)}`;
     showCurve();
-  }
-
-  function showCameras() {
-    const [several, choice] = [fit.cameras.length > 1, at("fit-cameras")];
-    at("fit-camera").textContent = several ? "" : fit.camera;
-    choice.hidden = !several;
-    if (choice.childElementCount !== fit.cameras.length) {
-      choice.replaceChildren(...fit.cameras.map((name) => new Option(name)));
-    }
-    if (document.activeElement !== choice) {
-      choice.value = fit.camera;
-    }
   }
 
   function showCurve() {
@@ -489,13 +441,6 @@ export function startFitting(session, say, cover) {
       }
     });
   }
-  at("fit-cameras").addEventListener("change", async ({ target }) => {
-    target.blur();
-    const reply = await session.command("open-fit", { parameter, camera: target.value });
-    if (reply.outcome === "refused") {
-      say(`not followed: ${reply.words}`);
-    }
-  });
   at("fit-clear").addEventListener("click", () => {
     pending = [];
     change({ outline: [] });
@@ -537,5 +482,5 @@ export function startFitting(session, say, cover) {
     }
   }
 
-  return { show, run, other };
+  return { show, run };
 }

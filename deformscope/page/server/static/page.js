@@ -4,7 +4,7 @@ import { PageSession } from "./session.js";
 import { startFitting } from "./fit.js";
 import { cursorRequest, startPlayback } from "./playback.js";
 import { startSteering } from "./steer.js";
-import { addLayer, cover, startViewer } from "./viewer.js";
+import { addLayer, startViewer } from "./viewer.js";
 
 const at = (id) => document.getElementById(id);
 const LEVELS = { ok: "good", waiting: "idle", closed: "idle", LOST: "bad", FAILED: "bad" };
@@ -16,7 +16,7 @@ const replies = [];
 
 const session = new PageSession(show, lost);
 const steering = startSteering(command, session);
-const fitting = startFitting(session, (text) => note(text, true), cover);
+const fitting = startFitting(session, (text) => note(text, true));
 const words = (text) => (at("viewer-words").textContent = text);
 let viewer = null;
 const playback = startPlayback(async (timeline, ns) => {
@@ -294,9 +294,6 @@ function write(kind, field) {
     return;
   }
   at(field).focus();
-  if (document.activeElement !== at(field)) {
-    note("its field is next to the viewer: m shows the viewer", false);
-  }
 }
 
 function stop() {
@@ -316,15 +313,12 @@ const KEYS = {
   n: () => write("write-note", "note-text"),
   e: () => (state?.episode ? command("end-episode") : write("begin-episode", "episode-label")),
   d: () => write("discard", "discard-reason"),
-  m: () => command(...fitting.other()),
   t: () => state?.tares.forEach((device) => command("tare", { device })),
   ",": () => state?.playback && playback.step(false),
   ".": () => state?.playback && playback.step(true),
   p: () => command("pause"),
   x: () => command(state?.commands.includes("squeeze") ? "squeeze" : "explore"),
   v: () => command("veto"),
-  z: () => command("take-rest"),
-  h: () => command(state?.commands.includes("hold-picture") ? "hold-picture" : "follow-camera"),
   f: () => fitting.run(),
   "?": () => (at("help").open ? at("help").close() : at("help").showModal()),
 };

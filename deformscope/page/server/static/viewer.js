@@ -11,18 +11,6 @@ const LONGEST_MS = 10_000;
 const LOG_TIMELINES = ["log_time", "log_tick"]; // what the viewer shows before the views of the recording are there
 const time = { at_ns: 0, following: true }; // of the viewer; it follows until somebody stops it
 
-// While something lies over it, it gets nothing more, as on a page that is hidden.
-let uncovered = Promise.resolve();
-let uncover = null;
-export function cover(covered) {
-  if (!covered) {
-    uncover?.();
-    uncover = null;
-  } else if (!uncover) {
-    uncovered = new Promise((resolve) => (uncover = resolve));
-  }
-}
-
 // onWords: what to say in the viewer's place, empty once it shows something
 // onBatch: after each batch that was drawn, and without one where nothing follows it
 export async function startViewer(canvas, onWords, onBatch, onEvent = () => {}) {
@@ -107,7 +95,6 @@ function connect(handle, onBatch, after) {
     } while (
       time.following && batch.until_ns > time.at_ns + SLACK_NS && performance.now() - sent_ms < LONGEST_MS
     );
-    await uncovered;
     if (socket.readyState === WebSocket.OPEN) {
       socket.send(JSON.stringify({ batch: batch.batch }));
       onBatch(batch);
