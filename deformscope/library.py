@@ -273,7 +273,7 @@ def explore(
     goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
     inclusions to find, default 0.06, with goal inclusions 0.02; set_force_n: force of a touch, at most 5 N; pace: quick
     = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows how the foam
-    creeps; feel: what is mapped: immediate stiffness, relaxed stiffness, or the share of its energy that a touch loses
+    creeps; feel: what is mapped: immediate or relaxed stiffness
     record: a recording to make (.rrd)
     yes: let a real arm move, once the checks have passed, without asking
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a

@@ -12,7 +12,7 @@ from deformscope.config.options import Flags, OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 
 BetaModel = Literal["volume", "thesis", "none"]
-Feel = Literal["apparent", "relaxed", "loss"]
+Feel = Literal["apparent", "relaxed"]
 Goal = Literal["regions", "inclusions"]
 Pace = Literal["careful", "quick"]
 Planner = Literal["regions", "thesis"]
@@ -62,8 +62,7 @@ class ExploreFlags(Flags):
     """Duration for which each touch holds its force [s]. The result then has creep: instantaneous and relaxed
     stiffness, relaxation time, and the energy that a touch loses. 8 s identify times of 0.2 to 5 s."""
     feel: Feel = "apparent"
-    """The mapped quantity: stiffness during the approach. With --hold also the relaxed stiffness, or the share of
-    energy that a touch loses, with stiffness as a second map."""
+    """The mapped quantity: stiffness during the approach. With --hold also the relaxed stiffness."""
     pace: Pace = "careful"
     """Speed of travel between touches. quick: after a first contact at the observed height, the tip crosses 2 cm above
     the highest obstacle. It slows down for the last 5 to 15 mm. It travels at the rig file's travel_speed_m_s, in the
@@ -92,13 +91,8 @@ class ExploreFlags(Flags):
             raise InputError("a threshold of 0 or more", f"{self.threshold:g}")
         if not 0.0 <= self.hold_s <= MOST_HOLD_S:
             raise InputError(f"a hold of 0 to {MOST_HOLD_S:g} s", f"{self.hold_s:g} s")
-        if self.feel != "apparent" and not self.hold_s:
-            what = "relaxed stiffness" if self.feel == "relaxed" else "energy loss"
-            raise InputError(f"a hold, from which the {what} is measured", "none", "--hold 5")
-        if self.feel == "loss" and self.planner == "thesis":
-            raise InputError("a planner whose regions are not those of beta", "thesis", "--planner regions")
-        if self.goal == "inclusions" and self.feel == "loss":
-            raise InputError("inclusions that are measured by their stiffness", "--feel loss", "--goal regions")
+        if self.feel == "relaxed" and not self.hold_s:
+            raise InputError("a hold, from which the relaxed stiffness is measured", "none", "--hold 5")
         if self.goal == "inclusions" and self.planner != "regions":
             raise InputError("the planner of --goal inclusions", f"--planner {self.planner}", "leave --planner out")
         if not LEAST_BORDER_M <= self.border_m <= 0.1:

@@ -62,7 +62,7 @@ VETO_M = 0.03
 """A veto excludes places within this distance."""
 SEEN_M = 0.01
 """A place counts as seen if a point of the surface was this near."""
-BEFORE_A_MAP = ("contact", "creep", "loss", "regions", "maps")
+BEFORE_A_MAP = ("contact", "creep", "regions", "maps")
 """Stages without which a touch gives no map."""
 WAY = "way"
 """Stage of a failure that left a place out: there is no way to it within the workspace."""
@@ -271,7 +271,6 @@ class Explorer:
         self._arm, self._gain_sd, self._truth = unseen.arm, unseen.gain_sd, unseen.truth
         self._quantity = unseen.options.quantity
         self._exponents: list[float] = []
-        self._stiffness: list[StiffnessSample] = []
         self._failed_before = unseen.failed
         self._touch = 0
         self._left_out: list[FloatArray] = []
@@ -348,10 +347,7 @@ class Explorer:
         """The forecast of a touch: the map's stiffness there, with the exponent of the touches so far."""
         options = self.options
         row, column = (touch.xy_m[::-1] / self.grid.cell_m).astype(int)
-        field, field_sd = self._quantity.stiffness_field(self.maps) or (
-            self.region_map.field,
-            self.region_map.field_sd,
-        )
+        field, field_sd = self.region_map.field, self.region_map.field_sd
         return forecast_touch(
             touch,
             options,
@@ -435,8 +431,7 @@ class Explorer:
             shift = self.surface.shift(touched.xy_m, float(np.exp(stiffness.log_stiffness)))
         if shift is not None:
             stiffness, contact = levelled(stiffness, shift), contact.on_level_layer(shift, self.surface)
-        self._stiffness.append(stiffness)
-        return contact, self._stage("loss", partial(self._quantity.sample, stiffness, creep))
+        return contact, stiffness
 
     def _estimate(
         self, touched: TouchMeasurement, contact: TouchContact | None, creep: CreepFit | None
@@ -496,7 +491,7 @@ class Explorer:
             iou=None if truth is None else match_regions(called_labels(found), truth)[0],
             boundary_m=None if truth is None else boundary_distance(called_labels(found), truth, self.grid.cell_m),
         )
-        return surface.with_moduli(self._quantity.maps(self.search.divided(maps), self._stiffness))
+        return surface.with_moduli(self.search.divided(maps))
 
     def _beta_field(self) -> tuple[FloatArray, FloatArray, TrainedField] | None:
         known = [

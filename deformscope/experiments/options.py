@@ -12,12 +12,7 @@ from deformscope.arrays import FloatArray
 from deformscope.config import flags
 from deformscope.config.explore import BORDER_M, BetaModel, ExploreFlags
 from deformscope.errors import InputError
-from deformscope.experiments.quantity import (
-    ApparentStiffness,
-    EnergyLoss,
-    RelaxedStiffness,
-    StiffnessAtReferenceSpeed,
-)
+from deformscope.experiments.quantity import ApparentStiffness, RelaxedStiffness, StiffnessAtReferenceSpeed
 from deformscope.experiments.search import InclusionSearch, RegionSearch, SurfaceSearch, ThesisSearch
 from deformscope.stages.map.inclusion_posterior import InclusionPosterior, InclusionPrior
 from deformscope.stages.map.plan import INCLUSION_M, PlanOptions
@@ -115,11 +110,10 @@ class ExploreOptions(ExploreFlags):
         """The mapped quantity of a touch."""
         if not self.hold_s:
             return ApparentStiffness()
-        return {"apparent": StiffnessAtReferenceSpeed, "relaxed": RelaxedStiffness, "loss": EnergyLoss}[self.feel]()
+        return RelaxedStiffness() if self.feel == "relaxed" else StiffnessAtReferenceSpeed()
 
     def search(self, grid: MapGrid, error: TouchErrorModel) -> SurfaceSearch:
         """The goal on a surface, before any touch. error: error model of touches' stiffness"""
-        error = self.quantity.error(error)
         if self.goal == "inclusions":
             prior = InclusionPrior(
                 smallest_m=self.inclusion_m, tip_radius_m=self.tip_radius_m, set_force_n=self.set_force_n, error=error

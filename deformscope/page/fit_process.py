@@ -18,8 +18,6 @@ from deformscope.page.server.page_server import PageServer
 from deformscope.processes import END_S, RENEW_S, child_process
 from deformscope.terminal import say
 
-NICE = 5
-"""Threads that read devices and move a robot have priority over the flow."""
 MOST_CHANGES = 1000
 """Number of newest pictures whose delay until display is stored."""
 
@@ -90,7 +88,7 @@ class FitProcess:
 
     def _listen(self) -> None:
         try:
-            with child_process("fit", self._target, nice=NICE) as pipe:
+            with child_process("fit", self._target) as pipe:
                 threading.Thread(target=self._send, args=(pipe,), daemon=True).start()
                 while not self.ending or time.monotonic() < self._until_s:
                     if not pipe.poll(0.5):

@@ -50,7 +50,7 @@ RECORDED, OTHER = (0, 114, 178), (213, 94, 0)
 """Colours of the recorded result and of other settings' results; distinct to colour-blind readers too."""
 REGIONS = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#999999")
 """Colours of regions from the softest; colour-blind readers can distinguish them (Okabe and Ito 2008)."""
-STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT, LOSS = "viridis", "plasma", "magma", "cividis", "viridis", "YlGnBu"
+STIFFNESS, BETA, DEVIATION, GAIN, HEIGHT = "viridis", "plasma", "magma", "cividis", "viridis"
 """Colours of each quantity, everywhere the same."""
 TARGET = "#e8112d"
 EXCLUDED, STRIPES, STRIPE = "#a4a9b1", "#6f757e", 4
@@ -134,21 +134,17 @@ def result_png(maps: MapEstimate, title: str = "", found: InclusionsResult | Non
 def draw_stiffness(axes: Axes, maps: MapEstimate, *, path: bool = False) -> None:
     from matplotlib.colors import LogNorm
 
-    if maps.loss is not None:
-        _draw_map(axes, 100.0 * maps.loss, maps.cell_m, LOSS, "[%]", low=0.0, high=100.0 * loss_range(maps.loss))
-        _title(axes, "Energy loss", "share of a touch's energy, over approach, hold and retract")
-    else:
-        low, high = stiffness_range(maps.stiffness_n_per_mm)
-        _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
-        _title(axes, "Stiffness", f"{stiffness_kind(maps)}, at the set force")
+    low, high = stiffness_range(maps.stiffness_n_per_mm)
+    _draw_map(axes, maps.stiffness_n_per_mm, maps.cell_m, STIFFNESS, "[N/mm]", norm=LogNorm(low, high))
+    _title(axes, "Stiffness", f"{stiffness_kind(maps)}, at the set force")
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m, path=path)
 
 
 def draw_stiffness_deviation(axes: Axes, maps: MapEstimate) -> None:
-    percent = 100.0 * np.expm1(maps.stiffness_log_sd if maps.loss_log_sd is None else maps.loss_log_sd)
+    percent = 100.0 * np.expm1(maps.stiffness_log_sd)
     _draw_map(axes, percent, maps.cell_m, DEVIATION, "[%]", low=0.0, high=_round_up(percent))
     _draw_contacts(axes, maps.contacts_m, maps.tip_radius_m)
-    _title(axes, f"Deviation of the {maps.mapped}", "one standard deviation upwards")
+    _title(axes, "Deviation of the stiffness", "one standard deviation upwards")
 
 
 def draw_beta(axes: Axes, maps: MapEstimate) -> None:
@@ -433,11 +429,6 @@ def stiffness_range(stiffness: FloatArray) -> tuple[float, float]:
     return (first, last) if last > first else (first, min(end for end in ends if end > first))
 
 
-def loss_range(loss: FloatArray) -> float:
-    """The end of a scale from 0 that includes these shares (...,) of lost energy [-]; at most 1."""
-    return min(_round_up(100.0 * loss) / 100.0, 1.0)
-
-
 def _round_up(values: FloatArray) -> float:
     return round_up(float(values[np.isfinite(values)].max(initial=0.0)), STEPS)
 
@@ -597,15 +588,14 @@ def _draw_excluded(axes: Axes, excluded: BoolArray, cell_m: float) -> None:
 
 
 def _draw_keys(axes: Axes, maps: MapEstimate) -> None:
-    """Each region's number, stiffness, and loss where it is mapped, in its place within the axes."""
+    """Each region's number and stiffness, in its place within the axes."""
     from matplotlib.patheffects import withStroke
 
     axes.apply_aspect()  # else the axes have another place until they are drawn
     for label, region in enumerate(maps.regions):
         inside = maps.labels == label
         if inside.any():
-            stiff = f"{region.level_text}\nN/mm\n{region.modulus_text}".strip()
-            words = "\n".join(one for one in (f"region {label + 1}", region.loss_text.split(" (")[0], stiff) if one)
+            words = f"region {label + 1}\n{region.level_text}\nN/mm\n{region.modulus_text}".strip()
             text = axes.text(
                 0, 0, words, ha="center", va="center", fontsize=10,
                 weight="bold", zorder=7, path_effects=[withStroke(linewidth=2.5, foreground="white")],

@@ -218,7 +218,7 @@ class ExplorationResult(LibraryResult):
             return "none: no touch gave a map"
         kind = format_regions(self.estimate)
         if self.verdict == "gradual":
-            kind = f"gradual: no regions, the {'energy loss' if self.feel == 'loss' else 'stiffness'} changes smoothly"
+            kind = "gradual: no regions, the stiffness changes smoothly"
         return f"{kind} ({format_claim(self.verdict_probability)}{self._rival()})"
 
     def _rival(self) -> str:
@@ -284,12 +284,11 @@ class ExplorationResult(LibraryResult):
         return rows
 
     def _format_region(self, region: MapRegion) -> str:
-        loss = f"{region.loss_text} of a touch's energy; " if region.loss_text else ""
         if region.rigid:
-            return f"{loss}{region.level_text} N/mm (a lower bound: hardly dented)"
+            return f"{region.level_text} N/mm (a lower bound: hardly dented)"
         low, high = region.stiffness_interval_n_per_mm
         modulus = f"; modulus {format_value(region, 'modulus_pa')} if linear" if region.modulus_pa is not None else ""
-        return f"{loss}{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
+        return f"{region.level_text} N/mm ({low:.3g} to {high:.3g}) at {self.set_force_n:g} N{modulus}"
 
     def _missed_rows(self) -> Rows:
         """Possible inclusions and regions without a touch."""
@@ -301,9 +300,7 @@ class ExplorationResult(LibraryResult):
         rows = [("untouched", what)]
         if self.lumps is None and (unseen := missed.inclusions):
             each = ", ".join(f"{one.probability:.2f} if {200.0 * one.radius_m:.3g} cm wide" for one in unseen)
-            by_loss = "the energy loss of its surroundings, or as many times less"
-            kind = by_loss if self.feel == "loss" else "as stiff or as soft"
-            stated = f"assumed: {missed.contrast:g} times {kind}; {missed.prior:g} before any touch"
+            stated = f"assumed: {missed.contrast:g} times as stiff or as soft; {missed.prior:g} before any touch"
             words = f"probability {each} that one is there and no touch shows it; more touches lower it ({stated})"
             rows.append(("inclusions unseen", words))
         return rows

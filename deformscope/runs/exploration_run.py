@@ -206,14 +206,12 @@ def _run(
     with open_run(setup.open_source(), recorder) as run:
         ending.start_ns = run.source.start_ns
         truth = setup.truth is not None and setup.truth.labels is not None
-        mapped, inclusions = "energy loss" if options.feel == "loss" else "stiffness", options.goal == "inclusions"
         layout = ExplorationLayout(
             run.source.streams,
             setup.size_m,
             setup.placement.T_base_surface,
             truth,
-            inclusions,
-            mapped,
+            options.goal == "inclusions",
             T_surface_camera=setup.camera.T_surface_camera,
         )
         recorder.start(layout, ending.start_ns)

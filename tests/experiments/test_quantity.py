@@ -9,10 +9,9 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.quantity import ApparentStiffness, EnergyLoss, RelaxedStiffness, StiffnessAtReferenceSpeed
+from deformscope.experiments.quantity import ApparentStiffness, RelaxedStiffness, StiffnessAtReferenceSpeed
 from deformscope.experiments.search import InclusionSearch, RegionSearch, ThesisSearch
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.map.loss import LEAST_LOSS
 from deformscope.stages.map.measured import TouchMeasurement
 from deformscope.stages.poke.creep import REFERENCE_SPEED_M_S, CreepFit
 from deformscope.stages.regions.posterior import RegionPosterior
@@ -47,7 +46,6 @@ CREEP = CreepFit(
         (ExploreOptions(), ApparentStiffness),
         (ExploreOptions(hold_s=5.0), StiffnessAtReferenceSpeed),
         (ExploreOptions(hold_s=5.0, feel="relaxed"), RelaxedStiffness),
-        (ExploreOptions(hold_s=5.0, feel="loss"), EnergyLoss),
     ],
 )
 def test_options_carry_what_is_mapped(options: ExploreOptions, kind: type) -> None:
@@ -55,8 +53,6 @@ def test_options_carry_what_is_mapped(options: ExploreOptions, kind: type) -> No
 
     assert type(quantity) is kind
     assert quantity.stiffness(RIGID, None, 0.01) is RIGID, "something rigid neither creeps nor relaxes"
-    gain_sd = quantity.error(TouchErrorModel(gain_sd=0.02)).gain_sd
-    assert gain_sd == (0.0 if kind is EnergyLoss else 0.02), "both ways of a cycle are off by one gain"
 
 
 def test_touches_compare_at_one_speed_where_their_creep_was_fitted_and_are_doubted_where_not() -> None:
@@ -82,36 +78,25 @@ def test_a_touch_without_its_creep_has_no_relaxed_stiffness() -> None:
     assert np.exp(relaxed.log_stiffness) == pytest.approx(CREEP.relaxed_n_per_mm)
 
 
-def test_the_loss_is_mapped_in_place_of_stiffness_where_the_way_back_says_it() -> None:
-    quantity = EnergyLoss()
-
-    assert np.exp(quantity.sample(FELT, CREEP).log_stiffness) == pytest.approx(0.25)
-    assert np.exp(quantity.sample(RIGID, None).log_stiffness) == pytest.approx(LEAST_LOSS)
-    with pytest.raises(InputError, match="force returned"):
-        quantity.sample(FELT, dataclasses.replace(CREEP, loss=None))
-    assert ApparentStiffness().sample(FELT, CREEP) is FELT
-
-
 def test_options_carry_what_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
     few = RegionPosterior.before_touches
     monkeypatch.setattr(
         RegionPosterior, "before_touches", lambda *given, seed: few(*given, particle_count=50, seed=seed)
     )
     grid, error = MapGrid((0.2, 0.2), 0.02), TouchErrorModel(gain_sd=0.02)
-    regions, thesis, loss, inclusions = (
+    regions, thesis, inclusions = (
         options.search(grid, error)
         for options in (
             ExploreOptions(),
             ExploreOptions(planner="thesis"),
-            ExploreOptions(hold_s=5.0, feel="loss"),
             ExploreOptions(goal="inclusions", inclusion_m=0.02),
         )
     )
 
-    assert type(regions) is type(loss) is RegionSearch
+    assert type(regions) is RegionSearch
     assert isinstance(thesis, ThesisSearch)
     assert isinstance(inclusions, InclusionSearch)
-    assert [one.posterior.prior.error.gain_sd for one in (regions, loss, inclusions)] == [0.02, 0.0, 0.02]
+    assert [one.posterior.prior.error.gain_sd for one in (regions, inclusions)] == [0.02, 0.02]
     assert [ExploreOptions().first_place(grid.size_m, one) is None for one in (regions, thesis)] == [True, False]
     felt = thesis.with_beta(np.array([[0.1, 0.1]]), 0.4)
     assert isinstance(felt, ThesisSearch)

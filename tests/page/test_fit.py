@@ -324,7 +324,7 @@ def test_of_how_long_changes_took_the_newest_are_kept(pair: Path, monkeypatch: p
 
 
 @contextmanager
-def in_this_process(name: str, target: Any, *, nice: int) -> Iterator[Connection]:
+def in_this_process(name: str, target: Any) -> Iterator[Connection]:
     """As `processes.child_process`, in a thread."""
     ours, theirs = Pipe()
     thread = threading.Thread(target=target, args=(theirs,))

@@ -30,8 +30,8 @@ COMPARED_TOUCHES: dict[Literal["stiffness", "beta"], str] = {
 }
 """Results of other settings with the recorded ones (`deformscope.log.exploration.compare`)."""
 TITLES = {
-    "stiffness": "{} field",
-    "stiffness_deviation": "{} field: deviation",
+    "stiffness": "Stiffness field",
+    "stiffness_deviation": "Stiffness field: deviation",
     "beta": "Beta-field",
     "beta_deviation": "Beta-field: deviation",
     "regions": "Regions found",
@@ -47,18 +47,15 @@ def exploration_blueprint(
     inclusions: bool = False,
     tabs: bool = False,
     compared: str = "",
-    mapped: str = "stiffness",
 ) -> rrb.Blueprint:
     """The views of an exploration with these devices.
 
     size_m: size of the surface along x and y; truth: whether the truth is known: otherwise the surface's height is
     shown instead; inclusions: whether inclusions are sought: they replace beta
     tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
-    compared: other settings, whose results are shown with the recorded ones (`tabs` alone); mapped: the quantity that
-    distinguishes regions
+    compared: other settings, whose results are shown with the recorded ones (`tabs` alone)
     """
-    titles = {name: title.format(mapped.capitalize()) for name, title in TITLES.items()}
-    maps = {name: _picture(path, title) for (name, title), path in zip(titles.items(), MAPS, strict=True)}
+    maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     if inclusions:
         maps |= {"beta": _picture(LUMPS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}
     gain, force = _picture(GAIN, "Gain of each place for the next touch"), _picture(FORCE, "Force over depth")

@@ -42,8 +42,7 @@ def comparison_rrd(
     rec = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
     encoded = rr.binary_stream(rec)
     truth = any(isinstance(one, MapEstimate) and one.truth_labels is not None for _, one in recorded)
-    mapped = next((one.mapped for _, one in recorded if isinstance(one, MapEstimate)), "stiffness")
-    views = exploration_blueprint(streams, size_m, truth=truth, tabs=True, compared=name, mapped=mapped)
+    views = exploration_blueprint(streams, size_m, truth=truth, tabs=True, compared=name)
     rec.send_blueprint(views)
     _batch_of(recorded, again, name).send(rec)
     return encoded.read() or b""

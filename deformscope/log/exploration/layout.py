@@ -25,7 +25,7 @@ class ExplorationLayout(RecordingLayout):
     """size_m: size of the surface along x and y; base_from_surface: (4, 4), takes positions from the surface frame to
     the arm's base frame [m], None = the same
 
-    truth: whether the truth is known; inclusions: whether inclusions are sought; mapped: as in `MapEstimate`
+    truth: whether the truth is known; inclusions: whether inclusions are sought
     T_surface_camera: (4, 4), None = not known
     """
 
@@ -33,7 +33,6 @@ class ExplorationLayout(RecordingLayout):
     base_from_surface: FloatArray | None
     truth: bool
     inclusions: bool = False
-    mapped: str = "stiffness"
     T_surface_camera: FloatArray | None = None
 
     by_touch: ClassVar[bool] = True
@@ -47,7 +46,6 @@ class ExplorationLayout(RecordingLayout):
             truth=self.truth,
             inclusions=self.inclusions,
             tabs=on_page,
-            mapped=self.mapped,
         )
 
     def log_start(self, rec: rr.RecordingStream) -> None:

@@ -95,7 +95,6 @@ FORCE_POSE = ShownStage(
 CREEP = ShownStage("creep", 4, "relaxation and loss of a hold", field="creep.held_s", when="explore.hold_s")
 REGIONS = ShownStage("regions", 4, "of one stiffness, with their probability", costs=("maps",))
 BETA_FIELD = ShownStage("beta field", 4, "over the surface, with deviation", field="beta", when="explore.beta_model")
-LOSS = ShownStage("loss", 4, "of a touch's energy, over the surface", field="loss", when="explore.feel=loss")
 INCLUSIONS = ShownStage(
     "inclusions", 4, "found inclusions, and the detection limit", costs=("lumps",), when="explore.goal=inclusions"
 )
@@ -186,7 +185,7 @@ def exploration_views(touch: int, maps: MapEstimate | None, cell_m: float) -> Vi
     return {
         SurfaceEstimate: (SURFACE, partial(log_surface, colored=touch == 0), log_height, log_ground),
         TouchEstimate: (CONTACT, DENT, BETA, CREEP, log_contact, log_dent, log_curves, _log_no_forecast),
-        MapEstimate: (REGIONS, BETA_FIELD, LOSS, log_stiffness, log_maps, log_summary),
+        MapEstimate: (REGIONS, BETA_FIELD, log_stiffness, log_maps, log_summary),
         InclusionsResult: (INCLUSIONS, log_inclusions),
         PlannedTouch: (PLAN, log_target, gain),
         TouchForecast: (AIM, log_forecast),

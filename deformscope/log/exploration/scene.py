@@ -15,7 +15,7 @@ from deformscope.log.canvas import TEXT
 from deformscope.log.result_batch import ResultBatch
 from deformscope.log.rig.arm import shape_of
 from deformscope.log.rig.columns import Sink, root
-from deformscope.pictures.exploration import LOSS, STIFFNESS, loss_range, stiffness_range
+from deformscope.pictures.exploration import STIFFNESS, stiffness_range
 from deformscope.pictures.palette import ColorArray, Rgb
 from deformscope.stages.map.exploration import MapEstimate, PlannedTouch, SurfaceEstimate, TouchEstimate, TouchForecast
 
@@ -68,11 +68,7 @@ def log_surface(now: ResultBatch, surface: SurfaceEstimate, *, colored: bool) ->
 
 
 def log_stiffness(now: ResultBatch, maps: MapEstimate) -> None:
-    """Log the surface in the colours of the map of stiffness, or of loss; its observed shape is unchanged."""
-    if maps.loss is not None:
-        share = maps.loss.ravel() / loss_range(maps.loss)
-        now.show(f"{SCENE}/surface", rr.Mesh3D.from_fields(vertex_colors=_colors(LOSS, share)))
-        return
+    """Log the surface in the colours of the map of stiffness; its observed shape is unchanged."""
     low, high = stiffness_range(maps.stiffness_n_per_mm)
     known = np.nan_to_num(maps.stiffness_n_per_mm.ravel(), nan=low, posinf=high, neginf=low).clip(low, high)
     share = np.log(known / low) / np.log(high / low)

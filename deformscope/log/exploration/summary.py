@@ -39,12 +39,9 @@ def summary(maps: MapEstimate) -> str:
         return "\n".join(lines)
     if maps.levelled_m is not None:
         lines += [f"stiffness {stiffness_kind(maps)}", ""]
-    by_loss = maps.level_loss is not None
-    lines += ["| region |" + " of a touch's energy it |" * by_loss + " stiffness [N/mm] | area [cm²] |"]
-    lines += ["| --- |" + " --- |" * by_loss + " --- | --- |"]
+    lines += ["| region | stiffness [N/mm] | area [cm²] |", "| --- | --- | --- |"]
     for label, region in enumerate(maps.regions):
         area_cm2 = (maps.labels == label).sum() * (100 * maps.cell_m) ** 2
         level = region.level_text + (f" ({region.modulus_text})" if region.modulus_text else "")
-        lost = f" {region.loss_text} |" if by_loss else ""
-        lines.append(f"| {label + 1} |{lost} {level} | {area_cm2:.0f} |")
+        lines.append(f"| {label + 1} | {level} | {area_cm2:.0f} |")
     return "\n".join(lines)

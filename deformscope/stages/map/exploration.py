@@ -15,7 +15,6 @@ import numpy as np
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.results.declared import derived, reported
-from deformscope.results.render import format_value
 from deformscope.stages.poke.creep import CreepFit
 from deformscope.stages.regions.touches import FIRST_REGIONS
 
@@ -179,7 +178,6 @@ class MapRegion:
     modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam with this stiffness. The modulus is shown
     without its interval, which does not cover foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times
     stiffer. The modulus is None if the thickness is unknown, its interval also for a bound
-    loss, loss_interval: (2,) share of a touch's energy that is lost; None if not mapped
     """
 
     stiffness_n_per_mm: float = field(
@@ -191,20 +189,11 @@ class MapRegion:
     )
     modulus_interval_pa: FloatArray | None = field(metadata=reported(unit="Pa"))
     rigid: bool = field(metadata=reported())
-    loss: float | None = field(
-        metadata=reported(unit="share of a touch's energy", digits=".0%", interval="loss_interval")
-    )
-    loss_interval: FloatArray | None = field(metadata=reported())
 
     @property
     def level_text(self) -> str:
         """The stiffness [N/mm], without its unit."""
         return f"{'> ' * self.rigid}{self.stiffness_n_per_mm:.3g}"
-
-    @property
-    def loss_text(self) -> str:
-        """The region's energy loss in a touch as text; empty if it was not mapped."""
-        return "" if self.loss is None else f"loses {format_value(self, 'loss')}"
 
     @property
     def modulus_text(self) -> str:
@@ -216,7 +205,7 @@ PLATEAU_FACTOR = 2.8
 """Largest ratio of the modulus of foam on its plateau to that of linear foam with the same stiffness at 3 N
 (docs/results/maps.md)."""
 
-REGION_LABELS = "region from 0, the softest, or the one that loses least; -1: no regions"
+REGION_LABELS = "region from 0, the softest; -1: no regions"
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,12 +226,8 @@ class MapEstimate:
     level_modulus_pa, level_modulus_interval_pa: (region_count,), (region_count, 2) Young's modulus at each level, with
     its 90 %, a lower bound for rigid parts; None with an unknown thickness
     levelled_m: thickness of the level layer to which all stiffness is converted [m], None = apparent stiffness
-    loss, loss_log_sd: (rows, columns) median share of a touch's energy that is lost, deviation of its logarithm;
-    level_loss: (region_count,) loss of each region, level_loss_interval: (region_count, 2) its 90 % interval; all four
-    None unless the regions are those of the loss, with 0 the smallest loss. Stiffness is then a field through the
-    touches, the levels its means, none of them a bound
     isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
-    `probability` is then that of as many regions by stiffness; None = the regions are of stiffness, or of the loss
+    `probability` is then that of as many regions by stiffness; None = the regions are of stiffness
     truth_labels: where it is known; iou, boundary_m: agreement with the truth; boundary_m is None if either has no
     boundary
     """
@@ -270,25 +255,18 @@ class MapEstimate:
     level_modulus_pa: FloatArray | None = None
     level_modulus_interval_pa: FloatArray | None = None
     levelled_m: float | None = None
-    loss: FloatArray | None = field(default=None, metadata=reported(unit="share of a touch's energy"))
-    loss_log_sd: FloatArray | None = field(default=None, metadata=reported(unit="natural logarithm"))
-    level_loss: FloatArray | None = None
-    level_loss_interval: FloatArray | None = None
     isopleths: FloatArray | None = None
     at_least: bool = False
 
     @property
     def mapped(self) -> str:
         """The quantity that distinguishes the regions."""
-        if self.isopleths is not None:
-            return "beta"
-        return "stiffness" if self.loss is None else "energy loss"
+        return "stiffness" if self.isopleths is None else "beta"
 
     @property
     def regions(self) -> tuple[MapRegion, ...]:
         """Each region, from label 0 on."""
         modulus, between = self.level_modulus_pa, self.level_modulus_interval_pa
-        loss, loss_between = self.level_loss, self.level_loss_interval
         return tuple(
             MapRegion(
                 float(self.level_n_per_mm[one]),
@@ -296,8 +274,6 @@ class MapEstimate:
                 None if modulus is None or between is None else float(modulus[one]),
                 None if modulus is None or between is None or self.level_rigid[one] else between[one],
                 bool(self.level_rigid[one]),
-                None if loss is None else float(loss[one]),
-                None if loss_between is None else loss_between[one],
             )
             for one in range(self.region_count)
         )
@@ -507,7 +483,7 @@ class SteeringDecision:
 class StageFailure:
     """A stage failed on one touch: the exploration continues without its result.
 
-    stage: surface, dent, contact, creep, loss, regions, beta, touch surface, maps, beta field, lumps, plan or display
+    stage: surface, dent, contact, creep, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: its number from 1, 0 = before the first
     reason: reason in one line; trace: place of the failure, for developers
     """
