@@ -438,7 +438,6 @@ def classify(
     merge: Mapping[str, Sequence[str]] | Sequence[str] | str | None = None,
     transfer: Sequence[tuple[str, str] | str] | str = (),
     splits: int = 200,
-    costly_splits: int = 10,
     curve_splits: int = 40,
     duplicates: Literal["refuse", "drop"] = "refuse",
     level: float = 0.9,
@@ -449,13 +448,12 @@ def classify(
 
     table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: use only these
     merge: classes that are merged, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
-    containers, or as TRAINED:TESTED; splits: 70/30, random, stratified and by group; costly_splits: splits of boosting
-    and the Gaussian process, 0 = without
+    containers, or as TRAINED:TESTED; splits: 70/30, random, stratified and by group
     curve_splits: splits of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never Raises InputError for what cannot be used.
     """
-    names = ("modalities", "duplicates", "splits", "costly_splits", "curve_splits", "level", "seed")
+    names = ("modalities", "duplicates", "splits", "curve_splits", "level", "seed")
     given = {name: value for name, value in locals().items() if name in names}
     from deformscope.config import ClassifyConfig
     from deformscope.config.classify import parse_merges, parse_transfers

@@ -45,12 +45,10 @@ class ClassifyConfig(RecordedOptions):
     letters, as in 'box-*:cylinder-*'; default: from each kind to every other one."""
     splits: Annotated[int, flags.least(2)] = 200
     """Number of random, stratified splits, 70 % to train and 30 % to test; group-wise if the table has `group`."""
-    costly_splits: Annotated[int, flags.least(0)] = 10
-    """Splits of gradient boosting and the Gaussian process, which are slow; 0 = without them."""
     curve_splits: Annotated[int, flags.least(0)] = 40
     """Splits of the learning curve, and of each step of a squeeze; 0 = without them."""
     quick: bool = False
-    """At most 30 splits, without costly classifiers and learning curve."""
+    """At most 30 splits, without learning curve."""
     plain_qda: bool = False
     """Try the thesis's quadratic discriminant analysis too, with one covariance per class and without shrinkage
     (`qda-plain`). It needs more trials of each class than components."""

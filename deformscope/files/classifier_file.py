@@ -35,7 +35,7 @@ VERSION = 1
 FORMAT = f"deformscope classifier {VERSION}"
 HOW = "deformscope classify TABLE --save FILE.npz"
 KINDS: dict[str, type[Classifier]] = {
-    **dict.fromkeys(("knn", "knn-raw"), Neighbours),
+    "knn": Neighbours,
     **dict.fromkeys(("qda", "qda-raw"), Quadratic),
     "linear": Linear,
 }

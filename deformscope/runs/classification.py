@@ -278,8 +278,6 @@ def table_from(
 
 def options_of(config: ClassifyConfig, transfer: tuple[tuple[str, str], ...]) -> EvaluationOptions:
     """The flags as options of an evaluation."""
-    splits = config.splits, config.costly_splits, config.curve_splits
-    if config.quick:
-        splits = min(config.splits, QUICK_SPLITS), 0, 0
+    splits = (min(config.splits, QUICK_SPLITS), 0) if config.quick else (config.splits, config.curve_splits)
     seed, plain = config.output.seed, config.plain_qda
     return EvaluationOptions(*splits, level=config.level, seed=seed, transfer=transfer, plain_qda=plain)

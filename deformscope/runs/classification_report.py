@@ -18,7 +18,7 @@ from deformscope.stages.squeeze.model import ContentModel
 from deformscope.stages.squeeze.trial_run import Method, joined_name
 
 THESIS_METHODS: tuple[Method, ...] = ("knn", "qda")
-RAW_METHODS: tuple[Method, ...] = ("knn-raw", "linear")
+RAW_METHODS: tuple[Method, ...] = ("linear",)
 MOST_CONFUSED = 10
 """Pairs of contents in a table."""
 FIGURES = {
@@ -130,7 +130,7 @@ PROTOCOL_WORDS = (
     "of each split (70 %). Random splits are the thesis's; splits by group leave whole containers or "
     "sessions out, as for a new container. Intervals are Wilson's for the effective number of independent "
     "trials. Splits share trials (Nadeau and Bengio 2003) and trials of a group may err together, which "
-    "reduces it. knn and qda use the components that hold 80 % of the variance; knn-raw, qda-raw and linear "
+    "reduces it. knn and qda use the components that hold 80 % of the variance; qda-raw and linear "
     "all of them. pooled combines all of these, with weights calibrated on training trials left out."
 )
 CONFUSION_WORDS = (

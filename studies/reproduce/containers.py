@@ -48,7 +48,7 @@ class ContainersConfig(StudyOptions):
     whole: Annotated[int, flags.least(0)] = 20
     """Number of trials whose whole recordings are stored, at the camera's full rate."""
     quick: bool = False
-    """At most 30 splits, without costly classifiers and learning curve."""
+    """At most 30 splits, without learning curve."""
 
 
 def trials(options: ContainersConfig) -> list[Trials[SqueezeJob, TrialRow]]:

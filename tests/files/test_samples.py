@@ -113,7 +113,7 @@ def test_the_video_has_particles_of_its_own(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_squeezes_are_classified() -> None:
-    given = ds.classify("sample:squeezes", splits=4, costly_splits=0, curve_splits=0)
+    given = ds.classify("sample:squeezes", splits=4, curve_splits=0)
 
     assert given.accuracy > 0.5
     assert set(given.entries()[0]["labels"]) == {"empty", "water", "yogurt", "flour", "rice"}

@@ -36,7 +36,7 @@ def fit(**given: Any) -> object:
 def classified(**given: Any) -> object:
     label = np.repeat(["empty", "rice"], 12)
     tactile = np.random.default_rng(0).normal(size=(24, 3)) + (label == "rice")[:, None]
-    return ds.classify({"label": label, "tactile": tactile}, splits=4, costly_splits=0, curve_splits=0, **given)
+    return ds.classify({"label": label, "tactile": tactile}, splits=4, curve_splits=0, **given)
 
 
 def recorded(tmp_path: Path, **given: Any) -> object:

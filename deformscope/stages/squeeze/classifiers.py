@@ -31,8 +31,8 @@ LINEAR_COMPONENTS = 200
 SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Tried shares of the unit matrix in the linear classifier's covariance."""
 
-Name = Literal["knn", "qda", "knn-raw", "qda-raw", "linear", "qda-plain"]
-NAMES: tuple[Name, ...] = ("knn", "qda", "knn-raw", "qda-raw", "linear")
+Name = Literal["knn", "qda", "qda-raw", "linear", "qda-plain"]
+NAMES: tuple[Name, ...] = ("knn", "qda", "qda-raw", "linear")
 """knn and qda use the components that hold 80 % of the variance; the others use all components. In addition qda-plain
 is the thesis's qda without shrinkage: it is tried on request, and never pooled with others."""
 
@@ -245,7 +245,7 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
 
 def columns_of(name: Name, kept: int) -> int | None:
     """Number of components that a classifier of that name uses; None = all."""
-    return {"knn-raw": None, "qda-raw": None, "linear": LINEAR_COMPONENTS}.get(name, kept)
+    return {"qda-raw": None, "linear": LINEAR_COMPONENTS}.get(name, kept)
 
 
 def usable(name: Name, raw: int) -> bool:

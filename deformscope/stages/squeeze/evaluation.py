@@ -33,15 +33,13 @@ from deformscope.stages.squeeze.scores import (
 )
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
 from deformscope.stages.squeeze.table import LISTED, LabelledTable, absent, refuse_duplicates
-from deformscope.stages.squeeze.trial_run import COSTLY, Answers, Key, Method, joined_name, run_split
+from deformscope.stages.squeeze.trial_run import Answers, Key, Method, joined_name, run_split
 
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how much of it, and of how much."""
 
 CURVE_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)
 """Shares of the training side (Thesis fig. 2.11)."""
-GAUSSIAN_PROCESS_TRIALS = 1500
-"""The Gaussian process inverts a matrix of that size for each class: not for more trials."""
 KINDS_PAIRED = 4
 """Largest number of kinds of containers that are paired for transfers by default."""
 SURE = 0.9
@@ -50,13 +48,12 @@ SURE = 0.9
 
 @dataclass(frozen=True, slots=True)
 class EvaluationOptions:
-    """splits: splits of the fast methods; costly_splits: splits of boosting and Gaussian process, 0 = none;
+    """splits: their number;
     curve_splits: splits of the learning curve and the time steps, 0 = none; protocols: kinds of splits, None = those
     that the table allows; level: level of intervals;
     transfer: (training, tested) patterns of kinds or groups; workers: threads; plain_qda: the thesis's too"""
 
     splits: int = 200
-    costly_splits: int = 10
     curve_splits: int = 40
     protocols: tuple[Protocol, ...] | None = None
     level: float = 0.9
@@ -195,21 +192,20 @@ def evaluate(
     transfers = _transfers(beyond, options.transfer, notes)
     runner = _Runner(table, options, progress)
     others = _Runner(beyond, options, progress)
-    fast: tuple[Method, ...] = (*NAMES, *(("qda-plain",) if options.plain_qda else ()), "pooled", "late-fusion")
+    methods: tuple[Method, ...] = (*NAMES, *(("qda-plain",) if options.plain_qda else ()), "pooled", "late-fusion")
     scores: list[ClassificationScore] = []
     outcomes: dict[Key, list[Answers]] = {}
     drawn: list[Split] = []
     for protocol in protocols:
         splits = draw(protocol, table, options.splits, options.seed)
-        found = runner.run(f"{protocol} splits", splits, fast, by_group=protocol == "group")
+        found = runner.run(f"{protocol} splits", splits, methods, by_group=protocol == "group")
         _check_trained(table, found)
         scores += [score_of(table, key, protocol, splits, one, options.level) for key, one in found.items()]
         if protocol == strictest:
             outcomes, drawn = found, splits
-    scores += _costly_scores(table, options, runner, strictest, drawn, notes)
     for pair, split in transfers.items():
         what = f"transfer {pair[0]} to {pair[1]}"
-        found = others.run(what, [split], fast, by_group=beyond.group is not None)
+        found = others.run(what, [split], methods, by_group=beyond.group is not None)
         scores += [score_of(beyond, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
     steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
     curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
@@ -248,8 +244,8 @@ def _without_copies(
     try:
         kept = without_near_copies(table, copies)
         splits = draw(protocol, kept, options.splits, options.seed)
-        fast: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
-        found = _Runner(kept, options, progress).run("without copies", splits, fast, by_group=protocol == "group")
+        methods: tuple[Method, ...] = (*NAMES, "pooled", "late-fusion")
+        found = _Runner(kept, options, progress).run("without copies", splits, methods, by_group=protocol == "group")
         key = best_key(kept)
         return score_of(kept, key, protocol, splits, found[key], options.level)
     except (InputError, KeyError):
@@ -310,28 +306,6 @@ class _Runner:
                 found.setdefault(key, []).append(outcome)
         # A modality that a training side lacked altogether has fewer splits than others: it is not evaluated.
         return {key: outcomes for key, outcomes in found.items() if len(outcomes) == len(splits)}
-
-
-def _costly_scores(
-    table: LabelledTable,
-    options: EvaluationOptions,
-    runner: _Runner,
-    protocol: Protocol,
-    splits: Sequence[Split],
-    notes: list[str],
-) -> list[ClassificationScore]:
-    fewer = splits[: options.costly_splits]
-    methods = [one for one in COSTLY if one == "boosting" or len(table) <= GAUSSIAN_PROCESS_TRIALS]
-    if not fewer:
-        notes.append("boosting and Gaussian process left out, as requested")
-        return []
-    if len(methods) < len(COSTLY):
-        notes.append(f"no Gaussian process: more than {GAUSSIAN_PROCESS_TRIALS} trials")
-    notes.append(f"boosting and Gaussian process on {len(fewer)} of the {len(splits)} {protocol} splits: they are slow")
-    found = runner.run("boosting and Gaussian process", fewer, methods, by_group=protocol == "group")
-    if not found:
-        notes.append("boosting and Gaussian process left out: fewer than two training trials per class")
-    return [score_of(table, key, protocol, fewer, one, options.level) for key, one in found.items()]
 
 
 # Transfer ------------------------------------------------------------------------------------------------------------

@@ -172,7 +172,7 @@ def fit_expert(
             continue
         columns = columns_of(name, kept)
         chosen = points[:, :columns]
-        if name in ("knn", "knn-raw"):
+        if name == "knn":
             squared = left_out(chosen, apart)
             k = neighbour_count(squared, target, classes)
             logs = votes(squared, target, k, classes)

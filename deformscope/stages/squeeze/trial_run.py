@@ -15,16 +15,9 @@ from deformscope.stages.squeeze.components import Space, fit_scaling, project
 from deformscope.stages.squeeze.fusion import Fitted, everywhere, fit_expert, fit_pool, fuse
 from deformscope.stages.squeeze.splits import Split
 
-Costly = Literal["boosting", "gaussian-process"]
-COSTLY: tuple[Costly, ...] = ("boosting", "gaussian-process")
-Method = Name | Costly | Literal["pooled", "late-fusion"]
+Method = Name | Literal["pooled", "late-fusion"]
 Key = tuple[str, Method]
 """Modality, or several with + between them; and method."""
-
-FEW_COLUMNS = 200
-"""Largest number of raw columns for boosting and the Gaussian process, else components."""
-LENGTHS = (0.5, 1.0, 2.0)
-"""Length scales of the Gaussian process, as shares of the median distance. The likeliest is used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +46,10 @@ def answers_of(rows: IntArray, logs: FloatArray, target: IntArray, components: i
 
 @dataclass(frozen=True, slots=True)
 class Sides:
-    """A modality on both sides of a split: rows where it was measured, standardised, and on components."""
+    """A modality on both sides of a split: rows where it was measured, and these on components."""
 
     train: IntArray
     test: IntArray
-    scaled_train: FloatArray
-    scaled_test: FloatArray
     space: Space
 
 
@@ -81,7 +72,7 @@ def sides_of(
         if one.shape[1] > len(train):
             both = np.concatenate([one, other])
             grams[name] = both @ both.T
-    found = {name: Sides(*four, project(four[2], four[3], grams.get(name))) for name, four in scaled.items()}
+    found = {name: Sides(*four[:2], project(*four[2:], grams.get(name))) for name, four in scaled.items()}
     for names in fused:
         if len(names) > 1 and set(names) <= set(scaled):
             found[joined_name(names)] = _joined({name: scaled[name] for name in names}, grams, split)
@@ -95,7 +86,7 @@ def _joined(
 ) -> Sides:
     whole = all(len(train) + len(test) == len(split.train) + len(split.test) for train, test, *_ in scaled.values())
     width = sum(one.shape[1] for *_, one, _ in scaled.values())
-    if whole and width > len(split.train) and width > FEW_COLUMNS:
+    if whole and width > len(split.train):
         gram = np.zeros((len(split.train) + len(split.test),) * 2)
         for name, (_, _, one, other) in scaled.items():
             if name in grams:
@@ -103,15 +94,13 @@ def _joined(
             else:
                 both = np.concatenate([one, other])
                 gram += both @ both.T
-        # The joined columns themselves are not needed: whoever takes them would take the components instead.
-        empty = np.zeros((0, 0))
         space = project(np.zeros((len(split.train), width)), np.zeros((len(split.test), width)), gram)
-        return Sides(split.train, split.test, empty, empty, space)
+        return Sides(split.train, split.test, space)
     train = _common([rows for rows, *_ in scaled.values()])
     test = _common([rows for _, rows, *_ in scaled.values()])
     one = np.concatenate([four[2][np.isin(four[0], train)] for four in scaled.values()], axis=1)
     other = np.concatenate([four[3][np.isin(four[1], test)] for four in scaled.values()], axis=1)
-    return Sides(train, test, one, other, project(one, other))
+    return Sides(train, test, project(one, other))
 
 
 def _common(rows: Sequence[IntArray]) -> IntArray:
@@ -167,9 +156,6 @@ def run_split(
         for name in (one for one in said if one in methods):
             count = min(columns_of(name, space.kept) or space.train.shape[1], space.train.shape[1])
             found[modality, name] = answers_of(sides.test, said[name], target[sides.test], count)
-        for costly in COSTLY:
-            if costly in methods and len(truth) >= 2 * len(np.unique(truth)):
-                found[modality, costly] = _costly(costly, sides, target, classes, seed)
     late = [fitted[name] for name in fused[0] if name in fitted]
     if "late-fusion" in methods and len(late) > 1:
         logs = late_fusion(late, target, classes, split)
@@ -194,55 +180,3 @@ def late_fusion(
     usable_rows = known.any(axis=0)
     pool = fit_pool(inside[:, usable_rows], known[:, usable_rows], target[split.train][usable_rows])
     return fuse(pool, outside, present)
-
-
-# Costly baselines ----------------------------------------------------------------------------------------------------
-
-
-def _costly(name: Costly, sides: Sides, target: IntArray, classes: int, seed: int) -> Answers:
-    """scikit-learn's gradient boosting or Gaussian process, on raw columns where there are few, else on components.
-    target: (trials,) class of each"""
-    raw = 0 < sides.scaled_train.shape[1] <= FEW_COLUMNS
-    few = sides.space.few
-    train, test = (sides.scaled_train, sides.scaled_test) if raw else few
-    truth = target[sides.train]
-    seen, index = np.unique(truth, return_inverse=True)
-    logs = np.full((len(test), classes), -np.inf)
-    if len(seen) == 1:
-        logs[:, seen[0]] = 0.0
-    else:
-        fitted = _boosting if name == "boosting" else _gaussian_process
-        logs[:, seen] = np.log(np.maximum(fitted(train, index.reshape(-1), test, seed), 1e-9))
-    return answers_of(sides.test, logs, target[sides.test], train.shape[1])
-
-
-def _boosting(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
-    """(n, classes) probabilities of test points (n, d) by gradient boosting of training points (m, d)."""
-    from sklearn.ensemble import HistGradientBoostingClassifier
-
-    model = HistGradientBoostingClassifier(
-        max_iter=60,
-        max_leaf_nodes=15,
-        min_samples_leaf=5,
-        l2_regularization=1.0,
-        early_stopping=False,
-        random_state=seed,
-    )
-    return np.asarray(model.fit(train, target).predict_proba(test))
-
-
-def _gaussian_process(train: FloatArray, target: IntArray, test: FloatArray, seed: int) -> FloatArray:
-    """(n, classes) probabilities of test points (n, d) by a Gaussian process over training points (m, d)."""
-    from scipy.spatial.distance import pdist
-    from sklearn.gaussian_process import GaussianProcessClassifier
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel
-
-    median = float(np.median(pdist(train))) or 1.0
-    models = [
-        GaussianProcessClassifier(ConstantKernel(4.0) * RBF(share * median), optimizer=None, random_state=seed).fit(
-            train, target
-        )
-        for share in LENGTHS
-    ]
-    best = max(models, key=lambda model: float(model.log_marginal_likelihood_value_))
-    return np.asarray(best.predict_proba(test))

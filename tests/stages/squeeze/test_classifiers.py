@@ -201,4 +201,4 @@ def test_classes_of_one_point_or_none_are_no_accident(name: str) -> None:
     assert np.isfinite(logs).all()
     np.testing.assert_allclose(np.exp(logs).sum(axis=1), 1.0)
     assert not set(logs.argmax(axis=1)) & {1, 4}
-    assert logs[4].argmax() == (2 if name != "knn" and name != "knn-raw" else logs[4].argmax())
+    assert logs[4].argmax() == (2 if name != "knn" else logs[4].argmax())

@@ -21,12 +21,12 @@ from deformscope.stages.squeeze.intervals import difference
 from deformscope.stages.squeeze.scores import reliability_of, score_of, split_ratio
 from deformscope.stages.squeeze.splits import Split, draw
 from deformscope.stages.squeeze.table import LabelledTable
-from deformscope.stages.squeeze.trial_run import COSTLY, Answers, run_split
+from deformscope.stages.squeeze.trial_run import Answers, run_split
 from tests.cases import slow
 from tests.stages.squeeze.trials import blobs, noise, two_modalities
 
-FAST = EvaluationOptions(splits=12, costly_splits=0, curve_splits=0, protocols=("stratified",))
-ALL = (*NAMES, *COSTLY, "pooled", "late-fusion")
+FAST = EvaluationOptions(splits=12, curve_splits=0, protocols=("stratified",))
+ALL = (*NAMES, "pooled", "late-fusion")
 
 
 def missing(table: LabelledTable) -> dict[str, np.ndarray]:
@@ -38,7 +38,7 @@ def missing(table: LabelledTable) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize(("classes", "columns"), [(2, 5), slow(4, 80)])
 def test_random_labels_give_every_classifier_the_no_information_rate(classes: int, columns: int) -> None:
-    options = dataclasses.replace(FAST, splits=16, costly_splits=3, level=0.99, protocols=("random", "stratified"))
+    options = dataclasses.replace(FAST, splits=16, level=0.99, protocols=("random", "stratified"))
     found = evaluate(noise(classes, 24, columns, seed=classes), options)
     assert {one.method for one in found.scores} == {*ALL} - {"late-fusion"}
     for score in found.scores:
@@ -197,9 +197,7 @@ def test_with_a_modality_switched_off_the_other_answers() -> None:
 def test_too_few_samples_are_words_not_crashes() -> None:
     table = blobs(classes=24, each=3, columns=10, apart=8.0, groups=2)
     keep = np.r_[0, 3:72]  # one trial alone of the first class
-    found = evaluate(
-        table.rows(keep), dataclasses.replace(FAST, splits=4, costly_splits=1, curve_splits=2, protocols=None)
-    )
+    found = evaluate(table.rows(keep), dataclasses.replace(FAST, splits=4, curve_splits=2, protocols=None))
 
     assert found.protocol == "group"
     assert any("one trial alone of c00" in note for note in found.notes)

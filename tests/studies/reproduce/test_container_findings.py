@@ -11,7 +11,7 @@ from deformscope.stages.squeeze.evaluation import Evaluation, EvaluationOptions,
 from deformscope.stages.squeeze.table import LabelledTable
 from studies.reproduce.container_findings import HARDNESS, compare_findings
 
-FEW = EvaluationOptions(splits=16, costly_splits=0, curve_splits=0, protocols=("stratified",))
+FEW = EvaluationOptions(splits=16, curve_splits=0, protocols=("stratified",))
 
 
 @cache
