@@ -9,16 +9,19 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from deformscope.errors import InputError
 from deformscope.terminal import Progress, Say, messages_to, shown_progress
 
+OptionsT = TypeVar("OptionsT", bound="Flags")
+
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray, ImageArray
     from deformscope.config import AxesConfig, BetaConfig, FieldConfig, ThetaConfig, ViscousConfig, YieldConfig
-    from deformscope.config.explore import BetaModel, Feel, Goal, Pace, Planner
-    from deformscope.config.flags import Selectable, TipName
+    from deformscope.config.explore import Planner
+    from deformscope.config.flags import TipName
+    from deformscope.config.options import Flags
     from deformscope.config.rigs import ExportFormat
     from deformscope.runs.calibration import CalibrationResult, PairArrays
     from deformscope.runs.catalog import CatalogResult, ComparedRecordings
@@ -45,57 +48,34 @@ if TYPE_CHECKING:
 
 
 def calibrate_beta(
-    source: CalibrationSource | Sequence[PairArrays],
-    *,
-    cluster_size: int | None = None,
-    theta: float | None = None,
-    bounds: tuple[float, float] = (0.0, 0.99),
-    thickness_m: float | None = None,
-    spacing_m: float | None = None,
-    whole_motion: bool = False,
-    select: Sequence[Selectable] | str = (),
-    progress: Progress | bool | None = None,
-    **options: object,
+    source: CalibrationSource | Sequence[PairArrays], *, progress: Progress | bool | None = None, **options: object
 ) -> CalibrationResult:
     """Find beta, the share of linear deformation, with its interval and a verdict (Thesis eq. 3.13).
 
     source: see `CalibrationSource`; several pairs are fitted to one value, with thickness_m as pokes of one surface
-    cluster_size: particles along each side of a cluster, default 3; theta: fixed, default 0 (layers: fitted)
-    bounds: range in which beta is searched; thickness_m: thickness of the material below a surface that was poked,
-    spacing_m: spacing of its lattice; whole_motion: fit all frames; progress: called with what is done, how much of it,
-    and of how much; default: shown on stderr where that is a terminal or a notebook; True: always, False: never
-    options: the other fields of `deformscope.config.BetaConfig` and its groups, each the flag of that name of
-    `deformscope calibrate beta`. They are roi, grid, held, px_per_cm, level, seed, fine, record, viewer... Raises
+    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
+    terminal or a notebook; True: always, False: never
+    options: the flags of `deformscope calibrate beta` by their names (`deformscope.config.BetaConfig`): cluster_size,
+    theta, thickness_m, whole_motion, roi, grid, held, px_per_cm, level, seed, fine, record, viewer... Raises
     InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import BetaConfig
 
-    own: dict[str, Any] = {"cluster_size": cluster_size, "theta": theta, "beta_range": bounds}
-    own |= {"thickness_m": thickness_m, "spacing_m": spacing_m}
-    own |= {"whole_motion": whole_motion, "select": select or None}
-    return _calibrate(BetaConfig, source, own | options, progress)
+    return _calibrate(BetaConfig, source, options, progress)
 
 
 def calibrate_theta(
-    source: CalibrationSource | Sequence[PairArrays],
-    *,
-    cluster_size: int | None = None,
-    beta: float = 0.99,
-    bounds: tuple[float, float] = (0.0, 1.0),
-    progress: Progress | bool | None = None,
-    **options: object,
+    source: CalibrationSource | Sequence[PairArrays], *, progress: Progress | bool | None = None, **options: object
 ) -> CalibrationResult:
     """Find theta, how strongly volume is conserved, with its interval and a verdict (Thesis eq. 3.17).
 
-    source: see `CalibrationSource`; several pairs are fitted to one value
-    cluster_size: default None, one cluster of all particles; beta: fixed; bounds: range in which theta is searched
-    progress: see `calibrate_beta`; options: fields of `deformscope.config.ThetaConfig`.
+    source: see `CalibrationSource`; several pairs are fitted to one value; progress: see `calibrate_beta`
+    options: the flags of `deformscope calibrate theta`: cluster_size, beta, theta_range...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ThetaConfig
 
-    own = {"cluster_size": cluster_size, "beta": beta, "theta_range": bounds}
-    return _calibrate(ThetaConfig, source, own | options, progress)
+    return _calibrate(ThetaConfig, source, options, progress)
 
 
 def _calibrate(
@@ -114,7 +94,7 @@ def _calibrate(
         pairs = bool(names) and ending_of(names[0]) == ".npz"
     together = pairs and len(names) > 1  # a script that wants one value of each pair calls again
     with _python_names(), shown_progress(progress) as note:
-        config = kind.of(**{"sources": names, "viewer": "none", "joint": together, **given})
+        config = _options(kind, given, sources=names, joint=together)
         return calibrate(config, arrays, progress=note)[0]
 
 
@@ -128,14 +108,14 @@ def calibrate_both(
     """Find beta and theta of pairs together, with their joint posterior: one result for each pair.
 
     sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
-    progress: see `calibrate_beta`; options: fields of `deformscope.config.BothConfig`.
+    progress: see `calibrate_beta`; options: the flags of `deformscope calibrate both`.
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import BothConfig
     from deformscope.runs.joint_calibration import calibrate_jointly
 
     with _python_names(), shown_progress(progress) as note:
-        config = BothConfig.of(**{"sources": _names(sources), "joint": joint, "viewer": "none", **options})
+        config = _options(BothConfig, options, sources=_names(sources), joint=joint)
         found = calibrate_jointly(config, progress=note)
     return found[0] if len(found) == 1 else found
 
@@ -145,7 +125,7 @@ def calibrate_axes(
 ) -> MaterialResult:
     """Find a beta along each axis of a material, from images, a recording, or pair files in one fit.
 
-    progress: see `calibrate_beta`; options: fields of `deformscope.config.AxesConfig`: turn_deg, frame, cluster_size...
+    progress: see `calibrate_beta`; options: the flags of `deformscope calibrate axes`: turn_deg, frame, cluster_size...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import AxesConfig
@@ -158,7 +138,7 @@ def calibrate_field(
 ) -> MaterialResult:
     """Find the stiffness of each place of a body relative to the others, from images, a recording, or one pair file.
 
-    progress: see `calibrate_beta`; options: fields of `deformscope.config.FieldConfig`: frame, force_n...
+    progress: see `calibrate_beta`; options: the flags of `deformscope calibrate field`: frame, force_n...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import FieldConfig
@@ -171,7 +151,7 @@ def calibrate_yield(
 ) -> MaterialResult:
     """Find the strain at which a body yields, from images, a recording, or a motion file (`sample:press`).
 
-    progress: see `calibrate_beta`; options: fields of `deformscope.config.YieldConfig`: beta, creep, at, force...
+    progress: see `calibrate_beta`; options: the flags of `deformscope calibrate yield`: beta, creep, at, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import YieldConfig
@@ -185,7 +165,7 @@ def calibrate_viscous(
     """Find the share of a modulus that relaxes, the relaxation time, and the permanent share, from images, a recording,
     or a motion file.
 
-    progress: see `calibrate_beta`; options: fields of `deformscope.config.ViscousConfig`: at, released, force...
+    progress: see `calibrate_beta`; options: the flags of `deformscope calibrate viscous`: at, released, force...
     Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
     from deformscope.config import ViscousConfig
@@ -202,7 +182,7 @@ def _calibrate_material(
     from deformscope.runs.materials import calibrate_material
 
     with _python_names(), shown_progress(progress) as note:
-        config = kind.of(**{"sources": _names(sources), "viewer": "none", **options})
+        config = _options(kind, options, sources=_names(sources))
         return calibrate_material(config, progress=note)
 
 
@@ -249,46 +229,28 @@ def _floats(name: str, given: Sequence[float] | str, between: str) -> tuple[floa
 def explore(
     rig: str | Path | OwnScene,
     *,
-    touches: int | None = None,
-    goal: Goal = "regions",
     planner: Planner | TouchPlanner = "regions",
-    set_force_n: float | None = None,
-    smallest_inclusion_m: float | None = None,
-    beta_model: BetaModel | None = None,
-    pace: Pace = "careful",
-    hold_s: float = 0.0,
-    feel: Feel = "apparent",
-    seed: int = 0,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    yes: bool = False,
-    trust_rig: bool = False,
     progress: Say | bool | None = None,
+    **options: object,
 ) -> ExplorationResult:
     """Map the stiffness of a surface: look, touch the most informative place, update the map, repeat.
 
     rig: a rig file (.toml), a simulated scene (`lab:NAME`), or an own scene; planner: a planner's name, or an own
-    planner, which chooses all touches; touches: most touches, default 8, or 30 for inclusions
-    goal: regions of one stiffness each, or inclusions below the surface; smallest_inclusion_m: radius of the smallest
-    inclusions to find, default 0.06, with goal inclusions 0.02; set_force_n: force of a touch, at most 5 N; pace: quick
-    = low and fast over the known part of the surface; hold_s: duration of each touch's hold, which shows how the foam
-    creeps; feel: what is mapped: immediate or relaxed stiffness
-    record: a recording to make (.rrd)
-    yes: let a real arm move, once the checks have passed, without asking
+    planner, which chooses all touches
     progress: called with each line about checks and touches; default: they are printed on stderr where that is a
     terminal or a notebook; True: always, False: never; without it those of a rig file always, unless there is a
-    function Raises InputError for unusable input, and SystemExit if the exploration was stopped before its end.
+    function
+    options: the flags of `deformscope explore` by their names (`deformscope.config.ExploreConfig`): touches, goal,
+    set_force, beta_model, hold, feel, pace, seed, record, viewer, yes... Raises InputError for unusable input,
+    TypeError for options that it has not, and SystemExit if the exploration was stopped before its end.
     """
-    given = {name: value for name, value in locals().items() if name not in ("rig", "touches", "progress")}
     from deformscope.config import ExploreConfig
     from deformscope.runs.exploration_run import explore_on
 
     own, scene = (planner if callable(planner) else None), (None if isinstance(rig, str | Path) else rig)
     with _python_names():
         rig = f"lab:{rig.name}" if not isinstance(rig, str | Path) else rig
-        given |= {"rig": str(rig), "budget": touches} | ({"planner": "regions"} if own else {})
-        config = ExploreConfig.of(**given)
+        config = _options(ExploreConfig, options, rig=str(rig), planner="regions" if own else planner)
         with _messages(rig, progress):
             explored = explore_on(config, lambda explored: None, own, scene)
     if explored is None:
@@ -296,42 +258,20 @@ def explore(
     return explored
 
 
-def squeeze(
-    rig: str | Path,
-    *,
-    content: str = "",
-    container: str = "",
-    dataset: Path | str | None = None,
-    keep: Literal["trial", "features"] = "trial",
-    model: Path | str | None = None,
-    fill: float = 0.9,
-    session: str = "",
-    operator: str = "",
-    place: Literal["person", "jaco", "kuka"] = "person",
-    grasp: tuple[float, float, float] | None = None,
-    seed: int = 0,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    yes: bool = False,
-    trust_rig: bool = False,
-    progress: Say | bool | None = None,
-) -> SqueezeResult:
+def squeeze(rig: str | Path, *, progress: Say | bool | None = None, **options: object) -> SqueezeResult:
     """Squeeze a container once, and compute its features; with `model`, classify its content.
 
-    rig: a rig file (.toml), or `lab:containers`; content, container: what is squeezed; the laboratory draws them if
-    they are empty; dataset: data set to which the trial is added, with its recording unless keep = "features"
-    model: a saved classifier; yes: let a real hand close without asking; with a rig file the question appears
-    place: who brings the hand to the container; grasp: where an arm is to [mm, deg, deg], None = drawn from the seed
-    progress: as in `explore` Raises InputError for unusable input, and for a squeeze that did not reach its steady
-    state (a data set stores it as discarded, with the reason); KeyboardInterrupt if Ctrl-C ended it.
+    rig: a rig file (.toml), or `lab:containers`; progress: as in `explore`
+    options: the flags of `deformscope squeeze` by their names (`deformscope.config.SqueezeConfig`): content, container
+    (the laboratory draws them if they are empty), dataset, keep, model, place, seed, record, yes... Raises InputError
+    for unusable input, and for a squeeze that did not reach its steady state (a data set stores it as discarded, with
+    the reason); TypeError for options that it has not; KeyboardInterrupt if Ctrl-C ended it.
     """
-    given = {name: value for name, value in locals().items() if name not in ("rig", "progress")}
     from deformscope.config import SqueezeConfig
     from deformscope.runs.squeeze_run import leave, squeeze_on
 
     with _python_names():
-        config = SqueezeConfig.of(rig=str(rig), **given)
+        config = _options(SqueezeConfig, options, rig=str(rig))
         with _messages(rig, progress):
             squeezed = squeeze_on(config, lambda result: None)
             if squeezed.interrupted:
@@ -345,24 +285,21 @@ def record(
     file: Path | str | None = None,
     *,
     seconds: float,
-    label: str = "",
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
-    trust_rig: bool = False,
     progress: Say | bool | None = None,
+    **options: object,
 ) -> RecordResult:
     """Record all devices of a rig for some seconds, with every byte of their wires and all losses.
 
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
     progress: called with each line about devices, links and rates; default: as in `explore`.
-    Raises InputError for what cannot be used.
+    options: the flags of `deformscope record` by their names (`deformscope.config.RecordConfig`): label, stage,
+    overwrite... Raises InputError for what cannot be used, and TypeError for options that it has not.
     """
-    given = {name: value for name, value in locals().items() if name not in ("rig", "file", "progress")}
     from deformscope.config import RecordConfig
     from deformscope.runs.rig_run import run_rig
 
     with _python_names(), messages_to(progress):
-        config = RecordConfig.of(rig=str(rig), record=file, **given)
+        config = _options(RecordConfig, options, rig=str(rig), record=file, seconds=seconds)
         return run_rig(config, "none", always_record=True).result
 
 
@@ -434,27 +371,20 @@ def sweep(
 def classify(
     table: TableSource,
     *,
-    modalities: Sequence[str] | str | None = None,
     merge: Mapping[str, Sequence[str]] | Sequence[str] | str | None = None,
     transfer: Sequence[tuple[str, str] | str] | str = (),
-    splits: int = 200,
-    curve_splits: int = 40,
-    duplicates: Literal["refuse", "drop"] = "refuse",
-    level: float = 0.9,
-    seed: int = 0,
     progress: Progress | bool | None = None,
+    **options: object,
 ) -> ClassificationResult:
     """Evaluate how well the content is classified from each modality, and from all of them fused.
 
-    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality; modalities: use only these
+    table: a file, or `label (N,)`, optional `group (N,)` and (N, ...) features by modality
     merge: classes that are merged, or as NAME=A,B; transfer: (trained, tested) patterns of kinds or groups of
-    containers, or as TRAINED:TESTED; splits: 70/30, random, stratified and by group
-    curve_splits: splits of the learning curve and the steps of a squeeze; duplicates: treatment of equal trials
-    progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
-    terminal or a notebook; True: always, False: never Raises InputError for what cannot be used.
+    containers, or as TRAINED:TESTED; progress: as in `calibrate_beta`
+    options: the flags of `deformscope classify` by their names (`deformscope.config.ClassifyConfig`): modalities,
+    splits, curve_splits, duplicates, level, seed... Raises InputError for what cannot be used, and TypeError for
+    options that it has not.
     """
-    names = ("modalities", "duplicates", "splits", "curve_splits", "level", "seed")
-    given = {name: value for name, value in locals().items() if name in names}
     from deformscope.config import ClassifyConfig
     from deformscope.config.classify import parse_merges, parse_transfers
     from deformscope.runs.classification import classify_table, options_of, table_from
@@ -462,14 +392,13 @@ def classify(
     with _python_names():
         patterns = [transfer] if isinstance(transfer, str) else transfer
         pairs = parse_transfers(tuple(one if isinstance(one, str) else ":".join(one) for one in patterns))
-        config = ClassifyConfig.of(table=Path(), **given)
-        options = options_of(config, pairs)
+        config = _options(ClassifyConfig, options, may=(), table=Path())
         if merge is not None and not isinstance(merge, Mapping):
             merge = parse_merges((merge,) if isinstance(merge, str) else tuple(merge))
         found = table_from(table, modalities=config.modalities, merge=merge, duplicates=config.duplicates)
         name = str(table) if isinstance(table, str | Path) else ""
         with shown_progress(progress) as note:
-            return classify_table(found, name, options, note)
+            return classify_table(found, name, options_of(config, pairs), note)
 
 
 def load_classifier(path: Path | str) -> ContentModel:
@@ -590,6 +519,16 @@ def open_dataset(folder: Path | str) -> OpenDataset:
     from deformscope.runs.datasets import OpenDataset
 
     return OpenDataset(Path(folder))
+
+
+def _options(
+    kind: type[OptionsT], options: Mapping[str, object], may: Sequence[str] = ("--record",), **own: object
+) -> OptionsT:
+    """The options of a command, from a script's. may: the files that a call writes; results write the others."""
+    config = kind.of(**{"viewer": "none", **own, **options})
+    if others := [one.flag.strip("-") for one in config.writes() if one.flag not in may]:
+        raise TypeError(f"unexpected options: {', '.join(others)}; the result has what these files hold")
+    return config
 
 
 def _messages(rig: str | Path, progress: Say | bool | None) -> AbstractContextManager[None]:

@@ -1,6 +1,8 @@
 """`deformscope completion`: the words that a shell completes, for bash, zsh and fish.
 
 eval "$(deformscope completion bash)" deformscope completion fish > ~/.config/fish/completions/deformscope.fish
+
+tyro's own script completes flags and their choices, but no positional values such as `sample:tension` and `lab:bench`.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
@@ -59,18 +60,30 @@ class Flags:
         be any sequences, and a value with its own form on the command line may be that text. Raises TypeError for
         unknown names."""
         own: dict[str, Any] = {}
-        hints, marks, named = get_type_hints(cls), marks_of(cls), flags_of(cls)
+        hints, marks, named, names = get_type_hints(cls), marks_of(cls), flags_of(cls), cls.option_names()
+        known = [*names]
+        given = {names.get(name, name): value for name, value in given.items()}
         for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # all that derive from it are dataclasses
             name, group = field.name, field.default_factory
             if isinstance(group, type) and issubclass(group, Flags):
-                own[name] = group.of(**{one: given.pop(one) for one in marks_of(group).keys() & given.keys()})
+                known += group.option_names()
+                own[name] = group.of(**{one: given.pop(one) for one in group.option_names().keys() & given.keys()})
             elif name in given:
                 value = given.pop(name)
                 typed = next((mark for mark in marks[name] if isinstance(mark, PrimitiveConstructorSpec)), None)
                 own[name] = value if value is None else _converted(named[name], hints[name], typed, value)
         if given:
-            raise TypeError(f"unexpected options: {', '.join(sorted(given))}")
+            near = sorted({close for one in given for close in get_close_matches(one, known, 1)})
+            hint = f"; near: {', '.join(near)}" if near else ""
+            raise TypeError(f"unexpected options: {', '.join(sorted(given))}{hint}")
         return cls(**own)
+
+    @classmethod
+    def option_names(cls) -> dict[str, str]:
+        """The field of each name that a script may use: the field's own, or the flag's."""
+        return {flag[2:].replace("-", "_"): name for name, flag in flags_of(cls).items()} | {
+            name: name for name in marks_of(cls)
+        }
 
     def shared(self, kind: type) -> dict[str, Any]:
         """The values of fields that another class of options has too, by name."""

@@ -98,8 +98,14 @@ def test_every_type_that_is_offered_is_known() -> None:
 
 
 def test_options_are_those_of_the_commands(arrays: dict[str, np.ndarray]) -> None:
-    with pytest.raises(TypeError, match="unexpected options: qrid"):
+    with pytest.raises(TypeError, match="unexpected options: qrid; near: grid"):
         ds.calibrate_beta(arrays, qrid=(3, 4))
+    with pytest.raises(TypeError, match="unexpected options: picture; the result has"):
+        ds.explore("lab:disc", picture="maps.png")
+    with pytest.raises(TypeError, match="unexpected options: record; the result has"):
+        ds.classify("sample:table", record="table.rrd")
+    with pytest.raises(ds.InputError, match="touches of 1 or more; got 0"):
+        ds.explore("lab:disc", touches=0)
     with pytest.raises(ds.InputError, match="a mode out of linear, quadratic; got 'cubic'"):
         ds.calibrate_beta(arrays, mode="cubic")
     with pytest.raises(ds.InputError, match="grid or spacing_px; got both"):
@@ -107,7 +113,7 @@ def test_options_are_those_of_the_commands(arrays: dict[str, np.ndarray]) -> Non
     with pytest.raises(ds.InputError, match="no flags about images with pair files"):
         ds.calibrate_beta("sample:pair", grid=[3, 4])
     with pytest.raises(ds.InputError, match="a goal out of regions, inclusions; got 'gold'"):
-        ds.explore("lab:disc", goal="gold")  # type: ignore[arg-type]
+        ds.explore("lab:disc", goal="gold")
 
 
 def test_the_text_of_the_command_line_is_taken_too() -> None:
