@@ -139,14 +139,14 @@ _named: set[Path] = set()
 """Paths of `new_recording`: the file may come later."""
 
 
-def new_recording(folder: Path, name: str, suffix: str = ".rrd") -> Path:
+def new_recording(folder: Path, name: str) -> Path:
     """An unused path in the folder, which is made if missing: no earlier, simultaneous or immediately preceding
     recording has it. NAME-<stamp>.rrd"""
     make_folder(folder)
-    first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}{suffix}"
+    first = folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}.rrd"
     for number in range(1, 100):
         path = first if number == 1 else first.with_stem(f"{first.stem}-{number}")
-        if not (path in _named or path.exists() or path.with_name(f"{path.stem}.part{suffix}").exists()):
+        if not (path in _named or path.exists() or path.with_name(f"{path.stem}.part.rrd").exists()):
             _named.add(path)
             return path
     raise InputError("fewer recordings in one second", "100", where=first)

@@ -34,7 +34,7 @@ SHARES = (0.001, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.0)
 Name = Literal["knn", "qda", "qda-raw", "linear", "qda-plain"]
 NAMES: tuple[Name, ...] = ("knn", "qda", "qda-raw", "linear")
 """knn and qda use the components that hold 80 % of the variance; the others use all components. In addition qda-plain
-is the thesis's qda without shrinkage: it is tried on request, and never pooled with others."""
+is the thesis's qda without shrinkage (`plain_quadratic`): it is tried on request, and never pooled with others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,23 +172,33 @@ def pooled_covariance(about: FloatArray, free: int) -> FloatArray:
     return np.asarray(shrunk * (count / max(free, 1)))
 
 
-def fit_quadratic(points: FloatArray, target: IntArray, classes: int, *, shrink: bool = True) -> Quadratic:
+def fit_quadratic(points: FloatArray, target: IntArray, classes: int) -> Quadratic:
     """Each class's covariance is combined with the pooled one, which counts as d + 2 points: the mean of an inverse
     Wishart posterior. A class of few points rests on the pooled one. points: (n, d) features; target: (n,) class of
-    each; shrink: otherwise a covariance is that of its class alone, plus 1e-9 of the pooled variance so that a class
-    with fewer points than d has one"""
+    each"""
     count, mean, about = _moments(points, target, classes)
     size = points.shape[1]
     pooled = pooled_covariance(about, len(points) - int((count > 0).sum()))
-    if not shrink:
-        pooled = 1e-9 * np.eye(size) * float(np.trace(pooled)) / max(size, 1)
-    prior = size + 2.0 if shrink else 0.0
+    prior = size + 2.0
     factor = np.tile(np.eye(size), (classes, 1, 1))
     for one in np.flatnonzero(count):
         mine = about[target == one]
-        free = max(count[one] - 1 + prior, 1.0)
-        factor[one] = np.linalg.cholesky((mine.T @ mine + (prior or free) * pooled) / free)
+        factor[one] = np.linalg.cholesky((mine.T @ mine + prior * pooled) / (count[one] - 1 + prior))
     return Quadratic(mean, factor, count > 0)
+
+
+def plain_quadratic(points: FloatArray, target: IntArray, test: FloatArray, classes: int) -> FloatArray | None:
+    """(m, C) log posteriors of (m, d) points by a covariance of each class alone, from (n, d) points of classes (n,):
+    scikit-learn's without regularisation. None where a class has too few points for one."""
+    from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis
+
+    seen, count = np.unique(target, return_counts=True)
+    if len(seen) < 2 or count.min() <= points.shape[1]:
+        return None
+    model = QuadraticDiscriminantAnalysis(priors=np.full(len(seen), 1.0 / len(seen)), tol=0.0)
+    logs = np.full((len(test), classes), -np.inf)
+    logs[:, seen] = model.fit(points, target).predict_log_proba(test)
+    return floored(logs)
 
 
 def fit_linear(points: FloatArray, target: IntArray, classes: int, share: float | None = None) -> Linear:

@@ -207,6 +207,8 @@ def evaluate(
         what = f"transfer {pair[0]} to {pair[1]}"
         found = others.run(what, [split], methods, by_group=beyond.group is not None)
         scores += [score_of(beyond, key, "transfer", [split], one, options.level, pair) for key, one in found.items()]
+    if options.plain_qda and all(one.method != "qda-plain" for one in scores):
+        notes.append("qda-plain left out: a content has no more training trials than components")
     steps = {} if not options.curve_splits else _time_steps(table, options, runner, strictest, drawn)
     curve = () if not options.curve_splits else _curve(table, options, runner, strictest, drawn)
     copies = near_copies(table)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
-from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, fit_quadratic, usable
+from deformscope.stages.squeeze.classifiers import NAMES, Name, columns_of, fit, plain_quadratic, usable
 from deformscope.stages.squeeze.components import Space, fit_scaling, project
 from deformscope.stages.squeeze.fusion import Fitted, everywhere, fit_expert, fit_pool, fuse
 from deformscope.stages.squeeze.splits import Split
@@ -138,10 +138,10 @@ def run_split(
             continue
         groups = None if apart is None else apart[sides.train]
         if modality in features and {"pooled", "late-fusion"} & {*methods}:
-            one = fit_expert(space.train, space.kept, space.raw, truth, classes, groups, seed=seed)
-            said = {member.name: member.log_posterior(space.test) for member in one.expert.members}
-            logs = everywhere(one.expert.pool, np.stack(list(said.values())))
-            fitted[modality] = sides, one, logs
+            expert = fit_expert(space.train, space.kept, space.raw, truth, classes, groups, seed=seed)
+            said = {member.name: member.log_posterior(space.test) for member in expert.expert.members}
+            logs = everywhere(expert.expert.pool, np.stack(list(said.values())))
+            fitted[modality] = sides, expert, logs
             found[modality, "pooled"] = answers_of(sides.test, logs, target[sides.test], space.train.shape[1])
         else:
             said = {}
@@ -149,10 +149,9 @@ def run_split(
                 columns = columns_of(name, space.kept)
                 classifier = fit(name, space.train[:, :columns], truth, classes, groups)
                 said[name] = classifier.log_posterior(space.test[:, :columns])
-        if "qda-plain" in methods:
-            columns = space.kept
-            plain = fit_quadratic(space.train[:, :columns], truth, classes, shrink=False)
-            said["qda-plain"] = plain.log_posterior(space.test[:, :columns])
+        one, other = space.few
+        if "qda-plain" in methods and (plain := plain_quadratic(one, truth, other, classes)) is not None:
+            said["qda-plain"] = plain
         for name in (one for one in said if one in methods):
             count = min(columns_of(name, space.kept) or space.train.shape[1], space.train.shape[1])
             found[modality, name] = answers_of(sides.test, said[name], target[sides.test], count)

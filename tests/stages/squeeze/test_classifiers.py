@@ -25,6 +25,7 @@ from deformscope.stages.squeeze.classifiers import (
     left_out,
     linear_share,
     neighbour_count,
+    plain_quadratic,
 )
 from deformscope.stages.squeeze.components import fit_scaling, loadings, project
 from tests.stages.squeeze.trials import blobs
@@ -162,16 +163,17 @@ def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
 
 
 def test_without_shrinkage_a_covariance_is_its_classs_own() -> None:
-    """Few points of unequal spread, where shrinkage would change the posterior."""
+    """Few points of unequal spread, where shrinkage would change the posterior; too few give none."""
     table = blobs(classes=3, each=12, columns=4, apart=1.5, seed=3)
     points, target = table.modalities["touch"] * [1.0, 3.0, 0.5, 1.0], table.target
-    classes = [points[target == one] for one in range(3)]
-    density = np.stack([multivariate_normal(one.mean(axis=0), np.cov(one.T)).pdf(points) for one in classes], axis=1)
-    theirs = density / density.sum(axis=1, keepdims=True)
+    own = [points[target == one] for one in range(3)]
+    density = np.stack([multivariate_normal(x.mean(axis=0), np.cov(x.T, ddof=0)).pdf(points) for x in own], axis=1)
 
-    plain, shrunk = (np.exp(fit_quadratic(points, target, 3, shrink=on).log_posterior(points)) for on in (False, True))
-    np.testing.assert_allclose(plain, theirs, atol=1e-6)
-    assert np.abs(shrunk - theirs).max() > 0.01
+    plain = plain_quadratic(points, 2 * target, points, 5)
+    assert plain is not None
+    np.testing.assert_allclose(np.exp(plain[:, ::2]), density / density.sum(axis=1, keepdims=True), atol=1e-6)
+    assert np.exp(plain[:, 1::2]).max() < 1e-8  # classes without a point
+    assert plain_quadratic(points[::4], target[::4], points, 3) is None
 
 
 def test_the_share_of_the_unit_matrix_is_that_of_the_least_loss_when_points_are_left_out_one_by_one() -> None:
