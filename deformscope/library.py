@@ -241,7 +241,7 @@ def explore(
     terminal or a notebook; True: always, False: never; without it those of a rig file always, unless there is a
     function
     options: the flags of `deformscope explore` by their names (`deformscope.config.ExploreConfig`): touches, goal,
-    set_force, beta_model, hold, feel, pace, seed, record, viewer, yes... Raises InputError for unusable input,
+    set_force, beta_model, hold, pace, seed, record, viewer, yes... Raises InputError for unusable input,
     TypeError for options that it has not, and SystemExit if the exploration was stopped before its end.
     """
     from deformscope.config import ExploreConfig
