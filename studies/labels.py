@@ -54,7 +54,7 @@ def count(job: tuple[Case, int]) -> Counted:
     rows = rows_of(case, seed)
     group = None if case.startswith("untold") else rows.container.astype(np.str_)
     table = LabelledTable(rows.label.astype(np.str_), group, {"touch": rows.features})
-    found = evaluate(table, EvaluationOptions(SPLITS, 0, 0))
+    found = evaluate(table, EvaluationOptions(SPLITS, 0))
     label, features = rows.new()
     posterior = ClassificationResult(found).model().predict_proba({"touch": features})
     truth = float((posterior.argmax(axis=1) == label).mean())

@@ -88,7 +88,7 @@ def _evaluated(table: LabelledTable, options: ContainersConfig, name: str) -> Cl
     boxes = table if table.kind is None else table.rows(table.kind == KINDS["box"])
     evaluated = EvaluationOptions(seed=options.output.seed)
     if options.quick:
-        evaluated = EvaluationOptions(QUICK_SPLITS, 0, 0, seed=options.output.seed)
+        evaluated = EvaluationOptions(QUICK_SPLITS, 0, seed=options.output.seed)
     with fit_progress() as bar:
         return classify_table(boxes, f"lab:containers, {name} classes", evaluated, bar, beyond=table)
 

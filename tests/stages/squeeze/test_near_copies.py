@@ -23,7 +23,7 @@ from deformscope.stages.squeeze.table import LabelledTable
 from studies.independent.labelled_rows import rows_of
 from tests.stages.squeeze.trials import blobs, noise, two_modalities
 
-FEW = EvaluationOptions(8, 0, 0)
+FEW = EvaluationOptions(8, 0)
 
 
 def copied(table: LabelledTable, rows: list[int], by: float, *, elsewhere: bool = True) -> LabelledTable:
