@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from deformscope.runs.recording_report import RecordingReport
     from deformscope.runs.recordings import OpenRecording, RecordResult
     from deformscope.runs.replay_result import ReplayResult
-    from deformscope.runs.result import FoundResult, ViewerChoice
+    from deformscope.runs.result import FoundResult
     from deformscope.runs.squeeze_result import SqueezeResult
     from deformscope.runs.sweep import SweepResult
     from deformscope.runs.verification import VerifyResult
@@ -307,15 +307,13 @@ def replay(
     path: Path | str,
     *,
     settings: Mapping[str, object] | Sequence[str] | str | None = None,
-    record: Path | str | None = None,
-    viewer: ViewerChoice = "none",
-    overwrite: bool = False,
     progress: Progress | bool | None = None,
+    **options: object,
 ) -> ReplayResult:
     """Compute a recording again from its inputs, and compare with the recorded numbers.
 
     settings: settings of an exploration that replace the recorded ones, by name, or as KEY=VALUE; their results are not
-    compared to the bit; progress: as in `calibrate_beta`.
+    compared to the bit; progress: as in `calibrate_beta`; options: the flags of `deformscope replay`: record...
     Raises InputError where the numbers differ, or for what cannot be used.
     """
     from deformscope.config import ReplayConfig
@@ -324,7 +322,7 @@ def replay(
     if isinstance(settings, Mapping):
         settings = [f"{name}={value}" for name, value in settings.items()]
     with _python_names(), shown_progress(progress) as note:
-        config = ReplayConfig.of(recording=path, set=settings or (), record=record, viewer=viewer, overwrite=overwrite)
+        config = _options(ReplayConfig, options, recording=path, set=settings or ())
         found = replay_on(config, note)
         if found.different is not None:
             raise found.different
