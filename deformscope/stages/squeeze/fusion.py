@@ -14,21 +14,17 @@ from scipy.optimize import minimize
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.stages.squeeze.classifiers import (
+    FOLDS,
     NAMES,
     Classifier,
     Name,
-    Neighbours,
     columns_of,
     fitter,
-    left_out,
+    folds_of,
     log_softmax,
-    neighbour_count,
     usable,
-    votes,
 )
 
-FOLDS = 5
-"""Folds of the training side, which measure a classifier on points left out."""
 MODALITY_DEVIATION, CLASS_DEVIATION, OFFSET_DEVIATION = 1.0, 0.3, 1.0
 """Priors: weights of modalities are normal about 1 (Bayes' rule for modalities with independent errors), those of
 classes about their modality's, offsets of classes about 0. With few trials they stay there."""
@@ -131,20 +127,6 @@ class Fitted:
     known: BoolArray
 
 
-def folds_of(target: IntArray, apart: IntArray | None, seed: int) -> IntArray:
-    """(n,) fold of each point: every class, or every class's groups, spread over `FOLDS`."""
-    rng = np.random.default_rng(seed)
-    group = np.arange(len(target)) if apart is None else np.unique(apart, return_inverse=True)[1].reshape(-1)
-    fold = np.full(int(group.max()) + 1, -1)
-    following = 0
-    for one in rng.permutation(int(target.max()) + 1):
-        members = rng.permutation(np.unique(group[target == one]))
-        free = members[fold[members] < 0]
-        fold[free] = (following + np.arange(len(free))) % FOLDS
-        following += len(free)
-    return np.asarray(fold[group])
-
-
 def fit_expert(
     points: FloatArray,
     kept: int,
@@ -172,19 +154,13 @@ def fit_expert(
             continue
         columns = columns_of(name, kept)
         chosen = points[:, :columns]
-        if name == "knn":
-            squared = left_out(chosen, apart)
-            k = neighbour_count(squared, target, classes)
-            logs = votes(squared, target, k, classes)
-            members.append(Member(name, columns, Neighbours(chosen, target, k, classes)))
-        else:
-            fitting = fitter(name, chosen, target, classes)
-            logs = np.full((len(target), classes), -np.log(classes))
-            for one in np.unique(fold):
-                inside = fold == one
-                if not inside.all():
-                    logs[inside] = fitting(chosen[~inside], target[~inside], classes).log_posterior(chosen[inside])
-            members.append(Member(name, columns, fitting(chosen, target, classes)))
+        fitting = fitter(name, chosen, target, classes, fold)
+        logs = np.full((len(target), classes), -np.log(classes))
+        for one in np.unique(fold):
+            inside = fold == one
+            if not inside.all():
+                logs[inside] = fitting(chosen[~inside], target[~inside], classes).log_posterior(chosen[inside])
+        members.append(Member(name, columns, fitting(chosen, target, classes)))
         said.append(logs)
     stacked = np.stack(said)
 

@@ -22,7 +22,7 @@ from deformscope.stages.squeeze.classifiers import (
     fit,
     fit_linear,
     fit_quadratic,
-    left_out,
+    folds_of,
     linear_share,
     neighbour_count,
     plain_quadratic,
@@ -138,14 +138,14 @@ def test_the_pipelines_are_scikit_learns_with_the_same_shrinkage(name: str, colu
 
 
 def test_the_number_of_neighbours_is_the_thesis_or_what_does_best_on_points_left_out() -> None:
-    apart = left_out(np.arange(12.0)[:, None])
-    target = np.repeat(np.arange(4), 3)
+    line, fold = np.arange(24.0)[:, None], np.arange(24) % 2
+    target = np.repeat(np.arange(4), 6)
 
-    assert neighbour_count(apart, target % 3, 3) == 3
-    assert neighbour_count(apart, target, 5) == 5
-    assert neighbour_count(apart, target, 4) == 1
+    assert neighbour_count(line, target % 3, 3, fold) == 3
+    assert neighbour_count(line, target, 5, fold) == 5
+    assert neighbour_count(line, target, 4, fold) == 1
     noisy = blobs(classes=2, each=60, apart=0.8)
-    assert neighbour_count(left_out(noisy.modalities["touch"]), noisy.target, 2) > 1
+    assert neighbour_count(noisy.modalities["touch"], noisy.target, 2, folds_of(noisy.target, None)) > 1
 
 
 def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
