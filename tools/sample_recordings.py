@@ -124,8 +124,8 @@ def thinned(chunk: Chunk, keep: Callable[[str, Any], Any]) -> list[Chunk]:
     kind, batch = kind_of(chunk), chunk.to_record_batch()
     if kind == "raw" and not chunk.is_static and keep is not everything:
         return []
-    if str(chunk.entity_path).startswith("/display/perception/maps/"):  # the pictures of display/maps once more
-        return []
+    if str(chunk.entity_path).startswith(("/display/perception/maps/", "/display/perception/surface/")):
+        return []  # large views of what other entities hold
     if kind in EVERY and not chunk.is_static and keep is not everything:
         names = [name for name in batch.schema.names if name.endswith("Frame:stamp.host_ns")]
         stays = np.arange(batch.num_rows) % EVERY[kind] == 0
