@@ -89,7 +89,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     # What pages show of runs, and how they steer them.
     "page": (
         *("arrays", "config", "errors", "experiments", "file_io", "files", "frames", "images"),
-        *("interruption", "lab", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
+        *("interruption", "log", "page.server", "pictures", "processes", "recording", "rig", "robot"),
         *("session", "terminal", *STAGES),
     ),
     # From options to results, with devices, files or a recording, and doubles where they are asked for.
