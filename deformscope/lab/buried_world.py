@@ -76,7 +76,13 @@ class BallCompliance:
             np.array(_beside(middle, half, side)) for middle, side in zip(ball.centre_m, scene.size_m, strict=True)
         )
         bottom = scene.thickness_m - ball.depth_m - 2.0 * ball.radius_m
-        z_m = _upward(scene.thickness_m, bottom)
+        # (n,) element borders along z [m]: even from the surface to below the ball, farther apart below.
+        depths, step = [0.0, UPPER_M, 2.0 * UPPER_M], ELEMENT_M
+        while depths[-1] < scene.thickness_m:
+            if depths[-1] > scene.thickness_m - bottom:
+                step *= GROWTH
+            depths.append(depths[-1] + step)
+        z_m = scene.thickness_m * (1.0 - np.array(depths[::-1]) / depths[-1])
         mesh = MeshHex.init_tensor(self.x_m, self.y_m, z_m)
         basis = Basis(mesh, ElementHex1(), intorder=2)
         foam, filled = _moduli_pa(scene, ball, mesh.p[:, mesh.t])
@@ -136,13 +142,3 @@ def _beside(middle: float, half: float, side: float) -> FloatArray:
     every = middle + np.concatenate([-np.array(outer[:0:-1]), np.arange(-count, count + 1) * ELEMENT_M, outer[1:]])
     kept = every[(every > 0.4 * ELEMENT_M) & (every < side - 0.4 * ELEMENT_M)]
     return np.concatenate([[0.0], kept, [side]])
-
-
-def _upward(thickness_m: float, bottom_m: float) -> FloatArray:
-    """(n,) element borders along z [m]: even from the surface to below the ball, farther apart below."""
-    depths, step = [0.0, UPPER_M, 2.0 * UPPER_M], ELEMENT_M
-    while depths[-1] < thickness_m:
-        if depths[-1] > thickness_m - bottom_m:
-            step *= GROWTH
-        depths.append(depths[-1] + step)
-    return thickness_m * (1.0 - np.array(depths[::-1]) / depths[-1])

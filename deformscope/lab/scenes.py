@@ -374,7 +374,10 @@ def built_in(name: str, seed: int = 0) -> Scene:
     if kind in BURIED:
         return _buried(name, seed, pieces, drawn)
     if kind == "gradient":
-        return Scene(name, seed, (), drawn, _modulus=_graded(drawn))
+        # The logarithm of the modulus rises evenly along a direction, from corner to corner.
+        share = _along(drawn["direction"])
+        low, high = np.log(initial_modulus_pa(drawn["softest"])), np.log(initial_modulus_pa(drawn["firmest"]))
+        return Scene(name, seed, (), drawn, _modulus=lambda xy: np.exp(low + (high - low) * 0.5 * (1.0 + share(xy))))
     times = drawn.get("hardness", 1.0)
     materials = tuple(Piece.named(piece, times) for piece in pieces)
     thickness_m = UNEVEN_M if kind in ("wedge", "step", "thin-thick") else THICKNESS_M
@@ -491,13 +494,6 @@ def _border(
         return np.asarray(aside @ across - height * (2.0 / np.pi * np.arcsin(sine) if pointed else sine))
 
     return beyond
-
-
-def _graded(drawn: dict[str, float]) -> Places:
-    """The logarithm of the modulus rises evenly along a direction, from corner to corner."""
-    share = _along(drawn["direction"])
-    low, high = np.log(initial_modulus_pa(drawn["softest"])), np.log(initial_modulus_pa(drawn["firmest"]))
-    return lambda xy: np.exp(low + (high - low) * 0.5 * (1.0 + share(xy)))
 
 
 def _relief(kind: str, drawn: dict[str, float]) -> Places | None:

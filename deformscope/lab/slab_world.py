@@ -202,7 +202,11 @@ class SlabWorld:
         foot, normal = self._foot(center)
         depth = (tip.radius or 0.0) - float((center - foot) @ normal)
         table = np.array([0.0, 0.0, TABLE_N_PER_M * max(0.0, (tip.radius or 0.0) - float(center[2]))])
-        near = self._reaches(tip, center, normal)
+        side = np.linspace(-1.0, 1.0, 9)
+        spots = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        # what is beside the slab counts where the slab ends
+        xy = np.clip(center[:2] + _half_m(tip) * spots, 0.0, self.scene.size_m)
+        near = float(_overlap(tip, center, normal, np.column_stack([xy, self.scene.foam_height_m(xy)])).max())
         if near < -CLEAR_M:
             nothing = np.zeros(0, dtype=np.int64)
             gap = min(-near, max(0.0, float(center[2]) - (tip.radius or 0.0)))
@@ -241,14 +245,6 @@ class SlabWorld:
             normal = self.scene.normal(foot[:2])
             foot = center - ((center - foot) @ normal) * normal
         return foot, normal
-
-    def _reaches(self, tip: RigidTip, center: FloatArray, normal: FloatArray) -> float:
-        """How far the rest surface reaches into a tip, about [m]; negative: its distance; -inf outside it."""
-        side = np.linspace(-1.0, 1.0, 9)
-        spots = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        # what is beside the slab counts where the slab ends
-        xy = np.clip(center[:2] + _half_m(tip) * spots, 0.0, self.scene.size_m)
-        return float(_overlap(tip, center, normal, np.column_stack([xy, self.scene.foam_height_m(xy)])).max())
 
 
 def _half_m(tip: RigidTip) -> FloatArray:

@@ -82,8 +82,17 @@ def _last_view(canvas: Canvas, body: str) -> rrb.View | rrb.Container:
 
 def _flat_view(what: str, canvas: Canvas, name: str = "") -> rrb.View:
     contents = [*([f"+ /{canvas.image}"] if canvas.image else []), f"+ /{what}/**"]
+    (x0, y0), (x1, y1) = canvas.low[:2], canvas.high[:2]
+    margin = 0.02 * max(x1 - x0, y1 - y0) + canvas.rim
+    if canvas.has_side_legend:
+        x1 += COLUMN_SHARE * (x1 - x0)
+    else:
+        y1 += ROW_SHARE * max(x1 - x0, y1 - y0)
     return rrb.Spatial2DView(
-        name=name or NAMES[what], contents=contents, visual_bounds=_bounds(canvas), background=PAPER
+        name=name or NAMES[what],
+        contents=contents,
+        visual_bounds=rrb.VisualBounds2D(x_range=[x0 - margin, x1 + margin], y_range=[y0 - margin, y1 + margin]),
+        background=PAPER,
     )
 
 
@@ -93,17 +102,6 @@ def _chart_view(name: str = CHART) -> rrb.View:
 
 def _summary_view() -> rrb.View:
     return rrb.TextDocumentView(origin="/calibration/summary", name="Estimate")
-
-
-def _bounds(canvas: Canvas) -> rrb.VisualBounds2D:
-    """The picture and its legend."""
-    (x0, y0), (x1, y1) = canvas.low[:2], canvas.high[:2]
-    margin = 0.02 * max(x1 - x0, y1 - y0) + canvas.rim
-    if canvas.has_side_legend:
-        x1 += COLUMN_SHARE * (x1 - x0)
-    else:
-        y1 += ROW_SHARE * max(x1 - x0, y1 - y0)
-    return rrb.VisualBounds2D(x_range=[x0 - margin, x1 + margin], y_range=[y0 - margin, y1 + margin])
 
 
 def deep_view(name: str, contents: list[str], canvas: Canvas) -> rrb.View:

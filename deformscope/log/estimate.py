@@ -202,21 +202,16 @@ def _log_deep_heat(
     else:
         rec.log("heat/map", rr.Points3D(place, radii=canvas.spacing * 0.3, colors=tints))
     rec.log("heat/map", rr.AnyValues(particle=known, error=length[known]))
-    rec.log("heat/worst", _pin(comparison, int(known[np.argmax(length[known])]), canvas))
+    origin, scale = np.array(canvas.origin or (0.0,) * 3), np.array(canvas.scale or (1.0,) * 3)
+    low, high = np.array(canvas.low), np.array(canvas.high)
+    at = (comparison.observed[int(known[np.argmax(length[known])])] - origin) * scale
+    out = np.array([0.0, 0.0, 1.0]) if canvas.scale else at - 0.5 * (low + high)
+    out = out / (float(np.linalg.norm(out)) or 1.0) * 0.15 * float((high - low).max())
+    rec.log("heat/worst", rr.LineStrips3D([[at, at + out]], radii=0.06 * canvas.spacing, colors=RING))
     log_deep_legend(rec, "heat/legend", canvas, _deep_bar(comparison, end))
     log_deep_legend(
         rec, "heat/legend/worst", canvas, [(0.5, f"{_worst(comparison, length[known])}{_heights(canvas)}", RING)], row=1
     )
-
-
-def _pin(comparison: Comparison, particle: int, canvas: Canvas) -> rr.LineStrips3D:
-    """A line that sticks out of the body at a particle: upwards from a surface, else away from the middle."""
-    origin, scale = np.array(canvas.origin or (0.0,) * 3), np.array(canvas.scale or (1.0,) * 3)
-    low, high = np.array(canvas.low), np.array(canvas.high)
-    at = (comparison.observed[particle] - origin) * scale
-    out = np.array([0.0, 0.0, 1.0]) if canvas.scale else at - 0.5 * (low + high)
-    out = out / (float(np.linalg.norm(out)) or 1.0) * 0.15 * float((high - low).max())
-    return rr.LineStrips3D([[at, at + out]], radii=0.06 * canvas.spacing, colors=RING)
 
 
 def _deep_bar(comparison: Comparison, end: float) -> list[tuple[float, str, Rgb]]:

@@ -434,17 +434,14 @@ def _draw_deep_errors(axes: Axes3D, comparison: Comparison, error: FloatArray, e
         return
     corners = np.dstack([place[triangles], error[known][triangles]])
     while len(corners) < SMOOTH:
-        corners = _quartered(corners)
+        a, b, c = np.moveaxis(corners, 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        corners = np.concatenate(
+            [np.stack(one, axis=1) for one in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        )
     tints = colors(corners[:, :, 3].mean(axis=1) / end)
     skin = Poly3DCollection(corners[:, :, :3], facecolors=tints, edgecolors=tints, linewidths=0.3)
     axes.add_collection3d(skin, autolim=False)
-
-
-def _quartered(corners: FloatArray) -> FloatArray:
-    """Triangles (t, 3, n) each cut in four."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-    return np.concatenate([np.stack(one, axis=1) for one in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
 # What every drawing shares -------------------------------------------------------------------------------------------

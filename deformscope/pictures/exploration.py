@@ -289,7 +289,9 @@ def draw_section(axes: Axes, touch: TouchEstimate) -> None:
     ):
         if not len(points):
             continue
-        away_cm, height_mm = _around(points, touch)
+        beside = points - touch.xyz_m
+        height = beside @ touch.normal
+        away_cm, height_mm = np.linalg.norm(beside - height[:, None] * touch.normal, axis=1) * 100, height * 1e3
         axes.plot(away_cm, height_mm, ".", color=color, ms=2.5 if name == "observed" else 5, alpha=0.3, mew=0)
         marked = {"marker": "o", "ms": 5, "mec": "white", "lw": 0} if name == "observed" else {"lw": 2}
         axes.plot(*_rings(away_cm, height_mm), color=color, label=f"{name}, mean", zorder=4, **marked)
@@ -326,13 +328,6 @@ def draw_error(axes: Axes, perception: TouchPerception) -> None:
 def _near(points: FloatArray, at: FloatArray) -> FloatArray:
     """The part of points (n, 3) within `SECTION_CM` of a place (2 or 3,), measured in the plane [m]."""
     return points[np.linalg.norm(points[:, :2] - at[:2], axis=1) <= SECTION_CM * 1e-2] if len(points) else points
-
-
-def _around(points: FloatArray, touch: TouchEstimate) -> tuple[FloatArray, FloatArray]:
-    """Distances from the contact's axis [cm] and heights over the plane that is tangent to the surface there [mm]."""
-    beside = points - touch.xyz_m
-    height = beside @ touch.normal
-    return np.linalg.norm(beside - height[:, None] * touch.normal, axis=1) * 100, height * 1e3
 
 
 def _rings(away_cm: FloatArray, height_mm: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from deformscope.frames import DepthFrame, Frame, InputFile, Item, StageResult
 from deformscope.log.layout import RecordingLayout
 from deformscope.recording.outputs import Encoder, Outputs
 from deformscope.recording.portions import Portions, RisingTimes
-from deformscope.session import Moment, Step
+from deformscope.session import Step
 from deformscope.stages.map.exploration import StageFailure
 
 if TYPE_CHECKING:
@@ -64,7 +64,13 @@ class DeviceEncoder:
     def write_step(self, step: Step, size: int) -> None:
         """Write results of stages with device items: a result with a time at that time, others at their frame."""
         if step.moment is not None:
-            self._write_at(step.moment, step.results, size)
+            self._touch = self._layout.touch_after(step.results, step.moment.touch)
+            session_ns, place = step.moment.now_ns - self._start_ns, self._place(step.moment.touch)
+            if step.moment.seen_ns is not None:
+                seen_ns = np.array([step.moment.seen_ns - self._start_ns])
+                place = dataclasses.replace(place, frame=int(place.at(seen_ns)[0]))
+            batch = self._layout.prepare(step.results, session_ns, place, step.moment.cell_m, self._failed)
+            self._outputs.send(batch, size)
             for cost in step.costs:
                 behind_ns = max(self._newest_ns - step.moment.now_ns, 0)
                 self._outputs.add_cost(step.moment.now_ns - self._start_ns, cost, behind_ns=behind_ns)
@@ -89,15 +95,6 @@ class DeviceEncoder:
     def write_rest(self) -> None:
         self._write(self._portions.rest())
         self._write_stage_results()
-
-    def _write_at(self, moment: Moment, results: Sequence[object], size: int) -> None:
-        self._touch = self._layout.touch_after(results, moment.touch)
-        session_ns, place = moment.now_ns - self._start_ns, self._place(moment.touch)
-        if moment.seen_ns is not None:
-            seen_ns = np.array([moment.seen_ns - self._start_ns])
-            place = dataclasses.replace(place, frame=int(place.at(seen_ns)[0]))
-        batch = self._layout.prepare(results, session_ns, place, moment.cell_m, self._failed)
-        self._outputs.send(batch, size)
 
     def _write(self, portions: Iterable[tuple[list[Item], int]]) -> None:
         from deformscope.log.rig import prepare_items

@@ -70,7 +70,7 @@ def read_rows(
     warning. read_image: replacement of an encoded image, which the second argument identifies
     device: read only items of this device
     """
-    starts = Starts((_earliest(chunk), str(chunk.id)) for chunk, _, _ in portions(replay, kinds, device))
+    starts = Starts((min(_times(chunk), default=0), str(chunk.id)) for chunk, _, _ in portions(replay, kinds, device))
     parts: dict[bytes, _Part] = {}
     waiting: list[tuple[int, bytes]] = []
     cut_off: Counter[tuple[str, str]] = Counter()
@@ -122,10 +122,6 @@ def portions(replay: Chunked, kinds: Sequence[type], device: str | None = None) 
         name = names[0] if kind in OF_DEVICES else ""
         if kind is not None and device in (None, name):  # else a plot, or something else to look at
             yield chunk, kind, name
-
-
-def _earliest(chunk: Chunk) -> int:
-    return min(_times(chunk), default=0)
 
 
 def _times(chunk: Chunk) -> list[int]:

@@ -258,24 +258,20 @@ def read_ledger(recording: Path) -> Ledger:
             known = json.loads(line[:-65])
             if line + b"\n" != _chained(known, before)[0].encode():
                 raise ValueError("not the line that was written")
-            _take(ledger, known)
+            if "ended" in known:
+                ledger.ended = known["ended"]
+            elif "discarded" in known:
+                ledger.discarded.append(known["discarded"])
+            else:
+                streams, span = tuple(known.get("streams", ())), known.get("session_s", (None, None))
+                (start, end), (from_s, to_s) = known["bytes"], span
+                ledger.blocks.append(LedgerBlock(start, end, known["sha256"], streams, from_s, to_s))
         except (ValueError, KeyError, TypeError):
             about = f", behind {ledger.blocks[-1]}" if ledger.blocks else ""
             ledger.problems.append(f"the ledger does not match itself: it is damaged in line {number}{about}")
     if rest and ledger.ended is not None:
         ledger.problems.append("the ledger is damaged at its end")
     return ledger
-
-
-def _take(ledger: Ledger, known: Mapping[str, Any]) -> None:
-    if "ended" in known:
-        ledger.ended = known["ended"]
-    elif "discarded" in known:
-        ledger.discarded.append(known["discarded"])
-    else:
-        streams, span = tuple(known.get("streams", ())), known.get("session_s", (None, None))
-        (start, end), (from_s, to_s) = known["bytes"], span
-        ledger.blocks.append(LedgerBlock(start, end, known["sha256"], streams, from_s, to_s))
 
 
 def _chained(content: Mapping[str, Any], before: str) -> tuple[str, str]:

@@ -283,7 +283,14 @@ class LiveFeed(Generic[StreamT]):
         stream: StreamT | None = None
         try:
             stream = self._connect(self._left)
-            self._feed(stream)
+            while jobs := self._take():
+                began = time.monotonic()
+                for job, _, _ in jobs:
+                    job(stream)
+                self._confirm(stream)
+                while (rest_s := began + self._period_s() - time.monotonic()) > 0.0 and not self._closing.is_set():
+                    self._closing.wait(min(rest_s, ASK_S))
+            stream.disconnect()
         except Exception as error:
             # A lost viewer costs the picture, never the measurement.
             if not self._left.is_set():
@@ -293,16 +300,6 @@ class LiveFeed(Generic[StreamT]):
         self._over.set()
         while self._stays:  # see `close`
             threading.Event().wait()
-
-    def _feed(self, stream: StreamT) -> None:
-        while jobs := self._take():
-            began = time.monotonic()
-            for job, _, _ in jobs:
-                job(stream)
-            self._confirm(stream)
-            while (rest_s := began + self._period_s() - time.monotonic()) > 0.0 and not self._closing.is_set():
-                self._closing.wait(min(rest_s, ASK_S))
-        stream.disconnect()
 
     def _take(self) -> list[tuple[Callable[[StreamT], None], int, bool]]:
         """All that waits, once something does; nothing at the end."""

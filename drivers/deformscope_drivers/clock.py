@@ -110,7 +110,11 @@ class ClockFit:
             self._started_ns = host_ns
         self._open.append((ticks, host_ns))
         if host_ns - self._started_ns >= STRETCH_NS or len(self._open) >= 4096:
-            self._anchors.append(_earliest(self._open, self._tick_ns()))
+            tick_ns = self._tick_ns()
+            tick_0, host_0 = self._open[0]
+            self._anchors.append(
+                min(self._open, key=lambda reading: reading[1] - host_0 - tick_ns * (reading[0] - tick_0))
+            )
             self._open.clear()
 
     def relation(self) -> ClockRelation | None:
@@ -141,9 +145,3 @@ class ClockFit:
             return self._nominal_ns
         (first_tick, first_ns), (last_tick, last_ns) = (self._anchors or self._open)[0], self._open[-1]
         return (last_ns - first_ns) / (last_tick - first_tick) if last_tick != first_tick else 0.0
-
-
-def _earliest(readings: list[tuple[int, int]], tick_ns: float) -> tuple[int, int]:
-    """The reading (ticks, host [ns]) with the shortest delay."""
-    tick_0, host_0 = readings[0]
-    return min(readings, key=lambda reading: reading[1] - host_0 - tick_ns * (reading[0] - tick_0))

@@ -104,7 +104,11 @@ class Continuity:
             self._pause = self._pause_from(before_ns, got_before, unlinked=False)
         pause = self._pause
         if pause is None:
-            self._observe(self._got - got_before, length_s)
+            self._seen = max(0.0, self._seen + (self._got - got_before))
+            self._seen_s += length_s
+            if self._seen_s > RATE_OVER_S:
+                self._seen /= 2.0
+                self._seen_s /= 2.0
             return
         if pause.resumed_ns is None:
             pause.resumed_ns = now_ns
@@ -150,13 +154,6 @@ class Continuity:
     def _limit_s(self) -> float:
         rate_hz = self._rate_hz()
         return max(SHORTEST_PAUSE_S, PAUSE_PERIODS / rate_hz) if rate_hz > 0.0 else math.inf
-
-    def _observe(self, count: int, length_s: float) -> None:
-        self._seen = max(0.0, self._seen + count)
-        self._seen_s += length_s
-        if self._seen_s > RATE_OVER_S:
-            self._seen /= 2.0
-            self._seen_s /= 2.0
 
     def _pause_from(self, start_ns: int, got: int, *, unlinked: bool) -> _Pause:
         return _Pause(start_ns, got, self._rate_hz(), self._limit_s(), unlinked)

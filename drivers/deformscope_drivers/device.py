@@ -365,7 +365,8 @@ class Device(ABC, Generic[MeasurementT]):
                 self._same, self._same_since_ns = fingerprint, reading.stamp.host_ns
             self._last, self._asked = reading, False  # ages, and what comes next, go by arrival
             if self.late_ns:
-                reading = _put_back(reading, self.late_ns)
+                stamp = reading.stamp.put_back(self.late_ns)
+                reading = cast("MeasurementT", dataclasses.replace(cast("Any", reading), stamp=stamp))
             for queue in self._readings:
                 self._tally.dropped += queue.put(reading)
             self._changed.notify_all()
@@ -437,7 +438,11 @@ class Device(ABC, Generic[MeasurementT]):
                 try:
                     self._rounds()
                 except LinkLost as error:
-                    self._lose(error)
+                    self._report_link(Link.LOST, str(error))
+                    self._disconnect_quietly()
+                    self._refuse_jobs(error)
+                    if self._clock_fit is not None:
+                        self._clock_fit.reset()
                     if self._reconnect is None:
                         raise
                     self._seek(self._reconnect)
@@ -465,13 +470,6 @@ class Device(ABC, Generic[MeasurementT]):
                     future.set_exception(error)
             for reading in self._receive(ROUND_S):
                 self._publish(reading)
-
-    def _lose(self, error: LinkLost) -> None:
-        self._report_link(Link.LOST, str(error))
-        self._disconnect_quietly()
-        self._refuse_jobs(error)
-        if self._clock_fit is not None:
-            self._clock_fit.reset()
 
     def _seek(self, plan: Reconnect) -> None:
         """Try until the link is there again, or the device is closed."""
@@ -553,11 +551,6 @@ class Device(ABC, Generic[MeasurementT]):
         if self._last is None:
             return f"none since it was opened ({link})"
         return f"none for {(self._clock() - self._last.stamp.host_ns) / 1e9:.3g} s ({link})"
-
-
-def _put_back(reading: MeasurementT, late_ns: int) -> MeasurementT:
-    stamp = reading.stamp.put_back(late_ns)
-    return cast("MeasurementT", dataclasses.replace(cast("Any", reading), stamp=stamp))
 
 
 class StreamDevice(Device[MeasurementT]):

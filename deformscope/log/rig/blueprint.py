@@ -36,7 +36,8 @@ def rig_views(streams: Sequence[Stream], *, with_health: bool = True) -> rrb.Con
     plots = [plot_view(path, named(stream, title)) for stream in streams for path, title in plotted(stream)]
     health = [_health(streams)] if streams and with_health else []
     if 1 <= len(pictures) <= FEW and len(plots) <= FEW:
-        return _side_by_side(pictures, plots, health)
+        numbers = rrb.Vertical(*plots, *health, row_shares=[1.0] * len(plots) + [1.4] * len(health))
+        return rrb.Horizontal(*pictures, numbers, column_shares=[1.0] * len(pictures) + [1.1])
     if not with_health and (pictures or plots):
         views = [*pictures, *plots]
         return rrb.Vertical(_rows(views, ON_A_PAGE[len(views) > ON_A_PAGE[0] * ROWS_ON_A_PAGE]))
@@ -53,14 +54,6 @@ def blueprint_of(
     """Views over a timeline, without rerun's panels. fps: frames a second at which it plays"""
     time = rrb.TimePanel(timeline=timeline, state="collapsed", play_state=play, fps=fps)
     return rrb.Blueprint(views, rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"), time)
-
-
-def _side_by_side(
-    pictures: Sequence[rrb.View], plots: Sequence[rrb.View], health: Sequence[rrb.Container]
-) -> rrb.Container:
-    """Pictures over the whole height, and the numbers in a column of their own."""
-    numbers = rrb.Vertical(*plots, *health, row_shares=[1.0] * len(plots) + [1.4] * len(health))
-    return rrb.Horizontal(*pictures, numbers, column_shares=[1.0] * len(pictures) + [1.1])
 
 
 def _stacked(

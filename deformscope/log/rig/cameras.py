@@ -49,7 +49,10 @@ def log_depth(
     ]
     if any(frame.color is not None for frame in frames):
         colors = [b"" if one.color is None else encode_color(one.color, lossless=lossless) for one in frames]
-        columns += _blobs("DepthFrame:color", colors)
+        archetype, name = "DepthFrame", "color"
+        flat = pa.array(np.frombuffer(b"".join(colors), np.uint8))
+        made = rr.DynamicArchetype.columns(archetype=archetype, components={name: flat})
+        columns += list(made.partition([len(row) for row in colors]))
     batch.send_columns(root("depth", device), frame_times(frames, start_ns), columns)
     if is_news(shown, device, (*reach, frames[0].depth.shape), frames[0].stamp.host_ns):
         _log_scale(batch, device, frames[0], reach, start_ns)
@@ -92,11 +95,3 @@ def _scale_png(low_m: float, high_m: float, shape: tuple[int, int]) -> bytes:
         thick = max(1, round(2 * size))
         cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, TEXT, thick, cv2.LINE_AA)
     return encode_png(picture)
-
-
-def _blobs(component: str, rows: Sequence[bytes]) -> list[rr.ComponentColumn]:
-    """Bytes, any number a row."""
-    archetype, name = component.split(":")
-    flat = pa.array(np.frombuffer(b"".join(rows), np.uint8))
-    made = rr.DynamicArchetype.columns(archetype=archetype, components={name: flat})
-    return list(made.partition([len(row) for row in rows]))

@@ -55,7 +55,10 @@ def triangulate(rest: FloatArray) -> IntArray:
         if is_surface(rest):
             seen = _from_above(rest)
             return nothing if seen is None else _short(Delaunay(seen).simplices, rest)
-        return _skin(_short(Delaunay(rest).simplices, rest))
+        tetrahedra = _short(Delaunay(rest).simplices, rest)
+        faces = np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)])
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return np.asarray(faces[first[count == 1]])
     except (QhullError, ValueError):  # all on a line
         return nothing
 
@@ -114,10 +117,3 @@ def _from_above(rest: FloatArray) -> FloatArray | None:
     _, _, axes = np.linalg.svd(middle, full_matrices=False)
     seen = middle @ axes[:2].T
     return None if spacing_of(seen) < FOLDED * spacing_of(rest) else np.asarray(seen)
-
-
-def _skin(tetrahedra: IntArray) -> IntArray:
-    """Faces (t, 3) that belong to one tetrahedron alone."""
-    faces = np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)])
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return np.asarray(faces[first[count == 1]])

@@ -163,7 +163,14 @@ class DsaDouble:
             case Faulty():
                 return messages.Ack(command.id, command.error)
             case messages.ConfigureAcquisition():
-                return self._acquire(command, now_ns)
+                self._acquisition = command.flags
+                quirk = (
+                    self._software_version <= _SINGLE_FRAME_BROKEN_UP_TO
+                    and self._software_version != _SINGLE_FRAME_WORKS
+                )
+                self._once = command.frame_rate_hz == 0 and not quirk
+                self._frame_ns = max(self._frame_ns, now_ns)
+                return messages.Ack(messages.Id.ACQUISITION)
             case messages.QueryController():
                 return self._controller()
             case messages.QuerySensor():
@@ -177,16 +184,12 @@ class DsaDouble:
                     return messages.Ack(messages.Id.THRESHOLD, messages.UNKNOWN_COMMAND)
                 return self._matrix_reply(messages.Id.THRESHOLD, command.matrix)
             case messages.SetSensitivity():
-                return self._set_sensitivity(command)
+                if not 0.0 <= command.sensitivity <= 1.0:
+                    return messages.Ack(messages.Id.SET_SENSITIVITY, messages.WRONG_PARAMETER)
+                value = FACTORY_SENSITIVITY if command.flags & messages.Adjust.FACTORY else command.sensitivity
+                return self._set(messages.Id.SET_SENSITIVITY, command.flags, command.matrix, sensitivity=value)
             case messages.SetThreshold():
                 return self._set_threshold(command)
-
-    def _acquire(self, command: messages.ConfigureAcquisition, now_ns: int) -> messages.Ack:
-        self._acquisition = command.flags
-        quirk = self._software_version <= _SINGLE_FRAME_BROKEN_UP_TO and self._software_version != _SINGLE_FRAME_WORKS
-        self._once = command.frame_rate_hz == 0 and not quirk
-        self._frame_ns = max(self._frame_ns, now_ns)
-        return messages.Ack(messages.Id.ACQUISITION)
 
     def _controller(self) -> messages.ControllerInfo:
         acquiring = 0x40 if self._acquisition & messages.Acquisition.ON else 0
@@ -215,12 +218,6 @@ class DsaDouble:
         broken = self._software_version <= _SENSITIVITY_READ_BACK_BROKEN_UP_TO
         current = FACTORY_SENSITIVITY if broken else settings.sensitivity
         return messages.SensitivityInfo(messages.SUCCESS, 0x02, current, FACTORY_SENSITIVITY)
-
-    def _set_sensitivity(self, command: messages.SetSensitivity) -> messages.Ack | None:
-        if not 0.0 <= command.sensitivity <= 1.0:
-            return messages.Ack(messages.Id.SET_SENSITIVITY, messages.WRONG_PARAMETER)
-        value = FACTORY_SENSITIVITY if command.flags & messages.Adjust.FACTORY else command.sensitivity
-        return self._set(messages.Id.SET_SENSITIVITY, command.flags, command.matrix, sensitivity=value)
 
     def _set_threshold(self, command: messages.SetThreshold) -> messages.Ack | None:
         if self._software_version < _THRESHOLD_FROM:

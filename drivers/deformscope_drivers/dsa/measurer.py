@@ -80,13 +80,14 @@ class TactileMeasurer:
             self._restart_clock()
         ticks = self._unwrap(event.timestamp_ms, host_ns)
         self.clock_fit.add(ticks, host_ns)
-        return TactileReading(Stamp(host_ns, ticks), event.texels, self._cut_up(event.texels))
+        ends = np.cumsum([rows * columns for rows, columns in self._shapes])[:-1]
+        parts = np.split(event.texels, ends)
+        return TactileReading(
+            Stamp(host_ns, ticks),
+            event.texels,
+            tuple(part.reshape(shape) for part, shape in zip(parts, self._shapes, strict=True)),
+        )
 
     def _restart_clock(self) -> None:
         self._unwrap = Unwrap(1 << 32, TICK_NS)
         self.clock_fit = ClockFit(TICK_NS)
-
-    def _cut_up(self, texels: messages.TexelArray) -> tuple[messages.TexelArray, ...]:
-        ends = np.cumsum([rows * columns for rows, columns in self._shapes])[:-1]
-        parts = np.split(texels, ends)
-        return tuple(part.reshape(shape) for part, shape in zip(parts, self._shapes, strict=True))

@@ -136,7 +136,10 @@ def _find(functions: Functions, config: JacoConfig, pause: Callable[[float], Non
     wait_s = SEARCH_FIRST_S
     for attempt in range(1, config.open_attempts + 1):
         try:
-            _initialize(functions, config)
+            if config.connection == "ethernet":
+                call(functions, "InitEthernetAPI", ethernet_structure(config.ethernet))
+            else:
+                call(functions, "InitAPI")
             functions.function("RefresDevicesList")()  # whether there is an arm shows in the list itself
             return _choose(devices(functions), config.serial, functions.where)
         except NoDeviceFound:
@@ -147,13 +150,6 @@ def _find(functions: Functions, config: JacoConfig, pause: Callable[[float], Non
             pause(wait_s)
             wait_s *= 2
     raise AssertionError("open_attempts is at least 1")
-
-
-def _initialize(functions: Functions, config: JacoConfig) -> None:
-    if config.connection == "ethernet":
-        call(functions, "InitEthernetAPI", ethernet_structure(config.ethernet))
-    else:
-        call(functions, "InitAPI")
 
 
 def ethernet_structure(addresses: EthernetAddresses) -> EthernetCommConfig:
