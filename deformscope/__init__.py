@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from deformscope.library import squeeze as squeeze
     from deformscope.library import sweep as sweep
     from deformscope.library import verify as verify
-    from deformscope.runs.calibration import CalibrationResult as CalibrationResult
+    from deformscope.runs.calibration_result import CalibrationResult as CalibrationResult
     from deformscope.runs.catalog import CatalogResult as CatalogResult
     from deformscope.runs.catalog import ComparedRecordings as ComparedRecordings
     from deformscope.runs.classification import ClassificationResult as ClassificationResult
@@ -74,7 +74,7 @@ _NAMES = {
     "calibrate_viscous calibrate_yield catalog classify compare_recordings discard explore "
     "export import_recording load_classifier open_dataset open_recording predict record "
     "recover replay report squeeze sweep verify",
-    "runs.calibration": "CalibrationResult",
+    "runs.calibration_result": "CalibrationResult",
     "runs.datasets": "OpenDataset",
     "runs.exploration_result": "ExplorationResult",
     "runs.prediction": "PredictionResult",

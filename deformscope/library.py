@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from deformscope.config.flags import TipName
     from deformscope.config.options import Flags
     from deformscope.config.rigs import ExportFormat
-    from deformscope.runs.calibration import CalibrationResult, PairArrays
+    from deformscope.runs.calibration import PairArrays
+    from deformscope.runs.calibration_result import CalibrationResult
     from deformscope.runs.catalog import CatalogResult, ComparedRecordings
     from deformscope.runs.classification import ClassificationResult, TableSource
     from deformscope.runs.datasets import OpenDataset

@@ -16,8 +16,9 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.files.model_file import save_model
 from deformscope.page.fit_settings import asked_on_page
 from deformscope.pictures.evidence import Result, results_png
-from deformscope.runs.calibration import CalibrationResult, calibrate
+from deformscope.runs.calibration import calibrate
 from deformscope.runs.calibration_report import calibration_page
+from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.stages.fit.estimate import Estimate
 
 

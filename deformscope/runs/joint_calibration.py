@@ -11,7 +11,7 @@ from deformscope.pictures.material_figures import joint_png
 from deformscope.pictures.messages import value_rows
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json, plain
-from deformscope.runs.calibration import pair_recorder, parse_files
+from deformscope.runs.pair_calibration import pair_recorder, parse_files
 from deformscope.runs.result import LibraryResult, Note, log_note
 from deformscope.session import Step
 from deformscope.stages.fit.estimate import converged_text, explained_text

@@ -44,16 +44,10 @@ from deformscope.plain import Json
 from deformscope.recording.item_rows import read_rows
 from deformscope.recording.items import read_found
 from deformscope.recording.reader import Replay
-from deformscope.runs.calibration import (
-    arrays_bytes,
-    frames_of,
-    images_recorder,
-    pair_recorder,
-    parse_files,
-    recorded_pairs,
-)
 from deformscope.runs.calibration_report import provenance_sections, settings_section
+from deformscope.runs.image_calibration import frames_of, images_recorder
 from deformscope.runs.material_report import material_bodies, material_figure, material_table
+from deformscope.runs.pair_calibration import arrays_bytes, pair_recorder, parse_files, recorded_pairs
 from deformscope.runs.result import Note, SourceResult, log_note
 from deformscope.session import Step, run
 from deformscope.stages.fit.model import Model, Observation

@@ -18,7 +18,7 @@ from deformscope.pictures.dents import dents_png
 from deformscope.pictures.findings import ColoredBody, Findings
 from deformscope.pictures.report import Figure, Table
 from deformscope.plain import Json
-from deformscope.runs.calibration import CalibrationResult
+from deformscope.runs.calibration_result import CalibrationResult
 from deformscope.runs.result import LibraryResult
 from deformscope.stages.msm.poke import Poke, Tip
 from deformscope.stages.msm.quiet import quiet_warp

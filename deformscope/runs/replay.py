@@ -94,7 +94,8 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     from deformscope.experiments.foam_video import ParticleOptions
     from deformscope.experiments.poke_files import LayersOptions
     from deformscope.experiments.whole_motion import Selectable
-    from deformscope.runs.calibration import calibrate_pair_bytes, run_images
+    from deformscope.runs.image_calibration import run_images
+    from deformscope.runs.pair_calibration import calibrate_pair_bytes
     from deformscope.stages.fit.calibrate import FitOptions
     from deformscope.stages.msm.solver import pick_device
 

@@ -16,7 +16,7 @@ from deformscope.config import BetaConfig, SearchOptions
 from deformscope.config.calibrate import LayersFlags
 from deformscope.files.pairs import parse_pair
 from deformscope.files.sources import open_source
-from deformscope.runs import calibration
+from deformscope.runs import calibration, image_calibration
 from deformscope.stages.poke.layers import MeasuredSurface
 from deformscope.stages.poke.poke_fit import seen_poke, spacing_for
 from tests.cli.test_predict_command import THICKNESS, write_pair
@@ -42,7 +42,7 @@ def images() -> list[ImageArray]:
 @pytest.fixture
 def slow(monkeypatch: pytest.MonkeyPatch) -> None:
     """A machine on which nothing is quick: the fewest frames, and the coarsest lattice."""
-    monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
+    monkeypatch.setattr(image_calibration, "FLOW_S_PER_PX", 1e-2)
     monkeypatch.setattr(calibration, "MOST_PARTICLES", 1)
 
 
@@ -105,7 +105,7 @@ def test_a_short_sequence_or_a_stride_of_ones_own_stays_whole(
     few = ds.calibrate_beta(images[:KEPT], grid=(8, 6), candidates=12)
     assert few.estimate.settings["frames"] == KEPT
     assert "frames are tracked" not in caplog.text
-    monkeypatch.setattr(calibration, "FLOW_S_PER_PX", 1e-2)
+    monkeypatch.setattr(image_calibration, "FLOW_S_PER_PX", 1e-2)
     own = ds.calibrate_beta(images, grid=(8, 6), candidates=12, stride=2)
     assert own.estimate.settings["frames"] == (COUNT + 1) // 2
     assert f"{(COUNT + 1) // 2} frames are tracked" in caplog.text

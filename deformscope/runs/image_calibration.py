@@ -1,0 +1,138 @@
+"""Beta or theta from a sequence of images."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from deformscope.arrays import ImageArray
+from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
+from deformscope.config.flags import Selectable
+from deformscope.errors import InputError
+from deformscope.experiments.calibration_inputs import mask_of, opened_images, particle_options
+from deformscope.experiments.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.whole_motion import whole_motion
+from deformscope.files.sources import DEFAULT_FPS, Source
+from deformscope.frames import ColorFrame, InputFile
+from deformscope.images import encode_png
+from deformscope.log.application import IMAGES
+from deformscope.pictures.evidence import Result
+from deformscope.recording.recorder import Recorder
+from deformscope.runs.calibration_result import CalibrationResult
+from deformscope.runs.result import Note, open_recorder
+from deformscope.session import run
+from deformscope.stages.fit.calibrate import FitOptions
+from deformscope.stages.fit.search import Progress
+from deformscope.stages.see.particles import clean_mask
+from deformscope_drivers.clock import Stamp
+
+FLOW_S_PER_PX = 5e-7
+"""Time of the flow both ways from a frame to the next in steady motion, on two cores [s/px]."""
+FOLLOWED_S, FEWEST_FRAMES = 7.5, 16
+"""Time limit of tracking a long sequence, and least number of its frames; jumps take up to 7 times that."""
+
+
+def _thinned(source: Source, particles: ParticleOptions, every: bool, note: Note) -> ParticleOptions:
+    """A long sequence is thinned, unless all frames are requested; the number of frames is announced."""
+    each_s, count = FLOW_S_PER_PX * float(np.prod(source.size)), source.count or 0
+    if count <= (most := max(FEWEST_FRAMES, round(FOLLOWED_S / each_s))):
+        return particles
+    if every:
+        note(f"{count} frames are tracked")
+        return particles
+    source.thin(most)
+    note(f"{most} of {count} frames are tracked, evenly spread; --fine tracks all")
+    return dataclasses.replace(particles, frames_of=count)
+
+
+def calibrate_images(
+    config: BetaConfig | ThetaConfig,
+    images: ImageOptions,
+    fit: FitOptions,
+    select: tuple[Selectable, ...] | None,
+    given: Sequence[ImageArray],
+    progress: Progress | None,
+    note: Note,
+) -> CalibrationResult:
+    """Fit a sequence of files, or of the given images (H, W[, 3]), and record it on request. images: how they become
+    particles; select: as in `run_images`"""
+    sources, particles = config.sources, particle_options(images, config.search.noise_px)
+    masked = images.mask is not None or images.outline is not None
+    settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
+    settings |= {"camera": images.camera} if images.camera is not None else {}
+    settings |= {"outline": list(images.outline)} if images.outline is not None else {}
+    opened = _given_images(given, images) if given else opened_images(sources, images)
+    with opened as source:
+        mask = mask_of(sources, images, source.size)
+        every = config.search.fine or select is not None or images.stride != 1
+        particles = _thinned(source, particles, every, note)
+        return run_images(source, mask, fit, particles, settings, config.output, select, progress)
+
+
+def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:
+    kept = list(given)[:: images.stride]
+    if kept and any(one.shape != kept[0].shape or one.dtype != kept[0].dtype for one in kept):
+        raise InputError("images of one size and type", "several", "crop them alike")
+    if kept and (kept[0].dtype not in (np.uint8, np.uint16) or kept[0].ndim not in (2, 3)):
+        raise InputError("images (H, W) or (H, W, 3) of uint8 or uint16", f"{kept[0].dtype} {kept[0].shape}")
+    period_ns = 1e9 * images.stride / (images.fps or DEFAULT_FPS)
+    frames = [ColorFrame(Stamp(round(index * period_ns)), index, image) for index, image in enumerate(kept)]
+    return Source("images", lambda: iter(frames), len(frames))
+
+
+def run_images(
+    source: Source,
+    mask: ImageArray | None,
+    fit: FitOptions,
+    particles: ParticleOptions,
+    settings: dict[str, Any],
+    output: OutputOptions,
+    select: tuple[Selectable, ...] | None = None,
+    progress: Progress | None = None,
+) -> CalibrationResult:
+    """One sequence through the loop: the same for files, samples and recordings. mask: (H, W) [px], 0 = not the body
+    select: the option that is chosen by held-out error, with all frames fitted; None = the last frame is fitted"""
+    used = settings | {"particles": dataclasses.asdict(particles), "fit": dataclasses.asdict(fit)}
+    if select is not None:
+        used["motion"] = {"select": select}
+    region = None if mask is None else clean_mask(mask)
+    experiment = (
+        foam_video(particles, fit, region, progress)
+        if select is None
+        else whole_motion(particles, fit, select, region, progress)
+    )
+    last: list[ImageArray] = []
+    with images_recorder(source, mask, used, output) as recorder:
+        found = run(frames_of(source, progress, last), experiment, recorder)
+    shown = Result(found.estimate, found.comparisons[-1:], ("",), last[0])
+    recording, problems = recorder.summary(), tuple(source.problems())
+    return CalibrationResult(
+        found.estimate, shown, recording=recording, problems=problems, settings=used, seed=output.seed
+    )
+
+
+def frames_of(source: Source, progress: Progress | None, last: list[ImageArray] | None = None) -> Iterator[ColorFrame]:
+    """All frames of a sequence, each reported to `progress` when it is done. last: the last image, if given"""
+    for done, frame in enumerate(source):
+        if last is not None:
+            last[:] = [frame.image]
+        yield frame
+        if progress is not None:
+            progress("frames", done + 1, source.count or 0)
+
+
+@contextmanager
+def images_recorder(
+    source: Source, mask: ImageArray | None, settings: Mapping[str, object], output: OutputOptions
+) -> Iterator[Recorder]:
+    """Records a sequence, its mask, and at the end the damage of the source."""
+    with open_recorder(output, settings, IMAGES) as recorder:
+        if mask is not None:
+            recorder.write(InputFile("mask", encode_png(mask)))
+        yield recorder
+        if problems := source.problems():
+            recorder.stopped_because(f"with the readable part of {source.name}: {'; '.join(problems)}")
