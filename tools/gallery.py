@@ -67,7 +67,7 @@ def main() -> int:
     return 1 if complaints else 0
 
 
-def film(viewer: ViewerClient, recording: Path, path: Path) -> None:
+def film(viewer: ViewerClient, recording: Path, path: Path, size: tuple[int, int] = FILM_PX) -> None:
     """The window at even moments of the session, as an animated WebP."""
     end_s = ds.verify(recording).found["until_s"]
     pictures = []
@@ -76,7 +76,7 @@ def film(viewer: ViewerClient, recording: Path, path: Path) -> None:
         time.sleep(0.5)
         still = path.with_suffix(".png")
         viewer.save_screenshot(str(still))
-        pictures.append(Image.open(still).convert("RGB").resize(FILM_PX, Image.Resampling.LANCZOS))
+        pictures.append(Image.open(still).convert("RGB").resize(size, Image.Resampling.LANCZOS))
         still.unlink()
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=FILM_MS, loop=0, quality=60)
 

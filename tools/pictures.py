@@ -25,7 +25,7 @@ from screenshot import NOTICES_S, headless_viewer, shoot
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES, RECORDINGS = ROOT / "docs" / "images", ROOT / "recordings"
-SIZE, BAR_PX = (1920, 1080), 36
+SIZE, BAR_PX, FILM_PX = (1920, 1080), 36, (800, 450)
 """The window, and at its top the viewer's own bar, which is cut off."""
 SLAB = ("calibrate", "beta", "sample:poke", "--thickness-m", "0.05", "--save", "slab.npz")
 SQUEEZE = ("squeeze", "lab:containers", "--content", "rice", "--container", "box-01")
@@ -53,6 +53,8 @@ def window(name: str) -> None:
             recorded = ("--record", str(run), "--viewer", "none") if words is commands[-1] else ()
             subprocess.run([sys.executable, "-m", "deformscope", *words, *recorded], cwd=folder, check=True)
         show(run, path, moment)
+        if name == "tension":
+            show(run, IMAGES / "gallery-tension.webp", moment)
 
 
 def show(run: Path, path: Path, moment: dict[str, Any], size: tuple[int, int] | None = None) -> None:
@@ -66,13 +68,13 @@ def show(run: Path, path: Path, moment: dict[str, Any], size: tuple[int, int] | 
         else:
             picture.resize((1280, 696), Image.Resampling.LANCZOS).save(path, quality=80)
             if path.stem in ("gallery-tension", "gallery-squeeze"):
-                film(viewer, run, path.with_name(f"{path.stem}-film.webp"))
+                film(viewer, run, path.with_name(f"{path.stem}-film.webp"), FILM_PX)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 def gallery() -> None:
     """Recordings that ship."""
-    for name in ("tension", "explore", "squeeze"):
+    for name in ("explore", "squeeze"):
         show(RECORDINGS / f"{name}.rrd", IMAGES / f"gallery-{name}.webp", MOMENTS[name])
 
 
