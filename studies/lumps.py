@@ -23,9 +23,9 @@ from tyro.conf import arg
 
 from deformscope.arrays import FloatArray
 from deformscope.config import flags
-from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.robot_geometry import AsMeasured
+from deformscope.experiments.explore.explorer import ExplorationStages, Explorer, UnseenSurface
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.robot_geometry import AsMeasured
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors
 from deformscope.pictures.report import Table

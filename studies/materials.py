@@ -27,7 +27,7 @@ from tyro.conf import arg
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.config import flags
-from deformscope.experiments.material_motion import recovery_of_motion
+from deformscope.experiments.fit.material_motion import recovery_of_motion
 from deformscope.lab.elasticity import ElasticBox
 from deformscope.pictures.report import Table
 from deformscope.stages.fit.model import Model, Observation

@@ -13,11 +13,11 @@ from typing import Annotated, Literal, cast
 import numpy as np
 
 from deformscope.config import flags
-from deformscope.experiments.placing import CONTAINER, NO_GRASP, Placing, PlacingArm
-from deformscope.experiments.squeeze import Squeezed, squeeze
-from deformscope.experiments.squeeze_features import SqueezeGeometry
-from deformscope.experiments.squeeze_frames import ObservedRecorder
-from deformscope.experiments.squeezing_hand import SqueezingHand, observer_of
+from deformscope.experiments.squeeze.features import SqueezeGeometry
+from deformscope.experiments.squeeze.frames import ObservedRecorder
+from deformscope.experiments.squeeze.placing import CONTAINER, NO_GRASP, Placing, PlacingArm
+from deformscope.experiments.squeeze.squeeze import Squeezed, squeeze
+from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, observer_of
 from deformscope.lab.carried_hand import CarriedHandLab
 from deformscope.lab.container_setup import container_lab
 from deformscope.pictures.report import Table

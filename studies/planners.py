@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.explore import Exploration, TouchPlanner
+from deformscope.experiments.explore.explore import Exploration, TouchPlanner
 from deformscope.stages.map.exploration import PlannedTouch
 from deformscope.stages.map.plan import FieldKernel, PlanOptions
 from deformscope.stages.regions.touches import MapGrid

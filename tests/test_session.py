@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.experiments.live_stages import live_stages
+from deformscope.experiments.live.live_stages import live_stages
 from deformscope.frames import ColorFrame, HealthReport, Item, SessionNote
 from deformscope.session import Compute, Experiment, Inline, Moment, RigExperiment, Step, ask, finish, run
 from deformscope_drivers.clock import Stamp

@@ -44,8 +44,8 @@ class ThesisFlags(Flags):
 
 @dataclass(frozen=True, slots=True)
 class ExploreFlags(Flags):
-    """Options of an exploration that have a flag; `deformscope.experiments.options.ExploreOptions` has all. `budget`
-    and `beta_model` follow from goal and planner if they are None."""
+    """Options of an exploration that have a flag; `experiments.explore.options.ExploreOptions` has all. `budget` and
+    `beta_model` follow from goal and planner if they are None."""
 
     budget: Annotated[flags.SomeFlag, arg(name="touches")] = None
     """Largest number of touches, default 8, with --goal inclusions 30."""

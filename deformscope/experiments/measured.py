@@ -15,7 +15,7 @@ import numpy.typing as npt
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.config.explore import BORDER_M
 from deformscope.errors import InputError
-from deformscope.experiments.options import (
+from deformscope.experiments.explore.options import (
     ABOVE_M,
     EDGE_M,
     LOW_SHARE,

@@ -136,7 +136,7 @@ class HandledTable(Protocol):
 
 
 class SimulatedHand:
-    """Carries out requests at a table, by their kind (`experiments.rig_calibration`), with small errors.
+    """Carries out requests at a table, by their kind (`experiments.rig.rig_calibration`), with small errors.
 
     Raises InputError if the arm does not reach the requested pose.
     """

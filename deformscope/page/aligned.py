@@ -50,7 +50,7 @@ def aligned_series(
 ) -> tuple[list[AlignedSeries], tuple[float, float]]:
     """Measurements of the devices of two recordings since the first contact of each, and its time since the start [s].
     Raises InputError for a recording without a contact in a force sensor or a tactile array."""
-    from deformscope.experiments.first_contact import KINDS, first_contact_ns
+    from deformscope.experiments.live.first_contact import KINDS, first_contact_ns
 
     series: list[AlignedSeries] = []
     contacts_s = []

@@ -20,7 +20,7 @@ from deformscope.arrays import FloatArray
 from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.command_line import command_line
 from deformscope.errors import InputError
-from deformscope.experiments.calibration_inputs import fit_options, images_of
+from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
 from deformscope.page.fit_settings import IN_PICTURE, images_with
 from deformscope.page.fit_source import FitSubject, subject_of
 from deformscope.page.server.fit_messages import FitResult, FitSettings, FitState, Points

@@ -9,9 +9,9 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, ImageArray
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.experiments.cached_flow import CachedFlow
-from deformscope.experiments.calibration_inputs import images_of, mask_of, opened_images, particle_options
-from deformscope.experiments.foam_video import last_pose
+from deformscope.experiments.fit.cached_flow import CachedFlow
+from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options
+from deformscope.experiments.fit.foam_video import last_pose
 from deformscope.file_io import ending_of, read_file
 from deformscope.files.pairs import parse_pair
 from deformscope.images import encode_jpeg

@@ -1,7 +1,7 @@
 """An exploration that a page steers: paused and continued, and with touches at places that a person picks.
 
-The page starts no motion: the loop of `deformscope.experiments.explore` queries it before each touch. Its robot checks
-in each control period whether the page that confirmed the touch is still present.
+The page starts no motion: the loop of `experiments.explore.explore` queries it before each touch. Its robot checks in
+each control period whether the page that confirmed the touch is still present.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.explore import ExplorationStopped, NextMove
+from deformscope.experiments.explore.explore import ExplorationStopped, NextMove
 from deformscope.interruption import Interruption
 from deformscope.page.devices import ShownDevices
 from deformscope.page.robot_page import RobotPage

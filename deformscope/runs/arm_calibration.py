@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.experiments.arm_compliance import (
+from deformscope.experiments.explore.explore import ExplorationStopped
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.robot_geometry import FromFrames
+from deformscope.experiments.explore.touching_robot import TouchingRobot, touching_robot
+from deformscope.experiments.rig.arm_compliance import (
     SURE_SD,
     CombinedCompliance,
     ComplianceTouch,
     combine_compliance,
     touch_rigid,
 )
-from deformscope.experiments.explore import ExplorationStopped
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.robot_geometry import FromFrames
-from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
 from deformscope.interruption import until_interrupted
 from deformscope.log.findings import RigFindings
 from deformscope.pictures.compliance import compliance_png

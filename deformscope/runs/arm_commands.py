@@ -13,7 +13,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.interruption import Interruption, until_interrupted
 from deformscope.lab.rig_members import member_of
 from deformscope.rig.rig_file import load_rig

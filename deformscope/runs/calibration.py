@@ -11,8 +11,8 @@ from deformscope.config import BetaConfig, ThetaConfig
 from deformscope.config.calibrate import check_arrays
 from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
-from deformscope.experiments.calibration_inputs import fit_options, images_of
-from deformscope.experiments.poke_files import LayersOptions
+from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
+from deformscope.experiments.fit.poke_files import LayersOptions
 from deformscope.file_io import ending_of, read_file
 from deformscope.recording.reader import Replay
 from deformscope.runs.calibration_result import CalibrationResult

@@ -11,7 +11,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, taps_of
+from deformscope.experiments.rig.rig_calibration import BoardViews, ForceReadings, PushedTip, Taps, taps_of
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, WrenchFrame
 from deformscope.pictures.setup import off_figure, offset_figure
 from deformscope.rig.rig_edit import TomlValue

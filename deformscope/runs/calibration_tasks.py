@@ -9,7 +9,7 @@ import numpy as np
 
 from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig
 from deformscope.errors import InputError
-from deformscope.experiments.rig_calibration import (
+from deformscope.experiments.rig.rig_calibration import (
     push_tip,
     tap_tip,
     tilt_about_tip,

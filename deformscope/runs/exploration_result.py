@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.experiments.options import SHALLOW_M
+from deformscope.experiments.explore.options import SHALLOW_M
 from deformscope.pictures.messages import (
     counted,
     format_claim,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deformscope.errors import InputError
-from deformscope.experiments.explore import TouchPlanner as TouchPlanner
+from deformscope.experiments.explore.explore import TouchPlanner as TouchPlanner
 from deformscope.interruption import until_interrupted
 from deformscope.lab.scenes import OwnScene as OwnScene
 from deformscope.lab.scenes import scene_of
@@ -29,9 +29,9 @@ from deformscope.version import __version__
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.config import ExploreConfig
-    from deformscope.experiments.explore import Exploration
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.recorded_touches import RecordedTouches
+    from deformscope.experiments.explore.explore import Exploration
+    from deformscope.experiments.explore.options import ExploreOptions
+    from deformscope.experiments.explore.recorded_touches import RecordedTouches
     from deformscope.interruption import Interruption
     from deformscope.lab.faults import FaultsToCome
     from deformscope.page.devices import ShownDevices
@@ -80,9 +80,9 @@ def explore_on(
     case the arm is halted, and the results are reported before the recording is closed.
     """
     from deformscope.config.explore import ExploreFlags
-    from deformscope.experiments.explore import DRY_RUN, Exploration
+    from deformscope.experiments.explore.explore import DRY_RUN, Exploration
+    from deformscope.experiments.explore.options import DRY_RUN_M, ExploreOptions
     from deformscope.experiments.measured import SetupGeometry
-    from deformscope.experiments.options import DRY_RUN_M, ExploreOptions
     from deformscope.lab.faults import FaultAt, FaultsToCome
     from deformscope.stages.map.plan import INCLUSION_M
 
@@ -178,9 +178,9 @@ def _run(
 ) -> None:
     """Open the devices, explore, close them; `found` and `ending` have the results, also if this raises. recorded:
     touches that were made before: nothing moves"""
-    from deformscope.experiments.explore import AT_END, PlannedBy, explore
-    from deformscope.experiments.stage_executor import stage_executor
-    from deformscope.experiments.touching_robot import TouchingRobot, touching_robot
+    from deformscope.experiments.explore.explore import AT_END, PlannedBy, explore
+    from deformscope.experiments.explore.stage_executor import stage_executor
+    from deformscope.experiments.explore.touching_robot import TouchingRobot, touching_robot
     from deformscope.pictures.render_process import render_process
     from deformscope.session import run as run_session
 
@@ -434,7 +434,7 @@ def _touch(exploration: Exploration, one: TouchEstimate, start_ns: int) -> Touch
 
 def _fault(exploration: Exploration, ending: ExplorationEnd, faults: FaultsToCome | None) -> dict[str, Any] | None:
     """Why it was stopped, and how long after the laboratory's fault; None where it was not."""
-    from deformscope.experiments.explore import DRY_RUN
+    from deformscope.experiments.explore.explore import DRY_RUN
 
     stop = exploration.stop
     if stop is None or stop.kind == DRY_RUN:

@@ -13,9 +13,9 @@ from deformscope.arrays import ImageArray
 from deformscope.config import BetaConfig, ImageOptions, OutputOptions, ThetaConfig
 from deformscope.config.flags import Selectable
 from deformscope.errors import InputError
-from deformscope.experiments.calibration_inputs import mask_of, opened_images, particle_options
-from deformscope.experiments.foam_video import ParticleOptions, foam_video
-from deformscope.experiments.whole_motion import whole_motion
+from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options
+from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.fit.whole_motion import whole_motion
 from deformscope.files.sources import DEFAULT_FPS, Source
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png

@@ -11,7 +11,7 @@ import numpy as np
 
 from deformscope.config import ImportConfig
 from deformscope.errors import InputError, printable
-from deformscope.experiments.live_stages import StageCounts, live_stages
+from deformscope.experiments.live.live_stages import StageCounts, live_stages
 from deformscope.file_io import none_larger, refusal
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair
@@ -31,7 +31,7 @@ from deformscope.session import Inline, finish, run
 from deformscope.stages.msm.quiet import quiet_warp
 
 if TYPE_CHECKING:
-    from deformscope.experiments.device_stages import Stage
+    from deformscope.experiments.live.device_stages import Stage
 
 LONG_GAP = 100
 """A gap in a stream is reported if it is longer than this number of usual steps."""
@@ -76,7 +76,7 @@ def import_source(config: ImportConfig) -> RecordResult:
     ):
         stages: tuple[Stage, ...] = ()
         if names := config.stages.names:
-            from deformscope.experiments.device_stages import stages_of
+            from deformscope.experiments.live.device_stages import stages_of
             from deformscope.runs.rig_run import live_options
 
             quiet_warp()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from deformscope.experiments.material_motion import MaterialEstimate, MaterialFit
+from deformscope.experiments.fit.material_motion import MaterialEstimate, MaterialFit
 from deformscope.pictures.findings import ColoredBody
 from deformscope.pictures.material_figures import axes_png, field_png, recovery_png, yield_png
 from deformscope.pictures.messages import reason_rows

@@ -16,9 +16,9 @@ import numpy as np
 from deformscope.arrays import ImageArray
 from deformscope.config import MaterialOptions, OutputOptions, ViscousConfig, YieldConfig
 from deformscope.errors import InputError
-from deformscope.experiments.calibration_inputs import images_of, mask_of, opened_images, particle_options
-from deformscope.experiments.foam_video import ParticleOptions
-from deformscope.experiments.material_motion import (
+from deformscope.experiments.fit.calibration_inputs import images_of, mask_of, opened_images, particle_options
+from deformscope.experiments.fit.foam_video import ParticleOptions
+from deformscope.experiments.fit.material_motion import (
     MaterialEstimate,
     MaterialFit,
     UnloadingOptions,
@@ -32,7 +32,7 @@ from deformscope.experiments.material_motion import (
     yield_of_camera,
     yield_of_motion,
 )
-from deformscope.experiments.whole_motion import TrackedMotion
+from deformscope.experiments.fit.whole_motion import TrackedMotion
 from deformscope.file_io import ending_of, read_file
 from deformscope.files.motions import parse_motion
 from deformscope.files.pairs import parse_pair

@@ -13,8 +13,8 @@ from deformscope.file_io import nearest
 from deformscope.terminal import say
 
 if TYPE_CHECKING:
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.recorded_touches import RecordedTouches
+    from deformscope.experiments.explore.options import ExploreOptions
+    from deformscope.experiments.explore.recorded_touches import RecordedTouches
     from deformscope.lab.live_lab import LiveLab
     from deformscope.lab.randomized_rig import RandomizedRig
     from deformscope.lab.scenes import Scene
@@ -71,8 +71,8 @@ def setup_of(
     file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in
     """
     if name.startswith(LAB):
+        from deformscope.experiments.explore.options import TRAVEL_M_S
         from deformscope.experiments.measured import highest_m
-        from deformscope.experiments.options import TRAVEL_M_S
         from deformscope.lab.robot_body import RobotBody, described_robot
         from deformscope.lab.scene_lab import SceneLab
         from deformscope.lab.scenes import built_in
@@ -122,7 +122,7 @@ def setup_of(
     )
     settings = {"rig": rig.text, "rig_name": rig.name, "scene": rig.surface.scene}
     if is_recording:
-        from deformscope.experiments.recorded_touches import recorded_setup
+        from deformscope.experiments.explore.recorded_touches import recorded_setup
 
         setup, touches = recorded_setup(Path(name), rig, options)
         for one in touches.left_out:

@@ -91,9 +91,9 @@ def _fits(recording: Replay, config: ReplayConfig, progress: Progress | None) ->
     """Estimates of a calibration, as recorded and computed again."""
     import msgspec
 
-    from deformscope.experiments.foam_video import ParticleOptions
-    from deformscope.experiments.poke_files import LayersOptions
-    from deformscope.experiments.whole_motion import Selectable
+    from deformscope.experiments.fit.foam_video import ParticleOptions
+    from deformscope.experiments.fit.poke_files import LayersOptions
+    from deformscope.experiments.fit.whole_motion import Selectable
     from deformscope.runs.image_calibration import run_images
     from deformscope.runs.pair_calibration import calibrate_pair_bytes
     from deformscope.stages.fit.calibrate import FitOptions
@@ -159,7 +159,7 @@ def _align(first: Replay, second: Replay, config: ReplayConfig) -> ReplayResult:
 
 def _replay_rig(recording: Replay) -> ReplayResult:
     """`different` if a frame differs from its bytes, or a stage's result from its frames."""
-    from deformscope.experiments.replay_stages import replay_stages
+    from deformscope.experiments.live.replay_stages import replay_stages
     from deformscope.rig.decoded import compare_with_bytes
     from deformscope.rig.rig_file import parse_rig
 

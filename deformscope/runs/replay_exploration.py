@@ -31,7 +31,7 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
     """
     import msgspec
 
-    from deformscope.experiments.explore import (
+    from deformscope.experiments.explore.explore import (
         AtOnce,
         Exploration,
         RecordedRobot,
@@ -39,11 +39,11 @@ def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer
         explore,
         within_loop,
     )
-    from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
+    from deformscope.experiments.explore.explorer import ExplorationStages, UnseenSurface
+    from deformscope.experiments.explore.options import ExploreOptions
+    from deformscope.experiments.explore.recorded_touches import recorded_inputs
+    from deformscope.experiments.explore.robot_geometry import AsMeasured, FromFrames
     from deformscope.experiments.measured import SetupGeometry
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.recorded_touches import recorded_inputs
-    from deformscope.experiments.robot_geometry import AsMeasured, FromFrames
     from deformscope.pictures.messages import format_failure
     from deformscope.recording.items import read_results, read_series
     from deformscope.session import run

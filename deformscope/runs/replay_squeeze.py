@@ -15,7 +15,7 @@ from deformscope.errors import InputError
 from deformscope.runs.replay_result import Different, ReplayResult, compare
 
 if TYPE_CHECKING:
-    from deformscope.experiments.squeeze_features import SqueezeGeometry, TrialFeatures
+    from deformscope.experiments.squeeze.features import SqueezeGeometry, TrialFeatures
     from deformscope.recording.reader import Replay
     from deformscope.stages.squeeze.model import ContentModel
     from deformscope.stages.squeeze.placement import ContainerSighting
@@ -73,10 +73,10 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
     a phase is missing."""
     import msgspec
 
-    from deformscope.experiments.squeeze import posterior_of
-    from deformscope.experiments.squeeze_features import SqueezeGeometry, trial_features
-    from deformscope.experiments.squeeze_frames import SqueezeFrames, SqueezeObserver, TactileSource
-    from deformscope.experiments.squeeze_live import RecordedTracking
+    from deformscope.experiments.squeeze.features import SqueezeGeometry, trial_features
+    from deformscope.experiments.squeeze.frames import SqueezeFrames, SqueezeObserver, TactileSource
+    from deformscope.experiments.squeeze.live import RecordedTracking
+    from deformscope.experiments.squeeze.squeeze import posterior_of
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
     from deformscope.recording.item_rows import read_rows
     from deformscope.recording.items import read_results, read_streams
@@ -131,7 +131,7 @@ def squeeze_again(recording: Replay) -> SqueezeAgain:
 
 def sighted_again(recording: Replay, items: list[Any], geometry: SqueezeGeometry) -> list[ContainerSighting]:
     """The container, located again in each image in which it was searched; empty if a person placed the hand."""
-    from deformscope.experiments.placing import sight
+    from deformscope.experiments.squeeze.placing import sight
     from deformscope.frames import ArmFrame, DepthFrame, HandFrame
     from deformscope.recording.items import read_results
     from deformscope.stages.squeeze.placement import ContainerSighting

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.experiments.rig_calibration import Assistant, SetupRequest
+from deformscope.experiments.rig.rig_calibration import Assistant, SetupRequest
 from deformscope.file_io import read_file, replacing
 from deformscope.files.arrays_file import read_arrays
 from deformscope.interruption import Interruption, until_interrupted

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from deformscope.config import OutputOptions, RigRunOptions
 from deformscope.config.rigs import StageOptions
-from deformscope.experiments.live_stages import StageCounts, live_stages
+from deformscope.experiments.live.live_stages import StageCounts, live_stages
 from deformscope.file_io import new_recording
 from deformscope.frames import HealthReport, Item, StageResult, Stream
 from deformscope.interruption import Interruption, until_interrupted
@@ -39,8 +39,8 @@ from deformscope.terminal import say
 from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
-    from deformscope.experiments.device_stages import LiveOptions, Stage, StageName
-    from deformscope.experiments.stage_processes import StageProcesses
+    from deformscope.experiments.live.device_stages import LiveOptions, Stage, StageName
+    from deformscope.experiments.live.stage_processes import StageProcesses
 
 REPORT_EVERY_S = 10.0
 PAGE_HOLDS_S = 30.0
@@ -156,8 +156,8 @@ def _new_file(rig: Rig) -> Path:
 def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) -> LiveOptions:
     """The options of the requested stages. Raises InputError if the rig lacks a device for one of the stages. streams:
     streams of the devices, where they are not the rig's"""
-    from deformscope.experiments.calibration_inputs import particle_options
-    from deformscope.experiments.device_stages import LiveOptions, for_rig
+    from deformscope.experiments.fit.calibration_inputs import particle_options
+    from deformscope.experiments.live.device_stages import LiveOptions, for_rig
 
     own = {"names": flags.names, "color": flags.camera or "", "particles": particle_options(flags)}
     return for_rig(LiveOptions(**flags.shared(LiveOptions) | own), rig, streams)
@@ -167,13 +167,13 @@ def live_options(flags: StageOptions, rig: Rig, streams: Sequence[Stream] = ()) 
 
 
 def _processes(names: Sequence[StageName]) -> StageProcesses:
-    from deformscope.experiments.stage_processes import StageProcesses
+    from deformscope.experiments.live.stage_processes import StageProcesses
 
     return StageProcesses(names, quiet_warp)
 
 
 def _stages(options: LiveOptions, streams: Sequence[Stream]) -> tuple[Stage, ...]:
-    from deformscope.experiments.device_stages import stages_of
+    from deformscope.experiments.live.device_stages import stages_of
 
     return stages_of(options, streams)
 

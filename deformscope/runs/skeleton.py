@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from deformscope.arrays import FloatArray
     from deformscope.config import ExploreConfig, SqueezeConfig
-    from deformscope.experiments.options import ExploreOptions
-    from deformscope.experiments.touching_robot import TouchingRobot
+    from deformscope.experiments.explore.options import ExploreOptions
+    from deformscope.experiments.explore.touching_robot import TouchingRobot
     from deformscope.frames import HealthReport
     from deformscope.interruption import Interruption
     from deformscope.page.robot_page import RobotPage
@@ -181,7 +181,7 @@ def permitted(
     answered too The checks are repeated after the question, which may have waited for long. Raises InputError if a
     check fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C.
     """
-    from deformscope.experiments.touching_robot import CheckFirst
+    from deformscope.experiments.explore.touching_robot import CheckFirst
     from deformscope.session import ask
 
     def ask_finger(words: str) -> None:

@@ -18,7 +18,7 @@ from deformscope.results.render import Rows, to_json
 from deformscope.runs.result import LibraryResult
 
 if TYPE_CHECKING:
-    from deformscope.experiments.squeeze_features import TrialFeatures
+    from deformscope.experiments.squeeze.features import TrialFeatures
     from deformscope.stages.squeeze.placement import ContainerSighting, HandPlacement
     from deformscope.stages.squeeze.trial import ContentPosterior, SqueezeStop
 

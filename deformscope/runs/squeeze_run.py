@@ -23,8 +23,8 @@ from deformscope.terminal import say
 if TYPE_CHECKING:
     from deformscope.arrays import FloatArray
     from deformscope.config import SqueezeConfig
-    from deformscope.experiments.squeeze import Squeezed
-    from deformscope.experiments.squeeze_frames import Predict
+    from deformscope.experiments.squeeze.frames import Predict
+    from deformscope.experiments.squeeze.squeeze import Squeezed
     from deformscope.files.squeeze_dataset import SqueezeDataset, TrialEntry
     from deformscope.interruption import Interruption
     from deformscope.page.devices import ShownDevices
@@ -62,8 +62,8 @@ class SqueezeOutcome:
 
 def squeeze_on(config: SqueezeConfig, report: Callable[[SqueezeResult], None]) -> SqueezeOutcome:
     """Squeeze, with the laboratory or the devices of a rig file; store the trial; report the results."""
-    from deformscope.experiments.squeeze import Squeezed
-    from deformscope.experiments.squeeze_trial import entry_of, feature_settings, recorded_settings, row_of
+    from deformscope.experiments.squeeze.squeeze import Squeezed
+    from deformscope.experiments.squeeze.trial import entry_of, feature_settings, recorded_settings, row_of
     from deformscope.files.squeeze_dataset import SqueezeDataset
 
     session = config.session or ("lab-0" if config.rig.startswith(LAB) else f"{datetime.date.today():%Y%m%d}")
@@ -142,11 +142,11 @@ def _run(
     seed: int,
 ) -> dict[str, Any]:
     """Open the devices, squeeze, close them; other results besides `found`."""
-    from deformscope.experiments.squeeze import squeeze
-    from deformscope.experiments.squeeze_features import SqueezeGeometry, around_px
-    from deformscope.experiments.squeeze_frames import ObservedRecorder
-    from deformscope.experiments.squeeze_live import live_tracking
-    from deformscope.experiments.squeezing_hand import SqueezingHand, feature_executor, observer_of
+    from deformscope.experiments.squeeze.features import SqueezeGeometry, around_px
+    from deformscope.experiments.squeeze.frames import ObservedRecorder
+    from deformscope.experiments.squeeze.live import live_tracking
+    from deformscope.experiments.squeeze.squeeze import squeeze
+    from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand, feature_executor, observer_of
     from deformscope.frames import InputFile
     from deformscope.robot.squeeze_plan import grasp_at
     from deformscope.session import run as run_session
@@ -182,7 +182,7 @@ def _run(
         hand = SqueezingHand(setup, source, observer, looked_after)
         placing = None
         if setup.placing is not None:
-            from deformscope.experiments.placing import Placing, PlacingArm
+            from deformscope.experiments.squeeze.placing import Placing, PlacingArm
 
             hand.arm = arm = PlacingArm(setup, source, hand.begin, hand.cycled)
             grasp = None

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.stats import rankdata
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.foam_video import ParticleOptions, hold_what_is_seen, observe, track
+from deformscope.experiments.fit.foam_video import ParticleOptions, hold_what_is_seen, observe, track
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png
 from deformscope.lab.finite_strain import Block, PressedBlock, press

@@ -11,11 +11,18 @@ from scipy.interpolate import PchipInterpolator
 from deformscope.arrays import BoolArray, FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.experiments.explore import AtOnce, Exploration, ExplorationStopped, Steering, explore, within_loop
-from deformscope.experiments.explorer import ExplorationStages
+from deformscope.experiments.explore.explore import (
+    AtOnce,
+    Exploration,
+    ExplorationStopped,
+    Steering,
+    explore,
+    within_loop,
+)
+from deformscope.experiments.explore.explorer import ExplorationStages
+from deformscope.experiments.explore.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
+from deformscope.experiments.explore.robot_geometry import Touch
 from deformscope.experiments.measured import off_the_border, sample_box
-from deformscope.experiments.options import SHALLOW_M, VIEW_CELL_M, ExploreOptions
-from deformscope.experiments.robot_geometry import Touch
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.buried_world import slab_world
 from deformscope.lab.depth_view import DepthView

@@ -11,10 +11,10 @@ import time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from deformscope.experiments.explore import Exploration, PlannedBy
-from deformscope.experiments.explorer import ExplorationStages, Explorer, UnseenSurface
+from deformscope.experiments.explore.explore import Exploration, PlannedBy
+from deformscope.experiments.explore.explorer import ExplorationStages, Explorer, UnseenSurface
+from deformscope.experiments.explore.options import TRAVEL_M_S, ExploreOptions
 from deformscope.experiments.measured import SetupGeometry, highest_m
-from deformscope.experiments.options import TRAVEL_M_S, ExploreOptions
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import Scene, built_in
 from deformscope.lab.session_errors import LabErrors

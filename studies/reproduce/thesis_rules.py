@@ -19,11 +19,11 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import BoolArray, FloatArray, IntArray
 from deformscope.errors import InputError
-from deformscope.experiments.explore import Exploration
-from deformscope.experiments.explorer import ExplorationStages, UnseenSurface
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.robot_geometry import AsMeasured, Touch
-from deformscope.experiments.search import ThesisSearch
+from deformscope.experiments.explore.explore import Exploration
+from deformscope.experiments.explore.explorer import ExplorationStages, UnseenSurface
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.robot_geometry import AsMeasured, Touch
+from deformscope.experiments.explore.search import ThesisSearch
 from deformscope.lab.scenes import built_in
 from deformscope.lab.slab import RigidTip
 from deformscope.lab.slab_world import SlabWorld

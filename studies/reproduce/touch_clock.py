@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from deformscope.arrays import BoolArray, FloatArray
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.robot_geometry import AsMeasured, Touch
 from deformscope.experiments.measured import SetupGeometry
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.robot_geometry import AsMeasured, Touch
 from deformscope.robot.touch import PERIOD_S, TARE_PERIODS, Phase, TouchPlan, TouchStateMachine
 from deformscope.robot.travel import PASSED_M, REACHED_M, capped
 from deformscope.stages.regions.touches import MapGrid

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.explore import Look
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.robot_geometry import AsMeasured, Touch
-from deformscope.experiments.touching_robot import CheckFirst
+from deformscope.experiments.explore.explore import Look
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.robot_geometry import AsMeasured, Touch
+from deformscope.experiments.explore.touching_robot import CheckFirst
 from deformscope.frames import HealthReport, Item
 from deformscope.rig.rig_file import Tool, Workspace
 from deformscope.robot.checks import Check, Preflight
@@ -167,12 +167,12 @@ def use_fake_bench(monkeypatch: pytest.MonkeyPatch) -> FakeBench:
         return Opening(bench.setup, options, {"scene": name})
 
     monkeypatch.setattr("deformscope.runs.exploration_run.setup_of", setup_of)
-    monkeypatch.setattr("deformscope.experiments.touching_robot.touching_robot", bench.robot)
+    monkeypatch.setattr("deformscope.experiments.explore.touching_robot.touching_robot", bench.robot)
     monkeypatch.setattr(
-        "deformscope.experiments.stage_executor.FromFrames", lambda geometry, options: AsMeasured(SIZE_M)
+        "deformscope.experiments.explore.stage_executor.FromFrames", lambda geometry, options: AsMeasured(SIZE_M)
     )
     use_coarse_maps(monkeypatch)
-    monkeypatch.setattr("deformscope.experiments.seen_surface.fit_surface", _surface)
+    monkeypatch.setattr("deformscope.experiments.explore.seen_surface.fit_surface", _surface)
     return bench
 
 

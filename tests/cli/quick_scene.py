@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deformscope.arrays import FloatArray
-from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.images import encode_png
 from deformscope.lab.layer_world import LayerWorld
 from deformscope.lab.scenes import Scene
@@ -32,7 +32,7 @@ def use_coarse_maps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("deformscope.pictures.exploration._one", lambda *_: pixel)
     monkeypatch.setattr("deformscope.pictures.exploration.result_png", lambda *_: pixel)
     few = SimpleNamespace(before_touches=partial(RegionPosterior.before_touches, particle_count=50))
-    monkeypatch.setattr("deformscope.experiments.options.RegionPosterior", few)
+    monkeypatch.setattr("deformscope.experiments.explore.options.RegionPosterior", few)
 
 
 def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:

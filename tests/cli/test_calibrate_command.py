@@ -23,7 +23,7 @@ pytest.importorskip("tyro")
 from deformscope.cli import main
 from deformscope.config import BetaConfig
 from deformscope.config.images import ImageOptions
-from deformscope.experiments import replay_stages
+from deformscope.experiments.live import replay_stages
 from deformscope.frames import StageCost
 from deformscope.recording.items import read_estimates
 from deformscope.recording.ledger import ledger_path

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope.cli import main
-from deformscope.experiments.rig_calibration import ForceReadings, PushedTip
+from deformscope.experiments.rig.rig_calibration import ForceReadings, PushedTip
 from deformscope.rig.rig_file import load_rig, parse_rig
 from deformscope.robot.placement import Placement
 from deformscope.runs.calibration_solvers import solve_force

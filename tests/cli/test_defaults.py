@@ -17,7 +17,7 @@ import deformscope
 import deformscope.config
 from deformscope import library
 from deformscope.config.options import Flags
-from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.stages.map.plan import PlanOptions
 
 PACKAGE = Path(deformscope.__file__).parent

@@ -21,8 +21,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
-from deformscope.experiments.recorded_touches import recorded_inputs
-from deformscope.experiments.touching_robot import TouchingRobot
+from deformscope.experiments.explore.recorded_touches import recorded_inputs
+from deformscope.experiments.explore.touching_robot import TouchingRobot
 from deformscope.frames import ArmFrame, DepthFrame, Item, WrenchFrame
 from deformscope.lab.faults import CAMERA, Injected
 from deformscope.lab.touch_lab import TouchLab
@@ -167,15 +167,19 @@ def alter_one(monkeypatch: pytest.MonkeyPatch, kind: type, record: Path) -> None
             else:
                 yield item
 
-    monkeypatch.setattr("deformscope.experiments.recorded_touches.read_items", altered)
+    monkeypatch.setattr("deformscope.experiments.explore.recorded_touches.read_items", altered)
 
 
 def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     state = ArmFrame(Stamp(7), 0, *(np.zeros(6),) * 3, *(np.zeros(3),) * 5)
     named = LookFrames("camera", np.array([5]), "arm", 7, "j2n6s300", (1.0, 1.0), (0.0, 0.0))
     one = Row(0, 0, named)
-    monkeypatch.setattr("deformscope.experiments.recorded_touches.read_results", lambda *_, **options: iter([one]))
-    monkeypatch.setattr("deformscope.experiments.recorded_touches.read_items", lambda *_, **options: iter([state]))
+    monkeypatch.setattr(
+        "deformscope.experiments.explore.recorded_touches.read_results", lambda *_, **options: iter([one])
+    )
+    monkeypatch.setattr(
+        "deformscope.experiments.explore.recorded_touches.read_items", lambda *_, **options: iter([state])
+    )
 
     with pytest.raises(InputError, match="without 1 depth images, 0 forces and 0 states"):
         recorded_inputs(tmp_path / "e.rrd")

@@ -23,9 +23,9 @@ from tests.cli.fake_bench import FakeBench, FakeRobot, use_fake_bench
 from tests.verified import verify_here
 
 EXPLORE = ["explore", "lab:two-60-150", "--touches", "4", "--viewer", "none"]
-EXPLORER = "deformscope.experiments.explorer"
+EXPLORER = "deformscope.experiments.explore.explorer"
 STAGES = {
-    "contact": "deformscope.experiments.touch_fit.fit_approach",
+    "contact": "deformscope.experiments.explore.touch_fit.fit_approach",
     "regions": "deformscope.stages.regions.posterior.RegionPosterior.with_touch",
     "maps": "deformscope.stages.regions.posterior.RegionPosterior.region_map",
     "surface": "deformscope.stages.map.surface.HeightProcess.at",
@@ -145,7 +145,10 @@ def test_failures_without_end_end_it_in_order(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    plan, look = "deformscope.experiments.search.plan_touch", "deformscope.experiments.seen_surface.fit_surface"
+    plan, look = (
+        "deformscope.experiments.explore.search.plan_touch",
+        "deformscope.experiments.explore.seen_surface.fit_surface",
+    )
     targets = STAGES | {"plan": plan, "look": look}
     record, told = tmp_path / "e.rrd", tmp_path / "e.json"
 
@@ -171,7 +174,7 @@ RECORDER = [f"deformscope.recording.recorder.Recorder.{name}" for name in ("_tak
 WATCH = ["deformscope.runs.skeleton.Watch.__call__"]
 COMMAND = [
     "deformscope.runs.exploration_run._remarks",
-    "deformscope.experiments.explore.Exploration.add",
+    "deformscope.experiments.explore.explore.Exploration.add",
     f"{EXPLORER}.ExplorationStages.touch",
 ]
 ENDS: list[BaseException] = [

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.interruption import until_interrupted
 from deformscope.robot.checks import Check, Preflight
 from deformscope.runs.skeleton import permitted

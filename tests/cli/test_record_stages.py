@@ -12,7 +12,7 @@ import pytest
 from deformscope.cli import main
 from deformscope.config.rigs import StageOptions, StageWord, WatchedStage
 from deformscope.errors import InputError
-from deformscope.experiments.device_stages import NEEDS, SQUEEZED, StageName
+from deformscope.experiments.live.device_stages import NEEDS, SQUEEZED, StageName
 from deformscope.recording.items import read_stage_results
 
 RIG = """

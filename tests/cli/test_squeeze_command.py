@@ -16,8 +16,8 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.errors import InputError
-from deformscope.experiments import placing
-from deformscope.experiments.squeeze_tracking import REST_IMAGES
+from deformscope.experiments.squeeze import placing
+from deformscope.experiments.squeeze.tracking import REST_IMAGES
 from deformscope.files.classifier_file import save_classifier
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.frames import ArmFrame, DepthFrame, HandFrame, TactileFrame
@@ -127,7 +127,7 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().err.split())
     assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 0  # of a squeeze that no model named
 
-    from deformscope.experiments import squeeze_features
+    from deformscope.experiments.squeeze import features as squeeze_features
     from deformscope.stages.squeeze.tactile import tactile_feature
 
     monkeypatch.setattr(squeeze_features, "tactile_feature", lambda pads, end: tactile_feature(pads, end) + 1.0)

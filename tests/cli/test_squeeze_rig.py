@@ -14,7 +14,7 @@ import pytest
 
 from deformscope.cli import main
 from deformscope.cli.common import EXIT_LOSSES
-from deformscope.experiments.squeezing_hand import SqueezingHand
+from deformscope.experiments.squeeze.squeezing_hand import SqueezingHand
 from deformscope.files.squeeze_dataset import SqueezeDataset
 from deformscope.recording.items import read_items
 from tests.cli.squeeze_rig_on_a_simulated_clock import SimulatedSqueezeRig, use_simulated_squeeze_rigs

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from deformscope.cli import main
-from deformscope.experiments.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
+from deformscope.experiments.explore.explore import AtOnce, Exploration, RecordedRobot, explore, within_loop
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.recorded_touches import frame_inputs
+from deformscope.experiments.explore.stage_executor import exploration_stages
 from deformscope.experiments.measured import SetupGeometry
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.recorded_touches import frame_inputs
-from deformscope.experiments.stage_executor import exploration_stages
 from deformscope.recording.items import read_results
 from deformscope.recording.reader import Replay
 from deformscope.rows import differing

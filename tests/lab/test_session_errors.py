@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope.experiments.options import ExploreOptions
-from deformscope.experiments.robot_geometry import Touch
+from deformscope.experiments.explore.options import ExploreOptions
+from deformscope.experiments.explore.robot_geometry import Touch
 from deformscope.lab.arm_contact import ARM_DOUBT, ARM_STIFFNESS_N_M
 from deformscope.lab.scenes import built_in
 from deformscope.lab.session_errors import LabErrors

@@ -14,7 +14,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from deformscope.cli import main
-from deformscope.experiments.first_contact import first_contact_ns
+from deformscope.experiments.live.first_contact import first_contact_ns
 from deformscope.frames import SessionNote, Stream, TactileFrame, WrenchFrame
 from deformscope.log.exploration.compare import comparison_rrd
 from deformscope.log.rig_layout import RIG, RigLayout

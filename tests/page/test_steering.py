@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deformscope.experiments.explore import ExplorationStopped
-from deformscope.experiments.touching_robot import CheckFirst
+from deformscope.experiments.explore.explore import ExplorationStopped
+from deformscope.experiments.explore.touching_robot import CheckFirst
 from deformscope.interruption import Interruption
 from deformscope.page.server.messages import (
     ConfirmMove,

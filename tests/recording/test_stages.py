@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deformscope.experiments.foam_video import ParticleOptions, foam_video
+from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.files.sources import open_source
 from deformscope.frames import ColorFrame, StageCost
 from deformscope.log.views import SOMETIMES, ShownStage, stages_of

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.live_stages import live_stages
+from deformscope.experiments.live.live_stages import live_stages
 from deformscope.frames import Frame, HealthReport, Item, LinkChange, RawBytes, TactileFrame, WrenchFrame, host_ns
 from deformscope.lab.double_device import double_device, wire_of
 from deformscope.recording.losses import losses_of, named

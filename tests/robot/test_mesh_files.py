@@ -11,7 +11,7 @@ import open3d as o3d
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.experiments.squeeze_tracking import container_model
+from deformscope.experiments.squeeze.tracking import container_model
 from deformscope.rig.squeeze_sections import ContainerSection
 from deformscope.robot import mesh_files
 from deformscope.robot.mesh_files import MESH_ENDINGS, Mesh, read_meshes

@@ -22,7 +22,7 @@ from deformscope.stages.regions.partitions import Partitions, draw, propose
 
 MOVES = 40
 TEMPERS = (1.0, 4.0, 16.0, 64.0, 256.0)
-"""Factors on the variance of the newest touch, the largest first where few maps explain that touch."""
+"""Factors on the variance of the newest touch: the first that leaves enough maps is taken, then smaller ones."""
 MOVE_BELOW = 0.3
 """Effective number of maps, as a share of their number, below which they are resampled and moved."""
 

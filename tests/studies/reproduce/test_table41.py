@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.experiments.options import ExploreOptions
+from deformscope.experiments.explore.options import ExploreOptions
 from deformscope.lab.scenes import built_in
 from deformscope.stages.poke.contact import layer_modulus
 from studies.map_score import MapScore

@@ -1,0 +1,1 @@
+"""Exploring a surface by touch (Thesis ch. 4)."""

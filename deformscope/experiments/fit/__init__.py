@@ -1,0 +1,1 @@
+"""Fits of what a camera saw, of pairs and of pokes (Thesis ch. 3)."""

@@ -1,0 +1,83 @@
+"""Meaning of the options of `calibrate beta|theta`: the frames to read, their particles, and the fit."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deformscope.arrays import ImageArray
+from deformscope.config import BetaConfig, ImageOptions, MaterialOptions, ThetaConfig
+from deformscope.config.images import ParticleFlags
+from deformscope.experiments.fit.foam_video import ParticleOptions
+from deformscope.file_io import SAMPLE_SCHEME, sample_path
+from deformscope.files.sources import Source, open_source
+from deformscope.images import read_image
+from deformscope.recording.reader import Replay
+from deformscope.stages.fit.calibrate import FitOptions, Model
+from deformscope.stages.msm.solver import pick_device
+from deformscope.stages.see.particles import outlined
+
+
+def fit_options(config: BetaConfig | ThetaConfig) -> FitOptions:
+    """Method and model of the parameter's search."""
+    search = config.search
+    known: dict[str, Any] = {"volume": search.volume, "device": pick_device(search.device)}
+    if isinstance(config, BetaConfig):
+        bounds, size = config.beta_range, config.fitted_cluster_size
+        model = Model("beta", config.mode, size, config.alpha, theta=config.fitted_theta, **known)
+    else:
+        bounds = config.theta_range
+        model = Model("theta", config.mode, config.cluster_size, config.alpha, beta=config.beta, **known)
+    return FitOptions(model, bounds, search.method, search.candidates, search.level, config.output.seed, config.at)
+
+
+def images_of(config: BetaConfig | ThetaConfig | MaterialOptions) -> ImageOptions:
+    """The options that turn images into particles: the requested ones, or those of a sample."""
+    sources = config.sources
+    if len(sources) == 1 and sources[0].startswith(SAMPLE_SCHEME):
+        return for_sample(sources[0].removeprefix(SAMPLE_SCHEME), config.images)
+    return config.images
+
+
+def sample_images(name: str) -> ImageOptions:
+    """The options that suit a sample that ships, out of its `sample.toml`."""
+    folder = sample_path(name)
+    given = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
+    names = ("roi", "grid", "spacing_px", "held", "contact", "fps")
+    known = {name: given[name] for name in names if name in given}
+    return ImageOptions.of(mask=folder / given["mask"] if "mask" in given else None, **known)
+
+
+def for_sample(name: str, asked: ImageOptions) -> ImageOptions:
+    """The requested options, with the sample's own particles by default."""
+    known = sample_images(name)
+    particles = (asked.roi, asked.grid, asked.spacing_px, asked.mask, asked.outline, asked.held)
+    if any(value is not None for value in particles):
+        return dataclasses.replace(asked, fps=asked.fps or known.fps)
+    fps = asked.fps or known.fps
+    return dataclasses.replace(known, fps=fps, stride=asked.stride, px_per_cm=asked.px_per_cm)
+
+
+def particle_options(images: ParticleFlags, noise_px: float | None = None) -> ParticleOptions:
+    """The options for the stages."""
+    own = {"held": images.held_parts(), "noise_px": noise_px}
+    return ParticleOptions(**images.shared(ParticleOptions) | own)
+
+
+def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
+    """The user's source, opened as a source of frames."""
+    return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
+
+
+def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:
+    """The mask (H, W[, 3]) that the user named, or that of a recording, within the outline. size: H, W of the images
+    [px]"""
+    mask: ImageArray | None = None
+    if images.mask is not None:
+        mask = read_image(images.mask)
+    elif len(sources) == 1 and Path(sources[0]).suffix.lower() == ".rrd":
+        mask = Replay(Path(sources[0]), trust=True).mask  # its ledger was compared when it was looked at for pairs
+    return mask if images.outline is None else outlined(mask, images.outline, size)

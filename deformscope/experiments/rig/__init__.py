@@ -1,0 +1,1 @@
+"""Measurements of a rig's own set-up."""

@@ -1,0 +1,1 @@
+"""Squeezing a container to name its content (Thesis ch. 2)."""
