@@ -104,6 +104,18 @@ def bench() -> PythonBench:
     return made
 
 
+@pytest.mark.parametrize("code", sorted(errors.VENDOR_ERRORS))
+def test_every_vendor_code_becomes_its_exception(code: int, bench: PythonBench) -> None:
+    """One double is enough: the contract has a code of each."""
+    for name in ("EraseAllTrajectories", "GetDevices"):
+        bench.inject(name, code)
+    with pytest.raises(errors.VENDOR_ERRORS[code]) as caught:
+        call(bench.functions, "EraseAllTrajectories")
+    assert caught.value.code == code
+    with pytest.raises(errors.VENDOR_ERRORS[code]):
+        devices(bench.functions)
+
+
 def test_an_arm_at_rest_costs_nothing_however_long_it_rests(bench: PythonBench) -> None:
     bench.advance(1e6)
     assert bench.double.fifo_count == 0

@@ -103,16 +103,6 @@ class VendorContract:
             read(started.functions, "GetSensorsInfo", SensorsInfo)
         assert read(started.functions, "GetSensorsInfo", SensorsInfo).Voltage == 24.0
 
-    @pytest.mark.parametrize("code", sorted(errors.VENDOR_ERRORS))
-    def test_every_vendor_code_becomes_its_exception(self, started: VendorBench, code: int) -> None:
-        for name in ("EraseAllTrajectories", "GetDevices"):
-            started.inject(name, code)
-        with pytest.raises(errors.VENDOR_ERRORS[code]) as caught:
-            call(started.functions, "EraseAllTrajectories")
-        assert caught.value.code == code
-        with pytest.raises(errors.VENDOR_ERRORS[code]):
-            devices(started.functions)
-
     def test_a_code_that_nobody_knows_becomes_an_exception_too(self, started: VendorBench) -> None:
         started.inject("EraseAllTrajectories", 4242)
         with pytest.raises(errors.UnknownCode, match="4242") as caught:
