@@ -60,9 +60,11 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The drivers' tests first: they need no kernels, so that of two test processes the other has compiled them when
-    both need them; and they wait for doubles, while the other computes."""
-    items.sort(key=lambda item: not item.nodeid.startswith("tests/drivers/"))
+    """First those that parse every file: one process does so for all of them. Then the drivers' tests: they need no
+    kernels, so that of two test processes the other has compiled them when both need them; and they wait for doubles,
+    while the other computes."""
+    first = ("tests/test_imports.py", "tests/test_structure.py"), ("tests/drivers/",)
+    items.sort(key=lambda item: [not item.nodeid.startswith(ones) for ones in first])
 
 
 @pytest.fixture(params=["cpu", pytest.param("cuda:0", marks=pytest.mark.cuda)])

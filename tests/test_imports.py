@@ -323,6 +323,7 @@ print(sorted(set(heavy) & set(sys.modules)))
     _prints(script, "[]\n")
 
 
+@pytest.mark.slow  # what commands load is looked at above
 def test_the_small_installation_records_verifies_and_exports(tmp_path: Path) -> None:
     """With all dependencies but those that docs/howto/install.md leaves out."""
     page = (ROOT / "docs" / "howto" / "install.md").read_text(encoding="utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import runpy
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -101,3 +102,11 @@ def _constant(node: ast.stmt) -> str:
         isinstance(one, ast.Constant) and isinstance(one.value, int | float) for one in ast.walk(value)
     )
     return names[0] if numbers and names[0].lstrip("_").isupper() else ""
+
+
+def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
+    tool = runpy.run_path(str(ROOT / "tools" / "layers.py"))
+    page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
+    shown = page.split(tool["BEGIN"])[1].split(tool["END"])[0]
+
+    assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"

@@ -1,6 +1,6 @@
 """The picture of the layers, out of the imports of every file: python tools/layers.py [--write]
 
-Prints it, or puts it into docs/developers/architecture.md. `tests/test_docs.py` holds the page to what this prints.
+Prints it, or puts it into docs/developers/architecture.md, which `tests/test_structure.py` holds to what this prints.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ from deformscope_drivers.errors import DeviceError
 from deformscope_drivers.jaco.chains import J2N6S300
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.optoforce.device import Optoforce
+from tests.cases import slow
 from tests.cli.rig_on_a_simulated_clock import use_a_simulated_clock
 from tests.cli.test_explore_arms import RIGS
 from tests.drivers.arm.test_homing import Unhomed, moves_home, until
@@ -128,30 +129,27 @@ def test_a_device_that_fails_at_closing_is_said(
     assert capsys.readouterr().err.count(said) == 1
 
 
+def interrupted() -> Iterator[str]:
+    yield from [""] * 20
+    os.kill(os.getpid(), signal.SIGINT)
+    yield from [""] * 1000
+
+
+@pytest.mark.parametrize("by", [128 + signal.SIGINT, slow(2)], ids=["Ctrl-C", "supervisor"])
 def test_a_jog_that_is_stopped_is_recorded_whole(
-    rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    by: int, rig: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By Ctrl-C, and by the supervisor."""
-    keys: Iterator[str] = iter(())
-    monkeypatch.setattr(arm_commands, "terminal_keys", lambda: contextlib.nullcontext(lambda: next(keys)))
-    command = ["arm", "jog", str(rig), "--record", str(tmp_path / "jog.rrd"), "--overwrite"]
-
-    def interrupted() -> Iterator[str]:
-        yield from [""] * 20
-        os.kill(os.getpid(), signal.SIGINT)
-        yield from [""] * 1000
-
     keys = interrupted()
-    assert main(command) == 128 + signal.SIGINT
-    assert f"the recording is complete: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err
-    assert verify_here(tmp_path / "jog.rrd") in (0, EXIT_LOSSES)
-    assert "ended a person asked: Ctrl-C" in capsys.readouterr().out
+    if by == 2:
+        keys = typed([(5 + 3 * count, "r") for count in range(200)])
+        rig.write_text(RIG + BOX.replace("0.75]", "0.3]"))
+    monkeypatch.setattr(arm_commands, "terminal_keys", lambda: contextlib.nullcontext(lambda: next(keys)))
 
-    keys = typed([(5 + 3 * count, "r") for count in range(200)])
-    rig.write_text(RIG + BOX.replace("0.75]", "0.3]"))
-    assert main(command) == 2
+    assert main(["arm", "jog", str(rig), "--record", str(tmp_path / "jog.rrd")]) == by
+    assert (f"the recording is complete: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err) == (by != 2)
     assert verify_here(tmp_path / "jog.rrd") in (0, EXIT_LOSSES)
-    assert "ended workspace left" in capsys.readouterr().out
+    ended = "workspace left" if by == 2 else "a person asked: Ctrl-C"
+    assert f"ended {ended}" in capsys.readouterr().out
 
 
 def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from deformscope.pictures.report import html_report
 from deformscope.recording.rrd_file import merged_path
 from deformscope.runs.recordings import OpenRecording
 from deformscope.terminal import say
+from tests.cases import slow_but
 from tests.page.pages import page_script
 from tests.page.test_rig_on_page import RIG, WHOLE, started
 from tests.patience import PATIENCE_S
@@ -129,9 +131,12 @@ BEGUN = {"adjust": "viewer: ", "page": "viewer: ", "record": "recording into", "
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)], ids=["SIGTERM", "SIGHUP"]
+    ("name", "number"),
+    slow_but(
+        [("adjust", signal.SIGTERM), ("record", signal.SIGTERM)],
+        itertools.product(COMMANDS, (signal.SIGTERM, signal.SIGHUP)),
+    ),
 )
-@pytest.mark.parametrize("name", COMMANDS)
 def test_a_request_to_end_is_heard(tmp_path: Path, name: str, number: signal.Signals) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG.replace("FOLDER", str(tmp_path / "runs")))

@@ -1,7 +1,7 @@
 """Tasks, and a sweep, on a Ray cluster of two nodes on this machine's loopback, one of which is killed midway in each;
 what came of it, as JSON. Nothing of Ray stays in the process of a test.
 
-python -m tests.executor.on_ray FOLDER typed|computed
+python -m tests.executor.on_ray FOLDER small|typed|computed
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 # The last has this process look for its node on the loopback, as Ray does on systems with other firewalls.
 os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
@@ -25,7 +27,7 @@ from ray.cluster_utils import Cluster
 import deformscope as ds
 from deformscope.errors import InputError
 from deformscope.executor.opened import open_workers
-from deformscope.executor.tasks import OtherVersion, compute, run_attempt
+from deformscope.executor.tasks import OtherVersion, TaskOutcome, compute, run_attempt
 from deformscope.file_io import sample_path
 from deformscope.files.result_table import read_table
 
@@ -103,12 +105,27 @@ def typed(cluster: Cluster, node: dict[str, object], folder: Path) -> dict[str, 
 
 
 def main(folder: str, part: str) -> None:
-    """Two cores a node: four workers at most. part: `typed`, or the rest"""
+    """Two cores a node: four workers at most. part: `small` on one node, `typed`, or the rest"""
     node = {"num_cpus": 2, "object_store_memory": STORE_BYTES, "node_ip_address": "127.0.0.1"}
     cluster = Cluster(initialize_head=True, head_node_args=node | {"include_dashboard": False})
-    told = typed(cluster, node, Path(folder)) if part == "typed" else computed(cluster, node, folder)
+    if part == "small":
+        told = outcomes({one.item[1]: one for one in tasks_on(cluster, folder, 10)})
+    else:
+        told = typed(cluster, node, Path(folder)) if part == "typed" else computed(cluster, node, folder)
     print(json.dumps(told))
     cluster.shutdown()
+
+
+def tasks_on(cluster: Cluster, folder: str, count: int) -> Iterator[TaskOutcome[Any, Any]]:
+    with open_workers("ray", cluster.address, None) as workers:
+        yield from compute(workers, traced, ((folder, n) for n in range(count)))
+
+
+def outcomes(found: dict[int, TaskOutcome[Any, Any]]) -> dict[str, object]:
+    return {
+        "right": [n for n, one in found.items() if one.value is not None and one.value[0] == n**2],
+        "refused": {n: one.reasons for n, one in found.items() if one.error is not None},
+    }
 
 
 def computed(cluster: Cluster, node: dict[str, object], folder: str) -> dict[str, object]:
@@ -116,11 +133,10 @@ def computed(cluster: Cluster, node: dict[str, object], folder: str) -> dict[str
     second = cluster.add_node(**node)
     cluster.wait_for_nodes()
     found = {}
-    with open_workers("ray", cluster.address, None) as workers:
-        for count, one in enumerate(compute(workers, traced, ((folder, n) for n in range(TASKS))), start=1):
-            found[one.item[1]] = one
-            if count == TASKS // 4:
-                cluster.remove_node(second, allow_graceful=False)
+    for count, one in enumerate(tasks_on(cluster, folder, TASKS), start=1):
+        found[one.item[1]] = one
+        if count == TASKS // 4:
+            cluster.remove_node(second, allow_graceful=False)
     other = ""
     with open_workers("ray", cluster.address, None) as workers:
         try:
@@ -129,9 +145,7 @@ def computed(cluster: Cluster, node: dict[str, object], folder: str) -> dict[str
             other = str(error)
     files = swept(cluster, node, Path(tempfile.mkdtemp(dir=folder)))
     attempts = Counter(line for path in Path(folder).glob("attempts-*") for line in path.read_text().splitlines())
-    return {
-        "right": [n for n, one in found.items() if one.value is not None and one.value[0] == n**2],
-        "refused": {n: one.reasons for n, one in found.items() if one.error is not None},
+    return outcomes(found) | {
         "again": {n: one.reasons for n, one in found.items() if one.error is None and one.reasons},
         "attempts": dict(attempts),
         "processes": len({one.value[1] for one in found.values() if one.value is not None}),

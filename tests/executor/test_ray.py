@@ -14,6 +14,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.executor.ray_cluster import RayWorkers
+from tests.cases import slow
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
 
@@ -64,6 +65,13 @@ def test_a_sweep_of_files_that_are_sent_gives_what_one_process_gives(told: dict[
     assert told["swept"]["lines"] == 300  # each once
 
 
+def test_a_small_cluster_computes_and_refuses(tmp_path: Path) -> None:
+    told = on_ray(tmp_path, "small")
+    assert sorted(told["right"]) == [number for number in range(10) if number != 7]
+    assert told["refused"] == {"7": ["expected a number that is liked; got 7"]}
+
+
+@pytest.mark.slow
 def test_the_documented_line_typed_in_a_shell_computes_all(tmp_path: Path) -> None:
     """On a cluster that listens on the loopback alone; a node is killed after a quarter."""
     told = on_ray(tmp_path, "typed")
@@ -106,7 +114,7 @@ def test_an_address_that_nobody_answers_is_refused_at_once() -> None:
             "from deformscope.executor import ray_cluster; ray_cluster.JOIN_S = 3",
             "none that takes this process within 3",
         ),
-        ("import ray", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER=0"),
+        slow("import ray", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER=0"),
     ],
 )
 def test_what_cannot_be_joined_is_one_line_with_the_address_to_give(before: str, said: str, tmp_path: Path) -> None:
