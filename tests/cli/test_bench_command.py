@@ -222,6 +222,7 @@ def test_a_gpu_that_is_not_there_is_said() -> None:
     assert main(["bench", "--device", "cuda"]) == EXIT_INPUT
 
 
+@pytest.mark.slow
 def test_it_runs_where_numpy_scipy_and_warp_are_all_there_is() -> None:
     lacking = ("rich", "tyro", "rerun", "open3d", "cv2", "sklearn", "threadpoolctl", "msgspec", "matplotlib")
     ran = run_module(

@@ -24,9 +24,11 @@ pytest.importorskip("tyro")
 from deformscope.cli import main
 from deformscope.cli.sweep import find_sources
 from deformscope.config import SweepConfig
+from deformscope.executor.opened import open_workers
 from deformscope.page.catalog_page import serve_catalog
 from deformscope.recording.ledger import add_discard
 from deformscope.runs.catalog import catalogue
+from tests.cases import slow
 from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
 
@@ -56,16 +58,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def catalog(folder: Path, *flags: str) -> dict[str, Any]:
+def catalog(folder: Path, *flags: str, apart: bool = False) -> dict[str, Any]:
+    """Read in this process, or in one of its own as users have it."""
     target = folder.parent / f"{folder.name}.json"
-    assert main(["catalog", str(folder), "--workers", "1", "--json", str(target), *flags]) == 0
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        if not apart:
+            monkeypatch.setattr("deformscope.runs.catalog.open_workers", lambda *given, apart: open_workers(*given))
+        assert main(["catalog", str(folder), "--workers", "1", "--json", str(target), *flags]) == 0
     found: dict[str, Any] = json.loads(target.read_text())
     return found
 
 
 @pytest.fixture(scope="module")
 def listed(folder: Path) -> dict[str, dict[str, Any]]:
-    return {one["path"]: one for one in catalog(folder)["recordings"]}
+    return {one["path"]: one for one in catalog(folder, apart=True)["recordings"]}
 
 
 def test_all_are_listed_and_the_damaged_as_damaged(listed: dict[str, dict[str, Any]]) -> None:
@@ -219,13 +225,13 @@ def test_no_text_of_a_recording_controls_the_terminal_of_whoever_draws_it(
 ) -> None:
     copy(SHIPPED / "tension.rrd", tmp_path / "r.rrd")
     add_discard(tmp_path / "r.rrd", {"reason": "\x1b]0;owned\x07"})
-    catalog(tmp_path, "--page")
+    catalog(tmp_path, "--page", apart=True)
     said = capfd.readouterr()
     assert "is discarded: all of it: \\x1b]0;owned" in said.err
     assert not {"\x1b", "\x07"} & {*said.out, *said.err}
 
 
-@pytest.mark.parametrize("ends", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("ends", [signal.SIGINT, slow(signal.SIGTERM)])
 def test_a_catalog_is_served_until_it_is_ended_without_a_terminal_too(tmp_path: Path, ends: signal.Signals) -> None:
     copy(SHIPPED / "tension.rrd", tmp_path / "r.rrd")
     command = [sys.executable, "-m", "deformscope", "catalog", str(tmp_path), "--serve", "--workers", "1"]

@@ -31,6 +31,7 @@ from deformscope.cli.common import EXIT_LOSSES
 from deformscope.errors import InputError
 from deformscope.file_io import sample_path
 from deformscope.recording.ledger import add_discard, read_discards
+from tests.cases import slow
 from tests.executor.test_tasks import paths_of_tests
 from tests.patience import PATIENCE_S
 from tests.test_imports import ROOT
@@ -382,7 +383,7 @@ def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: py
     assert f"{kept} of {kept} tasks are done" in (out / "index.html").read_text()
 
 
-@pytest.mark.parametrize("room", [1000, 3000])
+@pytest.mark.parametrize("room", [1000, slow(3000)])
 def test_a_full_disk_ends_it_in_one_line(room: int, pairs: Path, tmp_path: Path) -> None:
     """By a limit on the size of files, which the system refuses alike."""
     limited = f"import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
