@@ -200,7 +200,7 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
     count_as_real(monkeypatch, press=None)
-    monkeypatch.setattr(finger, "PATIENCE_S", 8.0)
+    monkeypatch.setattr(finger, "PATIENCE_S", 4.0)
     felt_n = finger._felt_n
     periods = itertools.count()
     push_n = np.array([0.0, 0.0, 8.0])

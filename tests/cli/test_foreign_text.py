@@ -26,6 +26,7 @@ from tests.cases import slow_but
 from tests.page.pages import page_script
 from tests.page.test_rig_on_page import RIG, WHOLE, started
 from tests.patience import PATIENCE_S
+from tests.verified import verify_here
 
 ESC = "\x1b]0;owned\x07\x1b[2J"
 NOT_UTF8 = os.fsdecode(b"caf\xe9")
@@ -106,7 +107,7 @@ def test_a_path_that_is_not_utf_8_is_recorded_and_shown(tmp_path: Path, capsys: 
         one.command("stop")
         assert command.ended()["recording"] == str(file)  # a JSON escape, which is the path again
     assert command.status in WHOLE
-    assert main(["verify", str(file), "--json", str(tmp_path / "verify.json")]) in WHOLE
+    assert verify_here(file, "--json", str(tmp_path / "verify.json")) in WHOLE
     assert json.loads((tmp_path / "verify.json").read_text())["recording"] == str(file)
     assert list(OpenRecording(file).items())
     assert main(["replay", str(file)]) in WHOLE
@@ -162,7 +163,7 @@ def test_a_request_to_end_is_heard(tmp_path: Path, name: str, number: signal.Sig
     assert number.name in rest
     assert "Traceback" not in rest
     if name == "record":
-        assert main(["verify", str(tmp_path / "r.rrd")]) in WHOLE
+        assert verify_here(tmp_path / "r.rrd") in WHOLE
     assert not list(tmp_path.rglob("*.merged"))
 
 

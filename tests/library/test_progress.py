@@ -19,7 +19,7 @@ import deformscope as ds
 from deformscope import terminal
 from deformscope.stages.msm import quiet
 from deformscope.stages.msm.quiet import GREETING, quiet_warp
-from tests.cases import slow
+from tests.cases import slow, slow_but
 from tests.cli.fake_bench import use_fake_bench
 from tests.experiments.toy_squeeze import use_toy_squeeze
 from tests.patience import PATIENCE_S
@@ -43,7 +43,11 @@ def recorded(tmp_path: Path, **given: Any) -> object:
     return ds.record("lab:bench", tmp_path / "r.rrd", seconds=0.2, **given)
 
 
-@pytest.fixture(params=["explore", "squeeze", "record", "calibrate", "classify"])
+COMMANDS = ["explore", "squeeze", "record", "calibrate", "classify"]
+quick = pytest.mark.parametrize("call", slow_but(["explore", "calibrate", "classify"], COMMANDS), indirect=True)
+
+
+@pytest.fixture(params=COMMANDS)
 def call(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Call:
     match request.param:
         case "explore":
@@ -88,6 +92,7 @@ def another_thread() -> Iterator[Callable[[], None]]:
         thread.join()
 
 
+@quick
 def test_what_another_thread_writes_meanwhile_arrives(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     heard: list[object] = []
     with another_thread() as ask:
@@ -117,6 +122,7 @@ class Terminal(io.StringIO):
         return True
 
 
+@quick
 def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", Terminal())
     call()
@@ -124,6 +130,7 @@ def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyP
     assert sys.stderr.getvalue()  # type: ignore[attr-defined]
 
 
+@quick
 @pytest.mark.parametrize("progress", [False, slow(lambda *said: None)])
 def test_nothing_is_written_to_a_terminal_where_it_is_not_wanted(
     call: Call, progress: object, monkeypatch: pytest.MonkeyPatch
