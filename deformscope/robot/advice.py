@@ -93,6 +93,5 @@ def where_it_stands(cause: Fault | TouchEnding, robot: Robot) -> str:
 
 
 def advice(cause: Fault | TouchEnding, *, hand: bool = False) -> str:
-    """Advice for a person, by the supervisor's fault or the touch's ending; empty without a need. hand: the arm carries
-    one"""
+    """Advice for a person, by the supervisor's fault or the touch's ending, or empty. hand: the arm carries one"""
     return (ADVICE | OF_HAND if hand else ADVICE).get(cause, "the robot and its surroundings")

@@ -1,9 +1,7 @@
-"""A touch by an arm that a person places: one place after another is requested, and the force is measured at rest at
-each.
+"""A touch by an arm that a person places: place after place is requested, and the force measured at rest there.
 
 A person cannot control a force by hand. Therefore the tip goes down in steps, and the contact law is fitted to the
-measured heights. The supervisor checks every control period, whatever the person does.
-"""
+measured heights. The supervisor checks every control period, whatever the person does."""
 
 from __future__ import annotations
 
@@ -39,8 +37,7 @@ STEPS = 7
 noise. With more, a person has to place the stick more often."""
 SETTLE_PERIODS, HOLD_PERIODS = 20, 30
 """Control periods after a person reports that the stick is placed, before and during the measurement: 0.2 s for its
-release, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch in a dozen steps takes
-longer."""
+release, and the mean of 0.3 s. Shorter, the hand's force is measured too; longer, a touch takes longer."""
 MOST_CORRECTION_M = 0.03
 """A height further from the request is a mistake, such as cm for mm, and is requested again: corrections are a few
 millimetres. A larger limit accepts mistakes; a smaller one refuses true heights of a roughly placed stick."""
@@ -51,8 +48,7 @@ AGAIN = "a height in mm on the scale, or nothing for the requested height: "
 class PlaceRequest:
     """A request to a person to place the stick.
 
-    words: text for the person; T_base_ee: (4, 4) requested pose of the arm's end in the base frame [m]
-    """
+    words: text for the person; T_base_ee: (4, 4) requested pose of the arm's end in the base frame [m]"""
 
     words: str
     T_base_ee: FloatArray
@@ -65,8 +61,7 @@ class Person(Protocol):
         """Show a request, and return immediately."""
 
     def answered(self) -> str | None:
-        """The answer to the last request: empty = placed as requested, a text = the height that was read; None = no
-        answer yet."""
+        """The answer to the last request: empty = placed as requested, a text = the height read; None = none yet."""
 
 
 def touch_by_hand(
@@ -115,8 +110,7 @@ class PlacedRun(TouchRun):
         self._spans.append(PhaseSpan(Phase.TRAVEL, began, self._now_s()))
 
     def touch(self, still_seen: Callable[[], bool]) -> None:
-        """Lower the tip step by step to the set force or the greatest depth, dwell there in view of the camera, and
-        lift it."""
+        """Lower the tip in steps to the set force or the greatest depth, dwell in view of the camera, and lift it."""
         plan, robot = self._plan, self._robot
         self._machine = steps = _Steps(self._now_s())
         self._tell(Phase.APPROACH)
@@ -143,7 +137,12 @@ class PlacedRun(TouchRun):
             down_m = min(down_m + step_m, plan.miss_m + plan.max_depth_m)
         if steps.contact_m is not None:
             steps.ending = TouchEnding.SET_FORCE if reached else TouchEnding.DEPTH
-            self._dwell(steps, depth_m, still_seen)
+            self._depth_m, self._loading_s = depth_m, self._now_s()
+            self._enter(steps, Phase.DWELL if steps.phase is Phase.PRESS else Phase.DWELL_MORE)
+            self._robot.camera_needed = True
+            self._held(round(100 * self._plan.dwell_s), still_seen)
+            self._robot.camera_needed = False
+            self._end_s, steps.settled = self._now_s(), True
         self._enter(steps, Phase.RETREAT)
         self._place(plan.places_m(robot.placement.center_offset_m)[1], "lift the tip")
         steps.end(self._now_s())
@@ -152,9 +151,7 @@ class PlacedRun(TouchRun):
     def _step_m(self, set_n: float, along_n: float, stiffness_n_m: float) -> float:
         """How much further down the next step goes [m]: a STEPS-th of the set force by the stiffness of the last step.
 
-        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: stiffness of the last step
-        [N/m]
-        """
+        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: of the last step [N/m]"""
         arm = self._robot.arm
         assert isinstance(arm, ManualArm)
         finest_m = arm.config.resolution_m
@@ -162,16 +159,6 @@ class PlacedRun(TouchRun):
             return FREE_STEP_M
         wanted_m = min(set_n / STEPS, max(set_n - along_n, 0.0) + 0.02 * set_n) / stiffness_n_m
         return float(np.clip(np.round(wanted_m / finest_m), 1, max(1, round(FREE_STEP_M / finest_m))) * finest_m)
-
-    def _dwell(self, steps: _Steps, depth_m: float, still_seen: Callable[[], bool]) -> None:
-        """Keep the tip where it is for the plan's `dwell_s`, while the camera looks. depth_m: depth of the tip below
-        the contact [m]"""
-        self._depth_m, self._loading_s = depth_m, self._now_s()
-        self._enter(steps, Phase.DWELL if steps.phase is Phase.PRESS else Phase.DWELL_MORE)
-        self._robot.camera_needed = True
-        self._held(round(100 * self._plan.dwell_s), still_seen)
-        self._robot.camera_needed = False
-        self._end_s, steps.settled = self._now_s(), True
 
     def _enter(self, steps: _Steps, phase: Phase) -> None:
         steps.enter(phase, self._now_s())

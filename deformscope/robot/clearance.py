@@ -1,8 +1,7 @@
 """The distance of an arm from the table and from itself: links and stick are capsules around the lines between joints.
 
 It replaces a function of the vendor's Cartesian mode, less accurately. Shapes of arms differ by one to two centimetres
-from capsules of one radius, which the margin covers.
-"""
+from capsules of one radius, which the margin covers."""
 
 from __future__ import annotations
 
@@ -28,11 +27,9 @@ class ArmClearance:
     """Distances of an arm's links and stick from the table, from each other and from a box, for given link poses."""
 
     def __init__(self, placement: Placement, T_base_links: FloatArray) -> None:
-        """T_base_links: (n + 1, 4, 4) poses of the joints and, last, the arm's end, in any pose, for the lengths of the
-        links [m]"""
+        """T_base_links: (n + 1, 4, 4) poses of the joints and, last, the arm's end, in any pose, for its lengths [m]"""
         self._placement = placement
-        points = self._points_m(T_base_links)
-        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        lengths = np.linalg.norm(np.diff(self._points_m(T_base_links), axis=0), axis=1)
         before = np.concatenate([[0.0], np.cumsum(lengths)])
         pairs = [(a, b) for a, b in combinations(range(len(lengths)), 2) if before[b] - before[a + 1] >= APART_M]
         self._pairs = np.array(pairs, dtype=int).reshape(-1, 2)
@@ -47,14 +44,11 @@ class ArmClearance:
         return np.asarray((self._placement.T_surface_base @ frames)[:, :3, 3])
 
     def over_table_m(self, T_base_links: FloatArray) -> float:
-        """Height of the lowest point of elbow and wrist, without the stick, above the surface's z = 0 [m].
-        T_base_links: (n + 1, 4, 4)"""
-        points = self._points_m(T_base_links)[:-1]
-        return float(points[FROM_ELBOW + 1 :, 2].min() - LINK_RADIUS_M)
+        """Height of elbow and wrist, without the stick, above the surface's z = 0 [m]. T_base_links: (n + 1, 4, 4)"""
+        return float(self._points_m(T_base_links)[:-1][FROM_ELBOW + 1 :, 2].min() - LINK_RADIUS_M)
 
     def in_box_m(self, T_base_links: FloatArray, box: ArmBox | None) -> float:
-        """How far elbow, wrist, stick and tip are inside a box of the base frame, the nearest [m]; inf without one.
-        T_base_links: (n + 1, 4, 4)"""
+        """Least distance of parts inside a box of the base frame [m], or inf. T_base_links: (n + 1, 4, 4)"""
         if box is None:
             return float("inf")
         tip = T_base_links[-1] @ self._placement.T_ee_center
@@ -65,8 +59,7 @@ class ArmClearance:
         return float((inside - radius_m).min())
 
     def to_itself_m(self, T_base_links: FloatArray) -> float:
-        """Distance between the nearest two parts that may collide [m]; below 0 they overlap; inf if none may.
-        T_base_links: (n + 1, 4, 4)"""
+        """Least distance of parts that may collide [m], below 0 in overlap, inf without. T_base_links: (n + 1, 4, 4)"""
         if not len(self._pairs):
             return float("inf")
         points = self._points_m(T_base_links)

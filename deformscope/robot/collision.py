@@ -2,8 +2,7 @@
 
 Real torque sensors drift and the arm's load is unknown, so the difference from a slowly following mean counts. The
 joint torques that the force at the tip could cause, in any direction, are ignored. Therefore neither the sign of a
-vendor's torques nor the axes of the force sensor matter.
-"""
+vendor's torques nor the axes of the force sensor matter."""
 
 from __future__ import annotations
 
@@ -15,8 +14,7 @@ import numpy as np
 from deformscope_drivers.arm.kinematics import Chain, FloatArray, cross
 
 FOLLOWS_S = 2.0
-"""Time constant of the mean: slower than any collision, faster than drift, and than the change of gravity's error at
-the speed of travel."""
+"""Time constant of the mean: slower than any collision, faster than drift and gravity's error in travel."""
 PRESSED_N = 0.5
 """A larger force on the tip freezes the mean, because the tip explains the difference, not drift."""
 IN_A_ROW = 2
@@ -27,11 +25,9 @@ LEARNS_S, LOOKS_S = 0.8, 0.1
 of motion (0.9 s in all); a shorter one makes the line, and so the limit, less certain. A longer detection window finds
 a collision later, a shorter one uses fewer readings."""
 LEAST_READINGS = 20
-"""Least number of readings in that time: 20 readings give the noise's standard deviation within 16 %, one over the root
-of twice their number."""
+"""Least number of readings in that time: 20 give the noise's standard deviation within 16 %, 1 / sqrt(2 n)."""
 STEADY_DEG, STEADY_SHARE = 5e-4, 0.02
-"""Joints have the same motion within this speed, and this share of a second's travel: else friction and inertia change
-too."""
+"""Joints have the same motion within this speed and this share of a second's travel: friction and inertia too."""
 CURRENT_NOISE = 7.0
 """A current farther off than this, in standard deviations of its noise, is a collision. With 7, a dead sensor lets
 doubles of 5, 20 and 100 N/mm press with 8.2, 13.0 and 7.6 N (`docs/results/safety.md`). A smaller value stops for
@@ -39,8 +35,7 @@ ripple, a larger one presses harder."""
 
 
 class CollisionWatch:
-    """Detects a collision by joint torques, one state after the other; `start` before the first and after each
-    pause."""
+    """Detects a collision by joint torques, one state after the other; `start` before each."""
 
     def __init__(self, chain: Chain, T_ee_center: FloatArray) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end [m]"""
@@ -59,9 +54,7 @@ class CollisionWatch:
         """Why this is a collision, with which joint; empty where it is none.
 
         torques_nm: (n,) numbers, without gravity's, repeated until the next reading; joints_deg: (n,); now_ns: when
-        tip_n: greatest recent magnitude of the force on the tip [N]; limit_nm: limit of noise and the model's error
-        [Nm]
-        """
+        tip_n: greatest recent magnitude of the force on the tip [N]; limit_nm: of noise and model [Nm]"""
         if torques_nm == self._before:
             return ""
         self._before = torques_nm
@@ -70,7 +63,10 @@ class CollisionWatch:
             self._mean_nm, self._mean_ns = torques, now_ns
             return ""
         beside_nm = np.abs(torques - self._mean_nm)
-        limits_nm = limit_nm + tip_n * self._levers_m(joints_deg)
+        links = self._chain.forward(joints_deg)  # the torque on each joint of 1 N on the tip where that is the most
+        center_m = (links[-1] @ self._T_ee_center)[:3, 3]
+        arms = cross(links[:-1, :3, 2], center_m - links[:-1, :3, 3])
+        limits_nm = limit_nm + tip_n * np.asarray(np.linalg.norm(arms, axis=1))
         worst = int(np.argmax(beside_nm - limits_nm))
         if beside_nm[worst] <= limits_nm[worst]:
             share = min(1.0, (now_ns - self._mean_ns) / (1e9 * FOLLOWS_S)) if tip_n < PRESSED_N else 0.0
@@ -82,20 +78,12 @@ class CollisionWatch:
             return ""
         return f"joint {worst + 1} has {beside_nm[worst]:.1f} Nm more than before, limit {limits_nm[worst]:.1f} Nm"
 
-    def _levers_m(self, joints_deg: tuple[float, ...]) -> FloatArray:
-        """(n,) torque on each joint [Nm] of 1 N on the tip in the direction in which that is the most."""
-        links = self._chain.forward(joints_deg)
-        center_m = (links[-1] @ self._T_ee_center)[:3, 3]
-        arms = cross(links[:-1, :3, 2], center_m - links[:-1, :3, 3])
-        return np.asarray(np.linalg.norm(arms, axis=1))
-
 
 class CurrentWatch:
     """Detects an obstacle that the force sensor does not measure, from the motors' currents, in any unit.
 
     Currents contain gravity, friction and gear ripple, which continue as long as the joints move. Therefore each
-    joint's current is compared with the line through its last second without contact.
-    """
+    joint's current is compared with the line through its last second without contact."""
 
     def __init__(self) -> None:
         self.start()

@@ -5,8 +5,7 @@
     described.cable_capsules(placement, T_base_links)
 
 A part belongs to a frame of the arm: 0 its base, i the link behind joint i, -1 its end. No file is read later: a
-recording contains the triangles.
-"""
+recording contains the triangles."""
 
 from __future__ import annotations
 
@@ -63,8 +62,7 @@ class RobotDescription:
 
     removal: how links are described: as capsules around the lines between joints, as convex hulls, or as all their
     triangles; parts: solids; whole: the parts include the arm's own links; margin_m: margin around them, in addition to
-    the uncertainty of the camera's pose
-    """
+    the uncertainty of the camera's pose"""
 
     removal: Removal = "capsules"
     parts: tuple[DescribedPart, ...] = ()
@@ -73,16 +71,14 @@ class RobotDescription:
     margin_m: float = 0.0
 
     def solids(self, placement: Placement, T_base_links: FloatArray) -> tuple[PosedSolid, ...]:
-        """The parts in the surface frame. T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end
-        [m]"""
+        """The parts in the surface frame. T_base_links: (k, 4, 4) poses of the arm's joints and, last, its end"""
         frames = _surface_frames(placement, T_base_links)
         return tuple(PosedSolid(frames[part.frame], part.solid) for part in self.parts)
 
     def cable_capsules(
         self, placement: Placement, T_base_links: FloatArray, margin_m: float = 0.0
     ) -> tuple[Capsule, ...]:
-        """The cables in the surface frame [m]. T_base_links: (n + 1, 4, 4); margin_m: margin that is added to their
-        radii"""
+        """The cables in the surface frame [m]. T_base_links: (n + 1, 4, 4); margin_m: added to their radii"""
         frames = _surface_frames(placement, T_base_links)
         found: list[Capsule] = []
         for cable in self.cables:
@@ -203,11 +199,9 @@ def _cable(number: int, section: ShapeSection, chain: Chain | None) -> Described
 
 
 def _closed(urdf: UrdfShapes, own: int, share: float) -> dict[str, float]:
-    """Values of the joints behind the arm's own (a gripper's), which no device reports: the same share of each range
-    [rad or m].
+    """Values of the joints behind the arm's own (a gripper's), not reported: the same share of each range [rad or m].
 
-    own: how many joints are the arm's; share: 0 = lower limit, 1 = upper limit
-    """
+    own: how many joints are the arm's; share: 0 = lower limit, 1 = upper limit"""
     return {joint.name: joint.lower + share * (joint.upper - joint.lower) for joint in urdf.movable[own:]}
 
 
@@ -244,8 +238,7 @@ def _arm_parts(path: Path, chain: Chain, share: float, removal: Removal) -> list
 
 
 def _solids(drawn: Sequence[Solid], T: FloatArray, removal: Removal) -> list[Solid]:
-    """The solids of a link in its arm frame: all that is drawn of it, or its convex hull (Thesis 4.4). T: (4, 4) T of
-    the link in that frame [m]"""
+    """Solids of a link, T (4, 4) in its arm frame [m]: all that is drawn of it, or its convex hull (Thesis 4.4)."""
     moved = [one.moved(T) for one in drawn]
     return [_hull(moved)] if removal == "hull" and moved else moved
 
@@ -254,6 +247,5 @@ def _hull(drawn: Sequence[Solid]) -> Solid:
     from scipy.spatial import ConvexHull
 
     vertices = np.concatenate([one.vertices_m for one in drawn])
-    hull = ConvexHull(vertices)
-    used, triangles = np.unique(hull.simplices, return_inverse=True)
+    used, triangles = np.unique(ConvexHull(vertices).simplices, return_inverse=True)
     return Solid(vertices[used], triangles.reshape(-1, 3).astype(np.uint32))

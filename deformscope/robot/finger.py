@@ -19,16 +19,14 @@ refused, and the most is below the hard stop. A wider band accepts a scale that 
 correct presses."""
 ASTRAY_DEG = 30.0
 """Greatest angle between the person's push and straight up. Exchanged or reversed axes appear at 90 or 180 deg, and no
-person presses exactly upright. A larger limit detects such axes less reliably, a smaller one refuses correct
-presses."""
+person presses exactly upright. A smaller limit refuses correct presses."""
 BEGUN_N = 0.3
 """Force [N] from which a push has begun: six deviations of the noisiest sensor that passes (`preflight.NOISE_N`)."""
 HELD_PERIODS = 40
 """Control periods for which a push is held, 0.4 s: the median of the second half counts, once the finger has come to
 its force. A knock would satisfy a shorter time; people release before the end of a longer one."""
 PATIENCE_S, PUSHES = 60.0, 3
-"""Time for a person's press [s], and number of evaluated pushes, before the check fails and the arm does not move. More
-only wait for longer."""
+"""Time for a person's press [s], and number of pushes, before the check fails. More only wait for longer."""
 FINGER = (
     "Press the tip straight up from below with a finger, with about {0:g} N ({1:.0f} g on a kitchen scale), and hold "
     "it for a second. This arm has no joint torques: its force sensor is its only guard."
@@ -48,8 +46,7 @@ def press_by_finger(
     press: in a laboratory, a finger that presses with (3,) [N, surface frame]; None = a person, whom `say` instructs
     set_n: greatest set force of the touches that follow, which the push must exceed [N]
     The soft stop that the push meets is acknowledged at the end. Raises RobotStopped above the hard stop, and where
-    readings are equal under the push, as those of a sensor that saturates.
-    """
+    readings are equal under the push, as those of a sensor that saturates."""
     patience_s = PATIENCE_S if press is None else 4e-2 * HELD_PERIODS
     say, press = (say, lambda force_n: None) if press is None else (lambda words: None, press)
     robot.start()

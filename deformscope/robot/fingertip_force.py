@@ -1,5 +1,4 @@
-"""A hand's tactile arrays as the force sensor at the end of the arm that carries it: the interface that `Robot`
-needs."""
+"""A hand's tactile arrays as the force sensor of the arm that carries it, with the interface for `Robot`."""
 
 from __future__ import annotations
 
@@ -17,8 +16,7 @@ from deformscope_drivers.sdh.kinematics import FINGERS
 from deformscope_drivers.subscription import Subscription
 
 TEXEL_M2 = (TEXEL_PITCH_MM * 1e-3) ** 2
-"""Area of one texel, from its assumed pitch. With a larger area, forces are overestimated, and the arm stops
-earlier."""
+"""Area of one texel, from its assumed pitch. Larger, the arm stops earlier."""
 PADS_HZ = 11.0
 """Frames a second of all arrays at worst, on the controller's serial line; in the air, where they compress, 30."""
 
@@ -43,8 +41,7 @@ class PadRate:
 
 class FingertipForce:
     """pads: the opened arrays, two for each finger in the controller's order; squeezing: the squeeze supervisor judges
-    the fingers' forces, which are no push on the arm. They then read 0, while silence and equal frames are still
-    reported"""
+    the fingers' forces, which are no push on the arm. They then read 0; silence and equal frames are still reported"""
 
     def __init__(self, pads: Dsa, *, squeezing: bool = False) -> None:
         self._pads, self._squeezing = pads, squeezing

@@ -3,8 +3,7 @@ and how deep with a force that does not follow.
 
 An arm with joint torques detects a contact that its force sensor does not show; this one continues to press. The
 approach is slow enough to stop in time: during filter, reading, decision and braking, the force grows by stiffness
-times speed times that time.
-"""
+times speed times that time."""
 
 from __future__ import annotations
 
@@ -17,8 +16,7 @@ from deformscope.robot.robot import Robot
 
 STIFFEST_N_M = 1e5
 """Stiffness that is assumed if the compliance is unknown or smaller [N/m]: that of an industrial arm with a short
-stick. A stiffer one makes every touch slower; a softer one lets the force of a stiffer arm exceed the limit of its
-speed."""
+stick. A stiffer one makes every touch slower; a softer one lets a stiffer arm's force exceed the limit."""
 ARM_CYCLES = 3.0
 """Cycles of the arm from a command to rest: one until the arm receives it, two to follow. A double whose axes lag by
 another 60 ms stayed below the hard stop with it (14.1 N at 20 N/mm, `docs/results/safety.md`). A larger value makes
@@ -33,7 +31,7 @@ fault or makes soft foam look stiff; larger, the plateau of a foam counts as a f
 REMAINS, LOST_PERIODS, FELL_PERIODS = 0.5, 15, 2
 """Share of the greatest force of the last LOST_PERIODS control periods that is left without going back: foam relaxes by
 a few percent in that time, and a sensor that dies, or whose sign or gain changes, loses more at once. That many periods
-in a row mean a fault."""
+mean a fault."""
 GONE, GONE_PERIODS = 0.2, 5
 """Share of the contact's force below which the mean of that many control periods is no contact any more. A larger share
 stops at a contact that noise made early, a smaller one lets a sensor that died with the contact pass."""
@@ -55,8 +53,7 @@ class ForceAlone:
     """Bounds of the force of an arm that has no joint torques to show a contact.
 
     stiffness_n_m: stiffness of tip, sensor, stick and arm in series; late_s: time from a force until the arm rests
-    hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: the motors' currents are watched
-    """
+    hard_n: the hard stop; doubt_m: uncertainty of the seen surface; currents: the motors' currents are watched"""
 
     stiffness_n_m: float
     late_s: float
@@ -75,8 +72,7 @@ class ForceAlone:
         return cls(stiffness_n_m, late_s, limits.hard_force_n, robot.doubt_m, currents)
 
     def speed_m_s(self, share: float) -> float:
-        """The speed [m/s] at which a contact reaches this share of the hard stop until the arm rests; SLOWEST_M_S at
-        least."""
+        """Speed [m/s], SLOWEST_M_S at least, with which a contact reaches this share of the hard stop until rest."""
         return max(SLOWEST_M_S, share * self.hard_n / (self.stiffness_n_m * self.late_s))
 
     @property
@@ -109,8 +105,7 @@ class PressWatch:
     period from the approach to the end of the dwell.
 
     A force that stays is noticed before the stiffness in series could have added CONTACT_SHARE of the hard stop: the
-    arm's, or HARDENS times that since contact where it is less.
-    """
+    arm's, or HARDENS times that since contact where it is less."""
 
     def __init__(self, alone: ForceAlone, contact_n: float) -> None:
         """contact_n: force that means contact [N]"""

@@ -1,9 +1,7 @@
 """Moving an arm by keys, in small steps: the motion of each key, and rest while no key is held.
 
 A press of a key moves one step. A key that is held repeats in every terminal: the motion then continues, and ends
-GRACE_S after the last repeat. Therefore the release of a key, a terminal that hangs and a broken connection all stop
-the arm.
-"""
+GRACE_S after the last repeat. So the release of a key, a terminal that hangs and a broken connection stop it."""
 
 from __future__ import annotations
 

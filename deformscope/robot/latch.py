@@ -1,9 +1,7 @@
-"""Common part of the supervisors of arm and hand: alarms become one verdict, which holds until a person acknowledges
-it.
+"""Common part of the supervisors of arm and hand: alarms become one verdict, until a person acknowledges it.
 
 The supervisors are pure state machines: each control period calls them with readings and times. They are no safety
-function (no Python program is): the emergency stop of the arm, and a switch for the hand, stay within a person's reach.
-"""
+function (no Python program is): the arm's emergency stop and a switch for the hand stay within reach."""
 
 from __future__ import annotations
 
@@ -41,15 +39,13 @@ class Decision(Generic[FaultT]):
 
 
 class LatchingSupervisor(Generic[FaultT]):
-    """Holds the most severe alarm of its rules; a subclass has the rules, and a `judge` that asks them in each control
-    period."""
+    """Holds the most severe alarm of its rules; a subclass has the rules, and a `judge`."""
 
     def __init__(self, none: FaultT, late_ns: int) -> None:
         """none: the fault of a robot without one
 
         late_ns: a judgement this long after the last one was late: the host was busy, and perhaps the device threads
-        too. No silence is held against a device then, once and not twice in a row.
-        """
+        too. No silence is held against a device then, once and not twice in a row."""
         self._go_on: Decision[FaultT] = Decision(Action.GO_ON, none)
         self._verdict, self._late_ns = self._go_on, late_ns
 
@@ -68,8 +64,7 @@ class LatchingSupervisor(Generic[FaultT]):
         self.start(now_ns)
 
     def stop(self, fault: FaultT, reason: str, now_ns: int) -> Decision[FaultT]:
-        """Stop for a reason outside the readings: a person's request, or a refused command, after which the next would
-        fail too."""
+        """Stop for a reason outside the readings: a person's request, or a refused command, as the next fails too."""
         return self._latch([(Action.STOP, fault, reason)], now_ns)
 
     def _begin(self, now_ns: int) -> None:

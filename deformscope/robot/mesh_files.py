@@ -1,7 +1,6 @@
 """Triangle meshes from files, read by Open3D in a separate process: damaged bytes can crash its readers.
 
-python -m deformscope.robot.mesh_files whole|coarse FILE...    two arrays of each file (`numpy.save`) on stdout
-"""
+python -m deformscope.robot.mesh_files whole|coarse FILE...    two arrays of each file (`numpy.save`) on stdout"""
 
 from __future__ import annotations
 
@@ -39,11 +38,14 @@ there, and not the machine's memory or a person's patience."""
 
 
 def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
-    """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. Raises InputError, which names the
-    wrong file.
+    """Vertices (n, 3), in the file's unit, and triangles (m, 3) of each mesh file. InputError names a wrong one.
     coarse: vertices at one place become one, and at most TRIANGLES are left; else all is as in the file"""
     for path in paths:
-        _check(path)
+        if path.suffix.lower() not in MESH_ENDINGS:
+            raise InputError(f"a mesh file: {', '.join(MESH_ENDINGS)}", path.suffix or "no ending", "convert it", path)
+        if not path.is_file() or path.stat().st_size > MESH_BYTES:
+            came = "a larger one" if path.is_file() else "no file"
+            raise InputError(f"a mesh file of up to {MESH_BYTES // 1_000_000} MB", came, where=path)
     if not paths:
         return []
     command = [sys.executable, "-m", __name__, "coarse" if coarse else "whole", *map(str, paths)]
@@ -59,17 +61,8 @@ def read_meshes(paths: Sequence[Path], *, coarse: bool = True) -> list[Mesh]:
     return [_mesh(arrays, path, ending) for path in paths]
 
 
-def _check(path: Path) -> None:
-    if path.suffix.lower() not in MESH_ENDINGS:
-        raise InputError(f"a mesh file: {', '.join(MESH_ENDINGS)}", path.suffix or "no ending", "convert it", path)
-    if not path.is_file() or path.stat().st_size > MESH_BYTES:
-        came = "a larger one" if path.is_file() else "no file"
-        raise InputError(f"a mesh file of up to {MESH_BYTES // 1_000_000} MB", came, where=path)
-
-
 def _mesh(arrays: BinaryIO, path: Path, ending: str) -> Mesh:
-    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: ending of the process that wrote
-    them"""
+    """The next mesh of the arrays: vertices (n, 3) and triangles (m, 3). ending: of their process"""
     try:
         vertices, triangles = (np.load(arrays, allow_pickle=False) for _ in range(2))
     except (EOFError, OSError, ValueError) as error:

@@ -1,8 +1,7 @@
 """From a velocity of the arm's end to joint rates: damped inverse of the Jacobian, guards at limits and singularities.
 
 The arm receives joint rates, not its own Cartesian velocities: those use rotation in the end effector's frame, and that
-mode's behaviour near singularities and joint limits is not published. Therefore this module has these guards.
-"""
+mode's behaviour near singularities and joint limits is not published. Therefore this module has these guards."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ from deformscope_drivers.arm.kinematics import (
 )
 
 SLOW_DEG = 10.0
-"""Distance before its margin at which a joint begins to slow down, linearly to zero at the margin: a velocity damper
-(Faverjon and Tournassoud 1987)."""
+"""Distance before its margin at which a joint slows down, linearly to zero (Faverjon and Tournassoud 1987)."""
 LEAST_SHARE = 0.05
 """Least share of a velocity: if a joint's margin leaves less, the joint blocks the motion."""
 SINGULAR_DEG, SINGULAR_SHARE = 15.0, 1.0 / 3.0
@@ -57,8 +55,7 @@ class JointMotion:
     """Joint rates for a velocity, and whether they may be sent.
 
     rates_deg_s: (n,) [deg/s]; share: share of the velocity that is left where a joint would be too fast or is near its
-    limit; fault, reason: why they must not be sent; NONE if they may
-    """
+    limit; fault, reason: why they must not be sent; NONE if they may"""
 
     rates_deg_s: FloatArray
     share: float = 1.0
@@ -72,8 +69,7 @@ def rates_for_twist(
     """Joint rates for a twist (6,) of the arm's end [m/s, rad/s], both parts in the base frame.
 
     joints_deg: (n,) present angles of the arm; limits_deg_s: (n,) greatest rates; margin_deg: no joint comes nearer to
-    the end of its range. If a joint would be too fast, all are slowed by the same factor: the direction stays.
-    """
+    the end of its range. If a joint would be too fast, all are slowed by the same factor: the direction stays."""
     joints = np.asarray(joints_deg, dtype=float)
     jacobian = jacobian_of(chain.forward(joints))
     rates = damped_joint_rates(jacobian, twist, DAMPED_BELOW, _away_from_limits(chain, joints))
@@ -91,8 +87,7 @@ def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArra
     """Angle of the fastest of joint rates (n,) until the smallest singular value is 0 [deg]. The value is extrapolated
     from the next degree or from one of AHEAD_DEG, whichever is sooner.
 
-    joints_deg: (n,); jacobian: (6, n) there. inf if the distance does not fall
-    """
+    joints_deg: (n,); jacobian: (6, n) there. inf if the distance does not fall"""
     fastest = float(np.abs(rates).max())
     if fastest <= 0.0:
         return math.inf
@@ -108,11 +103,10 @@ def to_singularity_deg(chain: Chain, joints_deg: FloatArray, jacobian: FloatArra
 def within_limits(
     chain: Chain, joints_deg: npt.ArrayLike, rates_deg_s: FloatArray, limits_deg_s: FloatArray, margin_deg: float
 ) -> JointMotion:
-    """Joint rates (n,) [deg/s], all slowed by one factor so that none is above its limit, which falls to 0 near the end
-    of a joint's range.
+    """Joint rates (n,) [deg/s], slowed by one factor so that none is above its limit, which falls to 0 near a joint's
+    end.
 
-    joints_deg: (n,); limits_deg_s: (n,); margin_deg: distance from the end of a range at which the rate is 0
-    """
+    joints_deg: (n,); limits_deg_s: (n,); margin_deg: distance from the end of a range at which the rate is 0"""
     joints = np.asarray(joints_deg, dtype=float)
     way_deg = np.where(rates_deg_s > 0, chain.upper_deg - joints, joints - chain.lower_deg)
     near = np.clip((way_deg - margin_deg) / SLOW_DEG, 0.0, 1.0)
@@ -134,8 +128,7 @@ def within_limits(
 class CommandedRotation:
     """The rotation of the arm's end in the base frame as it was commanded, to be compared with the measured one.
 
-    rotation: (3, 3), None until the first reading of the arm
-    """
+    rotation: (3, 3), None until the first reading of the arm"""
 
     def __init__(self) -> None:
         self.rotation: FloatArray | None = None
@@ -143,10 +136,8 @@ class CommandedRotation:
     def advance(self, angular_rad_s: FloatArray, seconds: float, measured: FloatArray | None, *, follows: bool) -> None:
         """Turn the commanded rotation by the angular velocity (3,) that was sent [rad/s, base frame], over `seconds`.
 
-        measured: (3, 3) newest rotation of the arm's end, None = no new one; it becomes the commanded rotation if there
-        is none yet
-        follows: the caller steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)
-        """
+        measured: (3, 3) newest rotation of the arm's end, None = no new one; the first becomes the commanded rotation
+        follows: the caller steers by the measured rotation: the commanded one slowly follows it (FOLLOW_PER_S)"""
         if self.rotation is None:
             self.rotation = measured
             return

@@ -1,8 +1,7 @@
 """Poses of the surface, the arm and its tip relative to each other.
 
 The tip's frame has its z axis along the stick, outwards: a touch along the normal n has it at -n. Its origin is the
-*centre* of the tip: of the sphere for a round tip, of the face for a flat one.
-"""
+*centre* of the tip: of the sphere for a round tip, of the face for a flat one."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ from deformscope_drivers.arm.kinematics import (
 )
 
 TURNED_RAD = 0.7
-"""An arm whose end deviates further than this from its planned rotation moves there joint by joint, in another
-configuration if that is better."""
+"""An arm whose end is further than this from its planned rotation moves joint by joint, perhaps reconfigured."""
 PLAN_MARGIN_DEG = 8.0
 """Distance of every joint of a planned pose from its limits: there it may still turn at a third of its greatest rate
 towards the limit (`motion.SLOW_DEG`)."""
@@ -53,9 +51,8 @@ Larger may step over a limit or a singularity between two; smaller takes longer 
 class Placement:
     """The rigid relations of base, surface, arm's end and tip.
 
-    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: the arm's tool. Raises InputError for a
-    transform that is not rigid.
-    """
+    T_base_surface: (4, 4) surface frame to the arm's base frame [m]; tool: the arm's. Raises InputError unless it is
+    rigid."""
 
     T_base_surface: FloatArray
     tool: Tool = field(default_factory=Tool)
@@ -97,8 +94,7 @@ class Placement:
 
     @property
     def center_offset_m(self) -> float:
-        """Distance from the point that touches first to the tip's centre, along the normal [m]: a sphere's radius, else
-        0."""
+        """Distance of the point that touches first to the tip's centre, along the normal [m]: a radius or 0."""
         return self.tool.radius_m if self.tool.tip == "sphere" else 0.0
 
     def T_surface_center(self, T_base_ee: FloatArray) -> FloatArray:
@@ -106,19 +102,17 @@ class Placement:
         return np.asarray(self.T_surface_base @ T_base_ee @ self.T_ee_center)
 
     def force_on_tip_n(self, force_n: FloatArray, T_base_ee: FloatArray) -> FloatArray:
-        """(3,) force of the world on the tip in the surface frame [N], from what the sensor reports for the
-        world: less the sensor's gain."""
+        """(3,) force of the world on the tip in the surface frame [N], from the sensor's: less its gain."""
         return (
             np.asarray(-self.T_surface_center(T_base_ee)[:3, :3] @ self._R_tip_force @ force_n) / self.tool.force_gain
         )
 
     def T_base_ee(self, center_m: npt.ArrayLike, normal: npt.ArrayLike) -> FloatArray:
-        """(..., 4, 4) the arm's end in the base frame when the tip's centre (..., 3) [m] is here and the stick along
-        -normal (..., 3).
+        """(..., 4, 4) the arm's end in the base frame with the tip's centre (..., 3) [m] here, stick along -normal
+        (..., 3).
 
         center_m, normal: in the surface frame. The turn about the normal is the nearest to the surface's x axis, so
-        that it is the same for all touches on a flat surface.
-        """
+        that it is the same for all touches on a flat surface."""
         out = np.asarray(normal, dtype=float)
         out = out / np.sqrt(squared(out))[..., None]
         across = np.array([1.0, 0.0, 0.0]) - out[..., :1] * out
@@ -156,8 +150,7 @@ def follow(
     start_deg: (m,) joint angles from which the first place is solved; each other place is solved from the one before,
     in the arm's present configuration. Paths are checked every WAY_M: joints keep PLAN_MARGIN_DEG, and near a
     singularity its damping keeps the arm on its path (`commands.OFF_COURSE`).
-    meanwhile: called every few milliseconds
-    """
+    meanwhile: called every few milliseconds"""
     directions = np.broadcast_to(np.asarray(normals, dtype=float), np.shape(centers_m))
     places = np.concatenate([centers_m, directions], axis=-1)
     routes = places.reshape(-1, *places.shape[-2:])
@@ -186,8 +179,7 @@ def lead(
     """Whether each of k ways can be followed (k,), and the joint angles (k, m) [deg] at their ends.
 
     ways: k ways, each poses (n, 4, 4) of the arm's end, base frame, WAY_M apart; joints_deg: (k, m) joint angles at
-    their beginning; steered: (k,) the arm reaches each place from the one before
-    """
+    their beginning; steered: (k,) the arm reaches each place from the one before"""
     good, joints_deg = np.ones(len(ways), dtype=bool), joints_deg.copy()
     for step in range(max(map(len, ways))):
         meanwhile()
@@ -222,8 +214,7 @@ def best_joints(chain: Chain, T_base_ees: Sequence[FloatArray], tries: int = 16)
     """Joint angles (n,) for the first of some poses (4, 4), from which a straight way leads through the others.
 
     A six-joint arm has up to eight for one pose. Returned are those whose path stays furthest from singularities, with
-    every joint PLAN_MARGIN_DEG inside its range. None = no configuration reaches all places.
-    """
+    every joint PLAN_MARGIN_DEG inside its range. None = no configuration reaches all places."""
     random = [np.random.default_rng([seed, 0x1C]).uniform(0.0, 360.0, chain.joint_count) for seed in range(1, tries)]
 
     def near(T_base_ee: FloatArray, start_deg: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:

@@ -1,8 +1,7 @@
 """Placing a hand at a container: random grasps, and of these one that the arm reaches on a free path.
 
 Frames: the table's frame (z = 0 on it, upwards) is the surface frame of `Placement`. Its tip is the middle between the
-pads in the hand's orientation (`hand_tool`).
-"""
+pads in the hand's orientation (`hand_tool`)."""
 
 from __future__ import annotations
 
@@ -81,8 +80,7 @@ class PlacingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacle:
-    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: uncertainty of its place; round: a
-    cylinder"""
+    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: of its place; round: a cylinder"""
 
     T_table_container: FloatArray
     size_m: FloatArray
@@ -100,13 +98,11 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraspPlan:
-    """A grasp that is reached. before_m, there_m: (4, 4) poses of the tip at the beginning and end of the approach,
-    table's frame
+    """A grasp that is reached. before_m, there_m: (4, 4) poses of the tip at the approach's ends, table's frame
 
     start_deg: (n,) joint angles from which it was planned; joints_deg: (k, n) successive joint angles, the last at the
     beginning of the approach; tried: all grasps that were drawn; refused: for each, why it is refused, empty = this
-    one; path_m: (m, 3) path of the tip, table's frame
-    """
+    one; path_m: (m, 3) path of the tip, table's frame"""
 
     grasp: RandomGrasp
     before_m: FloatArray
@@ -142,8 +138,7 @@ def choose_grasp(
     obstacle: Obstacle,
     drawn: Sequence[RandomGrasp],
 ) -> GraspPlan:
-    """The first of some grasps that the arm reaches on a path free of container, table and the arm itself. Raises
-    NoGrasp."""
+    """The first grasp that the arm reaches on a path free of container, table and itself. Raises NoGrasp."""
     ways = _Ways(setup, limits, grip, np.asarray(start_deg, dtype=float), obstacle)
     if ways.apart_m(setup.chain.forward(ways.start_deg)) < AROUND_M + obstacle.doubt_m:
         raise NoGrasp(drawn[:1], [BEGINS_AT_IT])
@@ -286,8 +281,7 @@ class _Ways:
         return np.concatenate(found)
 
     def _forbidden(self, joints_deg: FloatArray, around_m: float) -> str:
-        """Why the arm must not be at some of joint angles (k, n); empty = it may. around_m: clearance around the
-        container"""
+        """Why the arm must not be at some of joint angles (k, n); empty = it may. around_m: of the container"""
         chain, placement, limits = self.setup.chain, self.setup.placement, self.limits
         clearance, frames = ArmClearance(placement, chain.forward(chain.home_deg)), chain.forward(joints_deg)
         tips = placement.T_surface_center(frames[:, -1])

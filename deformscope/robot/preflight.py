@@ -87,8 +87,7 @@ def check(
     plans: the touches, or those at the corners of the area of possible touches; calibrated: the required calibrations,
     by name, and whether they are done; ages: ages of the calibrations, by name; rates_hz: rates of "arm", "force
     sensor", "camera" (default: those in their configurations); lift_m: height of the plans above the surface;
-    described: shapes of hand and cables. Raises RobotStopped if the supervisor stops meanwhile; nothing moves.
-    """
+    described: shapes of hand and cables. Raises RobotStopped if the supervisor stops meanwhile; nothing moves."""
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]
     return Preflight(
@@ -279,11 +278,9 @@ def _hand(robot: Robot, plans: Sequence[TouchPlan], described: RobotDescription)
 
 
 def _first_way(robot: Robot, goal_deg: FloatArray, height_m: float) -> Check:
-    """That wrist and tip stay above the surface on the first way, which turns the joints evenly from here to angles
-    (n,) [deg].
+    """That wrist and tip stay above the surface on the first way, joints turning evenly from here to angles (n,) [deg].
 
-    height_m: z of the surface [m, surface frame]
-    """
+    height_m: z of the surface [m, surface frame]"""
     chain, placement = robot.arm.chain, robot.placement
     here_deg = np.asarray(robot.pose.joints_deg)
     turn_deg = towards(here_deg.tolist(), goal_deg, ~np.isfinite(chain.upper_deg))

@@ -9,8 +9,7 @@ class ForceControl:
     """The force along the normal becomes a velocity: `v = (set - force) / (stiffness * tau)`, admittance control.
 
     The stiffness is the slope of force over depth of the last periods. Before contact it is that of a rigid contact
-    behind a compliant arm, which prevents overshoot.
-    """
+    behind a compliant arm, which prevents overshoot."""
 
     TAU_S = 0.12
     RIGID_N_M, SOFT_N_M = 6000.0, 150.0

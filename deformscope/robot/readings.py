@@ -24,8 +24,7 @@ class ForceSample:
 
     time_ns: arrival; force_n: (3,) force of the tip on the world in the tip's frame, positive z = compression, tare
     taken off [N]; sensor_n: (3,) force as the sensor reports it; pattern: the bits as sent, which a frozen sensor
-    repeats; usable: sensor and wire report no error; ticks: the sensor's own count, -1 = none
-    """
+    repeats; usable: sensor and wire report no error; ticks: the sensor's own count, -1 = none"""
 
     time_ns: int
     force_n: FloatArray
@@ -48,8 +47,7 @@ class ArmSample:
 
     time_ns: arrival; T_base_ee: (4, 4) pose of the arm's end in the base frame [m]; joints_deg: (n,); fifo_count:
     points that wait in the arm; torques_nm: (n,) torques of the joints without gravity's, read at times of their own;
-    currents: (n,) currents of the motors in the arm's own unit; either is empty where the arm reports none
-    """
+    currents: (n,) currents of the motors in the arm's own unit; either is empty where the arm reports none"""
 
     time_ns: int
     T_base_ee: FloatArray
@@ -79,8 +77,7 @@ class RobotObservation:
     """Items since the last control period, oldest first.
 
     refused: frames of the force sensor's wire that failed their checksum or made no sense, since opening; lost_links:
-    names of devices whose link is down, and why
-    """
+    names of devices whose link is down, and why"""
 
     now_ns: int
     forces: tuple[ForceSample, ...] = ()

@@ -1,8 +1,7 @@
 """Arm, force sensor and camera as one robot with one control period, watched by the supervisor.
 
 The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
-next control period differs (`wait_until`).
-"""
+next control period differs (`wait_until`)."""
 
 from __future__ import annotations
 
@@ -70,12 +69,11 @@ class MotionHeld(Exception):
 
 @dataclass(frozen=True, slots=True)
 class TipVelocity:
-    """A velocity of the tip, surface frame. linear_m_s: (3,) velocity of its centre; angular_rad_s: (3,) angular
-    velocity about its centre
+    """A velocity of the tip, surface frame. linear_m_s: (3,) velocity of its centre; angular_rad_s: (3,) about its
+    centre
 
     angular_rad_s None = the robot holds the orientation that was commanded last. If given, it is sent unchanged: the
-    caller then closes the loop over the measured orientation.
-    """
+    caller then closes the loop over the measured orientation."""
 
     linear_m_s: FloatArray
     angular_rad_s: FloatArray | None = None
@@ -110,8 +108,7 @@ class Robot:
     commanded: speed of the tip's centre [m/s] of every period
     reason_to_stand: called in each period with motion: a reason against it, empty = none
     rotation: commanded rotation of the arm's end; moving: a velocity was sent in this period
-    share: sent part of the last requested velocity of the tip: less near joint limits and singularities; nan for joints
-    """
+    share: sent part of the tip's last requested velocity: less near joint limits and singularities; nan for joints"""
 
     def __init__(
         self,
@@ -127,12 +124,11 @@ class Robot:
         compliance_m_per_n: float = 0.0,
         doubt_m: float = 0.0,
     ) -> None:
-        """watch: called with the readings and the verdict of each period, for a recording; when it fails, the arm is
-        halted first
+        """watch: called with the readings and the verdict of each period, for a recording; if it fails, the arm halts
+        first
 
         compliance_m_per_n: compliance of arm and stick under a push, 0 = not known; doubt_m: uncertainty of the
-        camera's place, where the surface is
-        """
+        camera's place, where the surface is"""
         self.compliance_m_per_n, self.doubt_m = compliance_m_per_n, doubt_m
         self.arm, self.force, self.camera = arm, force, camera
         self.placement = placement
@@ -172,8 +168,7 @@ class Robot:
 
     @property
     def force_alone(self) -> bool:
-        """Whether only the force at the tip shows a contact: the arm has reported no joint torques, which would show a
-        collision."""
+        """Whether only the force at the tip shows a contact: the arm has reported no joint torques."""
         return not (self.arm.by_hand or self.supervisor.sees_torques)
 
     @property
@@ -202,8 +197,7 @@ class Robot:
         return None if silent or sample is None else float(np.linalg.norm(sample.force_n))
 
     def force_on_tip_n(self, sample: ForceSample, pose: ArmSample | None = None) -> FloatArray:
-        """(3,) force of the world on the tip, surface frame [N]. pose: pose of the arm at that time, None = the
-        newest"""
+        """(3,) force of the world on the tip, surface frame [N]. pose: the arm's then, None = newest"""
         return self.placement.force_on_tip_n(sample.force_n, (pose or self.pose).T_base_ee)
 
     # The control period ----------------------------------------------------------------------------------------------
@@ -213,8 +207,7 @@ class Robot:
 
         Raises MotionHeld if `reason_to_stand` gave a reason: no command was sent, and the arm rested for the period.
         Raises RobotStopped, now and after every later call until the supervisor's `acknowledge`, when the robot must
-        stop. The arm is then halted and its waiting points are erased. The caller carries out a back-off.
-        """
+        stop. The arm is then halted and its waiting points are erased. The caller carries out a back-off."""
         if self.supervisor.verdict.action is Action.STOP:
             raise RobotStopped(self.supervisor.verdict)
         if command is not None and not self._may_move:
@@ -268,8 +261,7 @@ class Robot:
         self.supervisor.stop(Fault.ASKED, reason, self._clock())
 
     def stand_by(self, duration_s: float) -> None:
-        """Rest and let time pass, whether or not the robot was stopped, so that a recording shows the time after. The
-        verdict is unchanged."""
+        """Rest, stopped or not, so that a recording shows the time after. The verdict is unchanged."""
         end_ns = self._clock() + round(duration_s * 1e9)
         while (now_ns := self._clock()) < end_ns:
             self._wait_until(min(now_ns + PERIOD_NS, end_ns))
@@ -312,8 +304,7 @@ class Robot:
         return np.diff(1e-9 * np.array(self._judged_ns, dtype=np.float64))
 
     def resume(self) -> None:
-        """Resume after a person has removed the reason of a stop: judge again, and let the arm accept commands after
-        another preflight."""
+        """After a person has removed the reason of a stop: judge again; the arm accepts commands after a preflight."""
         self._may_move = False
         self.arm.acknowledge_stop()
         self._listen()
@@ -327,8 +318,7 @@ class Robot:
         self.supervisor.start(self._clock())
 
     def rest(self) -> None:
-        """Close the devices' queues until `start`, during a computation or a question: they would overflow, and count
-        losses."""
+        """Close the devices' queues, which would overflow during a computation or a question, until `start`."""
         for queue in (self._forces, self._states, self._pictures):
             if queue is not None:
                 queue.close()
@@ -375,8 +365,7 @@ class Robot:
         self.commanded.append(self._speed_m_s)
 
     def _refuse(self, fault: Fault, reason: str) -> None:
-        """Halt the arm for a command that is not carried out. fault: REFUSED = by the arm's driver; JOINT_LIMIT,
-        SINGULAR = before it was sent"""
+        """Halt the arm for a command refused by its driver (REFUSED) or unsent (JOINT_LIMIT, SINGULAR)."""
         self._refusal = fault, reason
         self.halt(f"{fault}: {reason}")
 
@@ -482,7 +471,6 @@ def _share(vector: FloatArray, most: float) -> float:
 
 
 def damaged_frames(force: ForceSensor) -> int:
-    """Damaged frames since the force sensor was opened: the larger of stretches of bytes that fit no frame and frames
-    refused."""
+    """Damaged frames since the force sensor was opened: the larger of unfit stretches and refused frames."""
     health = force.health()
     return max(health.resyncs, sum(health.refused.values()))

@@ -1,8 +1,6 @@
-"""Devices for an exploration, not yet opened: an arm, a force sensor at its end and a depth camera, real ones or
-doubles.
+"""Devices for an exploration, not yet opened: arm, force sensor at its end and depth camera, real or doubles.
 
-`rig_setup` makes a `Setup` from a rig file; a laboratory makes its own (`deformscope.lab.scene_lab`).
-"""
+`rig_setup` makes a `Setup` from a rig file; a laboratory makes its own (`deformscope.lab.scene_lab`)."""
 
 from __future__ import annotations
 
@@ -61,8 +59,7 @@ class CameraView:
     """Projection and pose of the depth camera.
 
     focal_px, center_px: (x, y) focal length and centre, None = those in its images; distortion: OpenCV's k1, k2, p1,
-    p2, k3; T_surface_camera: (4, 4), None = not known; doubt_m: how far off it may be where the surface is; rate_hz
-    """
+    p2, k3; T_surface_camera: (4, 4), None = not known; doubt_m: how far off it may be where the surface is; rate_hz"""
 
     focal_px: tuple[float, float] | None = None
     center_px: tuple[float, float] | None = None
@@ -84,8 +81,7 @@ class Setup:
     zeroed: the force sensor's zero is taken as the devices open
     true_force_n: the largest true contact force so far [N], None if only the sensor measures it
     person: places the arm; None = an arm with motors; described: shape of the robot
-    press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does
-    """
+    press: has a simulated finger press the tip with (3,) [N, surface frame]; None = a person does"""
 
     size_m: tuple[float, float]
     placement: Placement
@@ -116,8 +112,7 @@ class Setup:
     def robot(self, source: RigSource, watch: Watch | None = None) -> Robot:
         """The robot over the open devices, once its arm has reported. watch: as for `Robot`.
 
-        Raises InputError where a device is not well.
-        """
+        Raises InputError where a device is not well."""
         arm, force, camera = (source.device(name) for name in self.names)
         if not self.zeroed:
             try:
@@ -154,8 +149,7 @@ def seen(robot: Robot) -> Robot:
 class SimulatedDevices(Protocol):
     """The scenes of a rig's doubles.
 
-    opener: as for `RigSource`; other attributes as in `Setup`
-    """
+    opener: as for `RigSource`; other attributes as in `Setup`"""
 
     @property
     def runs_itself(self) -> bool: ...
@@ -220,8 +214,7 @@ def open_rig(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigParts:
-    """The robot's parts from a rig file. devices: the devices of `ROLES`; raises InputError, which names missing
-    ones."""
+    """The robot's parts from a rig file. devices: those of `ROLES`; raises InputError without one."""
 
     rig: Rig
     devices: tuple[RigDevice, ...]
@@ -236,8 +229,24 @@ class RigParts:
         if not force.double and not force.config.sensitivities:
             raise InputError("its sensitivity, for forces in newtons", "none", "the sensor's report", force.name)
         _check_rates(rig, devices)
-        _check_offsets(rig, devices)
-        _check_doubles(rig, devices)
+        # ages count from the time of measurement, so a device's time offset stays below the limit on its silence
+        limits = Limits.of(rig.workspace, camera_hz=float(devices[2].config.fps or CAMERA_HZ))
+        camera_s = limits.camera_periods * limits.camera_period_s
+        for entry, silent_s in zip(devices, (limits.arm_silent_s, limits.force_silent_s, camera_s), strict=True):
+            if entry.late_ns >= 1e9 * silent_s:
+                least = f"{entry.name} with a delay below its limit on silence, {silent_s:g} s"
+                came = f"{entry.late_ns / 1e9:g} s, by calibrate time"
+                raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
+        names = ", ".join(entry.name for entry in devices)
+        doubled = ", ".join(entry.name for entry in devices if entry.double)
+        real = ", ".join(entry.name for entry in devices if not entry.double)
+        if rig.tool.tip != "sphere":
+            raise InputError('[tool] tip = "sphere", to explore with', repr(rig.tool.tip), where=rig.name)
+        if not rig.surface.scene and doubled:
+            expected = f"{names} all real, or all doubled with a [surface] scene"
+            raise InputError(expected, f"{doubled} doubled", 'scene = "two-60-150"', rig.name)
+        if rig.surface.scene and real:
+            raise InputError(f"double = true for {names}, with a [surface] scene", f"{real} real", where=rig.name)
         given, camera = rig.surface.T_arm_surface, rig.camera.T_arm_camera
         T_base_surface = T_BASE_SURFACE if given is None else np.array(given, dtype=np.float64)
         T_surface_camera = None
@@ -258,8 +267,7 @@ def rig_setup(
     double: makes a device of the rig that nothing is simulated around, or its double
     table: table of a `[surface] scene`, over which arm, force sensor and camera are doubles
     person: the person who places a real arm without motors
-    give: compliance of a simulated arm and its deviation [m/N], used if the rig file has none
-    """
+    give: compliance of a simulated arm and its deviation [m/N], used if the rig file has none"""
     rig, simulated = parts.rig, table is not None
     tool, camera = rig.tool, rig.camera
     known = camera.focal_px is not None and camera.center_px is not None
@@ -321,18 +329,6 @@ def _check_rates(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
             raise InputError(least, f"{hz:g}", "a higher rate, or a longer ..._silent_s in [workspace]", rig.name)
 
 
-def _check_offsets(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
-    """Raises InputError where a device's time offset exceeds the limit on its silence: ages count from the time of
-    measurement."""
-    limits = Limits.of(rig.workspace, camera_hz=float(devices[2].config.fps or CAMERA_HZ))
-    camera_s = limits.camera_periods * limits.camera_period_s
-    for entry, silent_s in zip(devices, (limits.arm_silent_s, limits.force_silent_s, camera_s), strict=True):
-        if entry.late_ns >= 1e9 * silent_s:
-            least = f"{entry.name} with a delay below its limit on silence, {silent_s:g} s"
-            came = f"{entry.late_ns / 1e9:g} s, by calibrate time"
-            raise InputError(least, came, "a faster link, or a longer ..._silent_s in [workspace]", rig.name)
-
-
 def only_device(rig: Rig, kind: str, use: str = "to explore with", name: str = "", driver: str = "") -> RigDevice:
     """The one device of a kind. use: its purpose, for the message; name, driver: name and driver of it, empty = any
     (for a depth camera, the one that `[camera]` names); raises InputError if there is none, or several"""
@@ -357,17 +353,3 @@ def description_of(rig: Rig, arm: RigDevice) -> RobotDescription:
         return describe(rig.shape, chain_of(model), rig.folder)
     except InputError as error:
         raise InputError.about(error, "[shape]") from error
-
-
-def _check_doubles(rig: Rig, devices: tuple[RigDevice, ...]) -> None:
-    """Either all are real, or all are doubles over a simulated table."""
-    names = ", ".join(entry.name for entry in devices)
-    doubled = ", ".join(entry.name for entry in devices if entry.double)
-    real = ", ".join(entry.name for entry in devices if not entry.double)
-    if rig.tool.tip != "sphere":
-        raise InputError('[tool] tip = "sphere", to explore with', repr(rig.tool.tip), where=rig.name)
-    if not rig.surface.scene and doubled:
-        expected = f"{names} all real, or all doubled with a [surface] scene"
-        raise InputError(expected, f"{doubled} doubled", 'scene = "two-60-150"', rig.name)
-    if rig.surface.scene and real:
-        raise InputError(f"double = true for {names}, with a [surface] scene", f"{real} real", where=rig.name)

@@ -1,5 +1,4 @@
-"""The approximate volume of the arm and its stick: it hides the surface from a camera, and is removed from the
-surface's points."""
+"""Approximate volume of arm and stick: it hides the surface from a camera, and is removed from its points."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ def arm_shape(
     T_base_links: (k, 4, 4) poses of the arm's joints and, last, of its end (`Chain.forward`); of the end only if a
     person holds it; center_m: (3,) measured centre of its tip, which a push moves away from that of the chain
     description: description of the robot; links that are solids in it are left out
-    link_margin_m, stick_margin_m: margins around the links, and around stick, ball and cables
-    """
+    link_margin_m, stick_margin_m: margins around the links, and around stick, ball and cables"""
     frames = T_base_links if len(T_base_links) == 1 else (np.eye(4), *T_base_links)
     joints_m = [(placement.T_surface_base @ frame)[:3, 3] for frame in frames]
     links = [Capsule(a, b, LINK_RADIUS_M + link_margin_m) for a, b in pairwise(joints_m)]

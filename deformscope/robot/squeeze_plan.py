@@ -26,8 +26,7 @@ from deformscope_drivers.sdh.kinematics import (
 BASE_DEG = 90.0
 """Angle of the base axis at which its two fingers face each other: `deformscope_drivers.sdh.kinematics`."""
 PAD_M = 0.011
-"""Distance from the axis of a distal link to its pad's surface: half of a link some 22 mm thick. Assumed, not
-measured."""
+"""Distance from the axis of a distal link to its pad's surface: half of a link of some 22 mm. Assumed."""
 OPENING_DEG = 12.0
 """Start of the proximal axes before the contact at the container's width: the fingertips are then about 3 cm away. With
 a smaller angle, a displaced hand touches before it closes; with a larger one, closing takes longer (2 s for this one at
@@ -54,8 +53,7 @@ class GripShape:
 
     @classmethod
     def of(cls, container: ContainerSection, squeeze: SqueezeSection) -> GripShape:
-        """The pre-shape for a container of this width. Raises InputError for a container on which the fingers cannot
-        close."""
+        """The pre-shape for a container of this width. Raises InputError if the fingers cannot close on it."""
         half_m = container.size_m[0] / 2 + PAD_M
         lean = (BASE_SIDE_M / 2 - half_m) / PROXIMAL_LINK_M
         if not abs(lean) < 0.95:
@@ -64,7 +62,13 @@ class GripShape:
         touching = math.degrees(math.asin(lean))
         distal = -touching if squeeze.distal_deg is None else squeeze.distal_deg
         if squeeze.distal_deg is not None:
-            touching = _contact_deg(half_m, distal)
+            low, high = -80.0, 80.0  # by bisection, where the pad is half_m from the middle of the hand
+            for _ in range(40):
+                middle = (low + high) / 2
+                leaning = PROXIMAL_LINK_M * math.sin(math.radians(middle))
+                leaning += DISTAL_LINK_M * math.sin(math.radians(middle + distal))
+                low, high = (middle, high) if BASE_SIDE_M / 2 - leaning > half_m else (low, middle)
+            touching = low
         opened = touching - OPENING_DEG if squeeze.open_deg is None else squeeze.open_deg
         if not opened < touching:
             came = f"{opened:g}, contact at {touching:.1f} deg"
@@ -80,8 +84,7 @@ class RandomGrasp:
 
     along_m: distance of the middle of the pads from the container's middle, along its longest edge; tilt_deg: tilt of
     the hand about the axis of closing; T_hand_container: (4, 4) container to hand [m];
-    turn_deg: turn about the container's z axis
-    """
+    turn_deg: turn about the container's z axis"""
 
     along_m: float
     tilt_deg: float
@@ -90,8 +93,7 @@ class RandomGrasp:
 
 
 def draw_grasps(container: ContainerSection, squeeze: SqueezeSection, seed: int, count: int) -> list[RandomGrasp]:
-    """Successive grasps, the same for the same seed: each as in `draw_grasp`, from both sides of a box, or from any
-    side of a cylinder."""
+    """Grasps, the same for a seed, as in `draw_grasp`: from both sides of a box, from any side of a cylinder."""
     random = np.random.default_rng([seed, 0x97])
     found = []
     for _ in range(count):
@@ -103,8 +105,7 @@ def draw_grasps(container: ContainerSection, squeeze: SqueezeSection, seed: int,
 
 
 def draw_grasp(container: ContainerSection, squeeze: SqueezeSection, seed: int) -> RandomGrasp:
-    """A grasp around the middle of the container's longest edge (Thesis 5.1), the same for the same seed; within two
-    standard deviations."""
+    """A grasp around the middle of the container's longest edge (Thesis 5.1), within two standard deviations."""
     random = np.random.default_rng([seed, 0x5E])
     along, tilt = np.clip(random.standard_normal(2), -2.0, 2.0)
     return grasp_at(container, squeeze, float(along * squeeze.spread_m), float(tilt * squeeze.tilt_deg))
@@ -153,18 +154,6 @@ def grasp_middle(container: ContainerSection, squeeze: SqueezeSection) -> FloatA
         return np.array(container.T_hand_container, np.float64)
     from_side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     return np.asarray(transform(from_side, GripShape.of(container, squeeze).middle_m))
-
-
-def _contact_deg(half_m: float, distal_deg: float) -> float:
-    """The proximal angle [deg] at which the pad is half_m from the middle of the hand, by bisection. distal_deg: angles
-    of the distal axis"""
-    low, high = -80.0, 80.0
-    for _ in range(40):
-        middle = (low + high) / 2
-        lean = PROXIMAL_LINK_M * math.sin(math.radians(middle))
-        lean += DISTAL_LINK_M * math.sin(math.radians(middle + distal_deg))
-        low, high = (middle, high) if BASE_SIDE_M / 2 - lean > half_m else (low, middle)
-    return low
 
 
 def _angles(proximal: float, distal: float, squeeze: SqueezeSection) -> tuple[float, ...]:

@@ -1,8 +1,7 @@
 """A hand and its tactile arrays with one control period, watched by a supervisor: pre-shape, close, hold, open.
 
 The same code runs on real devices, which have their own threads, and in a simulated laboratory; only the wait for the
-next control period differs (`wait_until`).
-"""
+next control period differs (`wait_until`)."""
 
 from __future__ import annotations
 
@@ -17,12 +16,7 @@ from deformscope.arrays import FloatArray, IntArray
 from deformscope.rig.squeeze_sections import HandSection, SqueezeSection
 from deformscope.robot.robot import Waits, taken
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
-from deformscope.robot.squeeze_supervisor import (
-    SqueezeDecision,
-    SqueezeFault,
-    SqueezeObservation,
-    SqueezeSupervisor,
-)
+from deformscope.robot.squeeze_supervisor import SqueezeDecision, SqueezeFault, SqueezeObservation, SqueezeSupervisor
 from deformscope_drivers.clock import Clock
 from deformscope_drivers.dsa import Dsa
 from deformscope_drivers.dsa.measurer import TactileReading
@@ -79,8 +73,7 @@ class SqueezeRobot:
     """Opened devices and a supervisor; `cycle` is one control period.
 
     hand_readings, tactile_frames: items of the last period, oldest first; on_cycle: called in every period, before it
-    is judged: the observer may request a stop
-    """
+    is judged: the observer may request a stop"""
 
     def __init__(
         self,
@@ -120,8 +113,7 @@ class SqueezeRobot:
     def cycle(self, closing_deg_s: float | None = None) -> None:
         """Close at a speed (None = unchanged), let a control period pass, read the devices, and have them judged.
 
-        Raises SqueezeStopped, after the hand was stopped, if it must stop.
-        """
+        Raises SqueezeStopped, after the hand was stopped, if it must stop."""
         if closing_deg_s is not None:
             velocity = [0.0] * AXIS_COUNT
             for axis in CLOSING_AXES:
@@ -168,8 +160,7 @@ class SqueezeRobot:
         self.command(lambda: self._move(self.shape.open_deg))
 
     def release(self) -> None:
-        """Open the fingers after a stop, so that they do not press for longer. Raises SqueezeStopped if the hand does
-        not open."""
+        """Open the fingers after a stop, so that they do not press on. Raises SqueezeStopped if they do not open."""
         self.supervisor = SqueezeSupervisor(self.squeeze, self._fingers, self._clock(), closing=False)
         self.preshape()
 
@@ -253,10 +244,7 @@ class SqueezeRobot:
             tuple(one.peak for one in self.tactile_frames),
             tuple(
                 (fault, device.health().reason or str(device.link))
-                for fault, device in (
-                    (SqueezeFault.HAND_LOST, self.hand),
-                    (SqueezeFault.TACTILE_LOST, self.tactile),
-                )
+                for fault, device in ((SqueezeFault.HAND_LOST, self.hand), (SqueezeFault.TACTILE_LOST, self.tactile))
                 if device.link is not Link.CONNECTED
             ),
         )

@@ -37,8 +37,7 @@ class SqueezeNames:
 
 
 class TrueMoments(Protocol):
-    """True moments of a squeeze in a laboratory, on its clock: the first contact, and when the fingers came to rest;
-    None = not yet."""
+    """True moments of a squeeze in a laboratory, on its clock: first contact, and the fingers' rest, or None."""
 
     @property
     def contact_ns(self) -> int | None: ...
@@ -50,8 +49,7 @@ class TrueMoments(Protocol):
 class SimulatedContainer(SimulatedDevices, Protocol):
     """A container (`deformscope.lab.live_squeeze_lab.LiveSqueezeLab`).
 
-    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: intrinsics and frame rate of that camera
-    """
+    T_hand_camera: (4, 4) camera to hand [m]; intrinsics, camera_hz: intrinsics and frame rate of that camera"""
 
     @property
     def intrinsics(self) -> Intrinsics: ...
@@ -71,8 +69,7 @@ class SimulatedContainer(SimulatedDevices, Protocol):
 class SqueezeParts:
     """Devices of a rig file by their parts; camera, arm: None without one.
 
-    grasp: grasp that was drawn from the seed
-    """
+    grasp: grasp that was drawn from the seed"""
 
     rig: Rig
     hand: RigDevice
@@ -83,8 +80,7 @@ class SqueezeParts:
 
     @classmethod
     def of(cls, rig: Rig, seed: int, place: str = "person") -> SqueezeParts:
-        """place: who places the hand: the driver of an arm, or `person`. Raises InputError, which names missing or
-        contradictory keys."""
+        """place: an arm's driver, or `person`. Raises InputError, which names missing or contradictory keys."""
         cameras = any(entry.driver.kind == "depth" for entry in rig.devices)
         carried, use = rig.hand.T_arm_hand is not None, "to squeeze with"
         parts = cls(
@@ -99,21 +95,17 @@ class SqueezeParts:
         )
         together = [entry for entry in (parts.hand, parts.tactile, parts.camera, parts.arm) if entry is not None]
         if place != "person":
-            cls._check_placing(rig, parts)
+            if parts.hand.double:
+                came = "doubles of a rig file, which no arm carries"
+                raise InputError("real devices for --place, or lab:containers", came, "--place person", rig.name)
+            if lacks := lacks_to_place(rig):
+                expected = "for --place: " + ", ".join(lacks)
+                raise InputError(expected, "none", "deformscope doctor RIG lists them", rig.name)
         if len({entry.double for entry in together}) > 1:
             expected = f"{', '.join(entry.name for entry in together)} all real or all doubled"
             doubled = ", ".join(entry.name for entry in together if entry.double)
             raise InputError(expected, f"{doubled} doubled", "double = true in each of their sections", rig.name)
         return parts
-
-    @staticmethod
-    def _check_placing(rig: Rig, parts: SqueezeParts) -> None:
-        """Raises InputError without a key that an arm needs to place a hand."""
-        if parts.hand.double:
-            came = "doubles of a rig file, which no arm carries"
-            raise InputError("real devices for --place, or lab:containers", came, "--place person", rig.name)
-        if lacks := lacks_to_place(rig):
-            raise InputError("for --place: " + ", ".join(lacks), "none", "deformscope doctor RIG lists them", rig.name)
 
     @property
     def simulated(self) -> bool:
@@ -137,8 +129,7 @@ class SqueezeSetup:
     grasp: the hand's place on the container; placed: the hand is already at the container
     simulated: all devices are simulated; runs_itself: the devices have separate threads and the host's clock
     truth: true values of a simulated squeeze, None with real devices
-    placing: the arm that places the hand; None = a person does, or the hand is already there
-    """
+    placing: the arm that places the hand; None = a person does, or the hand is already there"""
 
     names: SqueezeNames
     hand: HandSection
@@ -169,8 +160,7 @@ def squeeze_setup(
 
     double: makes a device of the rig, or its double, without a simulated container; container: simulated
     container between the doubles, with the hand at it; it gives the pose and projection of its camera
-    place: as in `SqueezeParts.of`
-    """
+    place: as in `SqueezeParts.of`"""
     rig, seen = parts.rig, parts.rig.camera
     arm, camera = parts.arm, parts.camera
     setup = SqueezeSetup(

@@ -1,7 +1,6 @@
 """Whether the hand may continue the squeeze: limits of its angles and pads, and the age of its devices' reports.
 
-The first fault is latched (`latch`).
-"""
+The first fault is latched (`latch`)."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ from deformscope_drivers.sdh.kinematics import fingertips
 LIMIT_DEG = 1.0
 """An axis this near to the end of its range counts as at the end: reported angles are precise to 0.5 deg."""
 TOO_HOT_C = 70.0
-"""Largest temperature of a motor. Assumed: Schunk's firmware switches off at some higher temperature (error 29); no
-source gives the value."""
+"""Largest temperature of a motor. Assumed: Schunk's firmware switches off at a higher one (error 29), not given."""
 LATE_NS = 100_000_000
 """A judgement this long after the last one, five control periods, was late (`LatchingSupervisor`)."""
 
@@ -75,8 +73,7 @@ class SqueezeObservation:
     position_deg: (n, 7) position of the hand's readings, hand_ns: (n,) their times; hottest_c: hottest of the motors,
     None = not known
     peak_counts: (m,) the highest texel of the squeezing fingertips in each tactile frame; tactile_ns: (m,)
-    lost: names of devices whose link is down, and why
-    """
+    lost: names of devices whose link is down, and why"""
 
     now_ns: int
     hand_ns: tuple[int, ...] = ()
@@ -93,8 +90,7 @@ SqueezeDecision = Decision[SqueezeFault]
 class SqueezeSupervisor(LatchingSupervisor[SqueezeFault]):
     """The rules of a hand with tactile arrays; `judge` once in each control period.
 
-    closing: False if the hand only opens: it then needs no tactile arrays, and may start at the end of its range
-    """
+    closing: False if the hand only opens: it then needs no tactile arrays, and may start at the end of its range"""
 
     def __init__(self, squeeze: SqueezeSection, fingers: tuple[int, int], now_ns: int, *, closing: bool = True) -> None:
         super().__init__(SqueezeFault.NONE, LATE_NS)

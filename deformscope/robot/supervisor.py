@@ -1,7 +1,6 @@
 """Whether the arm may continue: limits of forces, speeds, joints and space, and the age of its devices' reports.
 
-`BACK_OFF` and `STOP` last until `acknowledge`, and `STOP` replaces `BACK_OFF` (`latch`).
-"""
+`BACK_OFF` and `STOP` last until `acknowledge`, and `STOP` replaces `BACK_OFF` (`latch`)."""
 
 from __future__ import annotations
 
@@ -89,8 +88,7 @@ class Limits:
     pauses excluded (an arm begins to move, and reports it, some periods after the command)
     refused, unusable: number of damaged frames, or of unusable readings, within window_s
     camera_period_s: period of the camera's pictures; camera_periods: greatest age in periods; camera_repeats: number of
-    repeats of a picture that mean a frozen camera (noise makes two real ones differ)
-    """
+    repeats of a picture that mean a frozen camera (noise makes two real ones differ)"""
 
     soft_force_n: float = 8.0
     hard_force_n: float = 15.0
@@ -181,8 +179,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         by_hand: a person places the arm, which then is at once where they say: it has no speed, and turns as it should
 
         axes_frozen_s, to be set: (3,) as `Limits.force_frozen_s`, of each axis of the force sensor; None = unknown, and
-        only all of them together are checked
-        """
+        only all of them together are checked"""
         super().__init__(Fault.NONE, LATE_NS)
         self.limits = limits
         self._T_ee_center = np.eye(4) if T_ee_center is None else T_ee_center
@@ -238,12 +235,15 @@ class Supervisor(LatchingSupervisor[Fault]):
         """The present demand.
 
         commanded_m_s: the requested speed since the last call; commanded_rotation: (3, 3) commanded rotation of the
-        arm's end in the base frame, None = any; camera_needed: the camera's pictures are needed now, so that it must be
-        neither silent nor frozen
-        """
+        arm's end in the base frame, None = any; camera_needed: its pictures are needed now, so that it must be neither
+        silent nor frozen"""
         self._begin(seen.now_ns)
         found = [
-            *self._links(seen, camera_needed),
+            *(
+                (Action.STOP, Fault.LINK, f"the link to the {name} is down: {reason}")
+                for name, reason in seen.lost_links
+                if name != "camera" or camera_needed
+            ),
             *self._forces(seen.forces, seen.now_ns),
             *self._wire(seen),
             *self._arm(seen.arms, seen.now_ns, commanded_m_s, commanded_rotation),
@@ -252,13 +252,6 @@ class Supervisor(LatchingSupervisor[Fault]):
         return self._latch(found, seen.now_ns)
 
     # What it looks at ------------------------------------------------------------------------------------------------
-
-    def _links(self, seen: RobotObservation, camera_needed: bool) -> list[Alarm[Fault]]:
-        return [
-            (Action.STOP, Fault.LINK, f"the link to the {name} is down: {reason}")
-            for name, reason in seen.lost_links
-            if name != "camera" or camera_needed
-        ]
 
     def _forces(self, forces: tuple[ForceSample, ...], now_ns: int) -> list[Alarm[Fault]]:
         limits, found = self.limits, []
@@ -309,11 +302,7 @@ class Supervisor(LatchingSupervisor[Fault]):
         return []
 
     def _arm(
-        self,
-        arms: tuple[ArmSample, ...],
-        now_ns: int,
-        commanded_m_s: float,
-        commanded_rotation: FloatArray | None,
+        self, arms: tuple[ArmSample, ...], now_ns: int, commanded_m_s: float, commanded_rotation: FloatArray | None
     ) -> list[Alarm[Fault]]:
         limits, found = self.limits, []
         if commanded_m_s > 0.0:
@@ -358,8 +347,7 @@ class Supervisor(LatchingSupervisor[Fault]):
 
     def _motion(self, sample: ArmSample) -> list[Alarm[Fault]]:
         """Speed and box of the tip's centre in the base frame, the rate of turning, and joints that approach a limit.
-        All come from the difference of poses over SPEED_OVER_NS, because an arm's reported velocities are not
-        reliable."""
+        All come from the difference of poses over SPEED_OVER_NS, as reported velocities are not reliable."""
         limits, found = self.limits, []
         self._track.append(sample)
         while len(self._track) > 2 and sample.time_ns - self._track[1].time_ns >= SPEED_OVER_NS:

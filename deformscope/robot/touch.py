@@ -2,8 +2,7 @@
 
 A state machine that is stepped once in a control period: its input are forces and the tip's place, its output is a
 velocity. Near contact the control is hybrid (Raibert and Craig 1981): force along the normal, position or force across
-it.
-"""
+it."""
 
 from __future__ import annotations
 
@@ -77,8 +76,7 @@ class TouchPlan:
     passing_m: distance above the point at which the tip continues, without coming to rest there
     slow_back: until contact is lost the tip goes back as slowly as it came, to measure the energy that the foam returns
     braking_per_s: share of the remaining way that the tip travels in a second while it slows down in free air; None =
-    slowly; rigid_n_m: assumed stiffness of a contact before it is known
-    """
+    slowly; rigid_n_m: assumed stiffness of a contact before it is known"""
 
     point_m: FloatArray
     normal: FloatArray
@@ -173,8 +171,7 @@ class TouchRecord:
     peak_force_n: greatest measured magnitude; noise_n: (3,) deviation of a reading in free air at the tare
     phases: state of the touch at each time; ending, reason: why it ended; settled: dent and force were still
     arms, forces: the states and readings from which the record is computed, each reading with the time of the arm's
-    newest state [ns]; poses: all states of the arm, including those before the approach; back: states on the way back
-    """
+    newest state [ns]; poses: all states of the arm, also before the approach; back: states on the way back"""
 
     plan: TouchPlan
     time_s: FloatArray
@@ -232,8 +229,7 @@ AVERAGED_NS = 3_000_000
 class TouchStateMachine:
     """The states from approach to retreat; `step` once in a control period, then `phase` is DONE.
 
-    Its input is the force along the normal and the depth, never a device. place: the tip's centre at first contact with
-    the estimated point.
+    Its input is the force along the normal and the depth. place: the tip's centre at contact with the estimated point.
     """
 
     def __init__(self, plan: TouchPlan, center_offset_m: float, start_s: float) -> None:
@@ -256,8 +252,7 @@ class TouchStateMachine:
         return self.phase in (Phase.PRESS, Phase.DWELL, Phase.PRESS_MORE, Phase.DWELL_MORE)
 
     def depth_m(self, center_m: FloatArray) -> float:
-        """Depth of the tip's centre (3,) [m, surface frame] below the first contact, along the normal [m]; 0 before
-        contact."""
+        """Depth of the tip's centre (3,) [m, surface frame] below the first contact, along the normal [m]; 0 before."""
         return 0.0 if self.contact_m is None else float((self.contact_m - center_m) @ self.plan.normal)
 
     def back_off(self, time_s: float) -> None:
@@ -361,16 +356,14 @@ class TouchStateMachine:
 
     def _away(self, time_s: float, center_m: FloatArray, speed_m_s: float) -> FloatArray:
         plan = self.plan
-        above_m = float((center_m - self._touching_m) @ plan.normal)
-        left_m = plan.standoff_m - above_m
+        left_m = plan.standoff_m - float((center_m - self._touching_m) @ plan.normal)
         if left_m < max(5e-4, plan.passing_m):
             self.end(time_s)
             return np.zeros(3)
         return min(speed_m_s, max((plan.braking_per_s or HELD_GAIN_PER_S) * left_m, 2e-3)) * plan.normal
 
     def _across(self, center_m: FloatArray, force_n: FloatArray) -> FloatArray:
-        """(3,) velocity across the normal [m/s]: back to the normal's line, or along the tangential force where the
-        plan leaves it free."""
+        """(3,) velocity across the normal [m/s]: back to its line, or with the tangential force where that is free."""
         normal = self.plan.normal
         if self.plan.tangential == "free" and self.pressing:
             wanted = FREE_M_S_N * (force_n - (force_n @ normal) * normal)
@@ -390,8 +383,7 @@ class TouchStateMachine:
             self._recent.popleft()
 
     def _still(self, set_n: float) -> bool:
-        """Whether depth and force have stayed constant for STILL_S, and at the set force unless the greatest depth was
-        reached."""
+        """Whether depth and force were constant for STILL_S, at the set force unless at the greatest depth."""
         times, depths_m, forces_n = zip(*self._recent, strict=True)
         if times[-1] - times[0] < STILL_S - 2 * PERIOD_S:
             return False
@@ -418,8 +410,7 @@ def run_touch(
     must be alive too. on_phase: called with each phase when it begins, and the time [ns on the robot's clock]. Never
     raises for faults of the robot: `ending`, `fault` and `reason` report them, and the supervisor's verdict holds until
     a person acknowledges it. Raises RobotStopped if the robot is stopped already, and InputError if no preflight has
-    passed.
-    """
+    passed."""
     return carried_out(TouchRun(robot, plan, on_phase), robot, still_seen)
 
 
@@ -522,9 +513,18 @@ class TouchRun:
             watched = still_seen() if robot.camera_needed else True
             before = machine.phase
             velocity = machine.step(self._now_s(), robot.center_m, force_n, watched)
-            self._follow(before, machine)
+            if before in (Phase.PRESS, Phase.PRESS_MORE) and machine.phase is not before:
+                self._loading_s = self._now_s()
+            if machine.pressing:
+                self._depth_m = machine.depth_m(self._robot.center_m)
+            elif self._end_s == math.inf and before is not Phase.APPROACH:
+                self._end_s = self._now_s()
             self._tell(machine.phase)
-            self._look(machine, float(force_n @ machine.plan.normal))
+            # where the force cannot be right, if nothing else guards the arm
+            if self._watch is not None and (machine.pressing or machine.phase is Phase.APPROACH):
+                down_m = -float(self._robot.center_m @ machine.plan.normal)
+                if why := self._watch.look(down_m, float(force_n @ machine.plan.normal), met=machine.pressing):
+                    self._robot.stop_for(Fault.FORCE_ASTRAY, why)
         robot.camera_needed = False
         robot.cycle()
         self._ending = machine.ending
@@ -535,25 +535,8 @@ class TouchRun:
             self._reported = phase
             self._on_phase(phase, self._robot.seen.now_ns)
 
-    def _look(self, machine: TouchStateMachine, along_n: float) -> None:
-        """Stop where the force cannot be right, if nothing else guards the arm. along_n: along the normal [N]"""
-        if self._watch is not None and (machine.pressing or machine.phase is Phase.APPROACH):
-            down_m = -float(self._robot.center_m @ machine.plan.normal)
-            if why := self._watch.look(down_m, along_n, met=machine.pressing):
-                self._robot.stop_for(Fault.FORCE_ASTRAY, why)
-
-    def _follow(self, before: Phase, machine: TouchStateMachine) -> None:
-        """Note when the (last) loading ended, when the dwell ended, and the depth then."""
-        if before in (Phase.PRESS, Phase.PRESS_MORE) and machine.phase is not before:
-            self._loading_s = self._now_s()
-        if machine.pressing:
-            self._depth_m = machine.depth_m(self._robot.center_m)
-        elif self._end_s == math.inf and before is not Phase.APPROACH:
-            self._end_s = self._now_s()
-
     def _see(self, seen: RobotObservation) -> FloatArray:
-        """Keep the states and readings of a period; (3,) its mean force on the tip [N, surface frame], or the last one
-        where none came."""
+        """Keep a period's states and readings; (3,) its mean force on the tip [N, surface frame], or the last one."""
         robot = self._robot
         self._arms += seen.arms
         good = [sample for sample in seen.forces if sample.usable]
@@ -620,8 +603,7 @@ def centers_of(arms: Sequence[ArmSample], placement: Placement) -> tuple[FloatAr
 def forces_at(states_ns: Sequence[int], stamps: IntArray, forces_n: npt.ArrayLike) -> FloatArray:
     """(n, 3) force at each of the arm's states: mean of the readings around it, between readings where none is.
 
-    stamps (m,), forces_n (m, 3): of the readings, in order of time
-    """
+    stamps (m,), forces_n (m, 3): of the readings, in order of time"""
     states = np.array(states_ns, dtype=np.int64)
     if not len(stamps):
         return np.zeros((len(states), 3))
@@ -645,12 +627,9 @@ a smaller one stops while a sensor warms up."""
 
 
 def take_tare(robot: Robot) -> FloatArray:
-    """Set the zero to the load in free air, from 0.3 s of readings at rest; returns the deviation (3,) of a reading
-    [N].
+    """Set the zero to the load in free air, by 0.3 s of readings at rest; the deviation (3,) of a reading [N].
 
-    Raises NotThere if the readings vary, or differ from the last tare by more than a sensor's drift, as when the tip
-    touches.
-    """
+    Raises NotThere if the readings vary, or differ from the last tare by more than drift, as if the tip touched."""
     taken: list[ForceSample] = []
     for period in range(TARE_PERIODS + 5):
         seen = robot.cycle()

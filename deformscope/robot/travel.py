@@ -59,13 +59,11 @@ def move_tip(
     near_m: float = REACHED_M,
     braking_per_s: float | None = None,
 ) -> None:
-    """Move straight to the pose with the tip's centre (3,) [m] here and the stick along -normal, both in the surface
-    frame.
+    """Move straight to the pose with the tip's centre (3,) [m] here and the stick along -normal, surface frame.
 
     passing: the tip continues from there, so that it need not arrive exactly; near_m: otherwise it arrives within this
-    distance; braking_per_s: as in `TouchPlan` Raises NotThere when it takes too long, RobotStopped, InputError when the
-    robot has to back off.
-    """
+    distance; braking_per_s: see `TouchPlan`. Raises NotThere when late, RobotStopped, InputError if the robot has to
+    back off."""
     goal = robot.placement.T_surface_base @ robot.placement.T_base_ee(center_m, normal)
     goal = goal @ robot.placement.T_ee_center
     move_to(robot, goal, speed_m_s, passing=passing, near_m=near_m, braking_per_s=braking_per_s)
@@ -99,8 +97,7 @@ def move_to(
 def move_joints(robot: Robot, joints_deg: npt.ArrayLike) -> None:
     """Move to joint angles (n,), all arriving together. Start and path are not checked: use it only in free air.
 
-    Raises the errors of `move_tip`.
-    """
+    Raises the errors of `move_tip`."""
     endless = ~np.isfinite(robot.arm.chain.upper_deg)
     turn = towards(robot.pose.joints_deg, joints_deg, endless)
     nearest, patience = math.inf, PATIENCE
@@ -134,8 +131,7 @@ def to_above(
     or a singularity, joint by joint: other joint angles for the same pose are then sought.
     height_m: z of the tip's centre while it crosses; deepest_m: (3,) end of a following straight path [m, surface
     frame]; passing_m: distance from the place that is near enough; braking_per_s: as in `TouchPlan`. Raises NotThere if
-    neither is possible: before it moves, or high above its start.
-    """
+    neither is possible: before it moves, or high above its start."""
     way = find_way(
         robot.arm.chain,
         robot.placement,
@@ -162,8 +158,7 @@ def to_above(
 @dataclass(frozen=True, slots=True, eq=False)
 class TravelWay:
     """Path of `to_above`. up_m: (3,) place above its start, None = it does not go up first; over_m: (3,) place above
-    the target [m, surface frame]; joints_deg: (n,) angles to which the joints turn from there, None = straight
-    across"""
+    the target [m, surface frame]; joints_deg: (n,) angles to turn to from there, None = straight across"""
 
     up_m: FloatArray | None
     over_m: FloatArray
@@ -183,8 +178,7 @@ def find_way(
     clearance: ArmClearance | None = None,
     meanwhile: Callable[[], None] = lambda: None,
 ) -> TravelWay:
-    """The path of `to_above`, from joint angles (n,): all of it within the supervisor's limits. Raises NotThere if
-    there is no way."""
+    """The path of `to_above`, from joint angles (n,), within the supervisor's limits. Raises NotThere without."""
     T_base_ee = chain.end_effector(np.asarray(start_deg))
     here, goal = placement.T_surface_center(T_base_ee), placement.T_base_ee(center_m, normal)
     stick = -here[:3, 2]
@@ -284,14 +278,12 @@ def step(robot: Robot, command: TipVelocity | JointRates) -> None:
 
 
 def _error(robot: Robot, goal: npt.NDArray[np.floating]) -> FloatArray:
-    """(6,) translation [m] and rotation vector [rad] from the tip's pose to a goal (4, 4), both in the surface
-    frame."""
+    """(6,) translation [m] and rotation vector [rad] from the tip's pose to a goal (4, 4), in the surface frame."""
     return pose_error(robot.placement.T_surface_center(robot.pose.T_base_ee), np.asarray(goal, np.float64))
 
 
 def capped(error: FloatArray, fastest: float, braking_per_s: float | None = None) -> FloatArray:
-    """A velocity (3,) in the direction of an error (3,), in proportion to it, at most `fastest`. braking_per_s: as in
-    `TouchPlan`"""
+    """A velocity (3,) along and in proportion to an error (3,), at most `fastest`. braking_per_s: see `TouchPlan`"""
     wanted = (braking_per_s or GAIN_PER_S) * error
     size = float(np.linalg.norm(wanted))
     return wanted if size <= fastest else wanted * (fastest / size)

@@ -1,7 +1,6 @@
 """The shapes of a URDF's links, and the links' poses for given joint angles.
 
-A URDF is an untrusted file: it is read without entities, and its meshes only from folders below its package.
-"""
+A URDF is an untrusted file: it is read without entities, and its meshes only from folders below its package."""
 
 from __future__ import annotations
 
@@ -21,11 +20,9 @@ from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, tr
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 FILE_BYTES = 2_000_000
-"""Largest URDF file: the largest of vendors' have a tenth. Largest file: it bounds the time and memory for reading a
-file of unknown origin."""
+"""Largest URDF file: vendors' have a tenth at most. It bounds time and memory for a file of unknown origin."""
 LONGEST_M = 1000.0
-"""Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it, and a file beyond is
-damaged."""
+"""Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it."""
 SIDES = 24
 """Number of sides of the prisms that replace cylinders: they are inside of the cylinder by less than 1 % of its radius.
 With fewer sides more of a cylinder stays in the image; every side is recorded with each session."""
@@ -59,8 +56,7 @@ class UrdfJoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrdfShapes:
-    """root: the first link; joints: parents before children; solids: solids of each link, in its own frame, as it is
-    seen"""
+    """root: the first link; joints: parents before children; solids: of each link, in its frame, as seen"""
 
     root: str
     joints: tuple[UrdfJoint, ...]
@@ -72,8 +68,7 @@ class UrdfShapes:
         return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
 
     def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
-        """Pose (4, 4) of each link in the root's frame. values: values of joints by name [rad or m], 0 where there is
-        none"""
+        """Pose (4, 4) of each link in the root's frame. values: of joints by name [rad or m], else 0"""
         found: dict[str, FloatArray] = {self.root: np.eye(4)}
         for joint in self.joints:
             found[joint.child] = found[joint.parent] @ joint.moved(values.get(joint.name, 0.0))
