@@ -20,8 +20,7 @@ class AtValue:
     """The model's error at a value of its parameter.
 
     value: value of the parameter; aee: average Euclidean error over the particles seen (Thesis eq. 3.18, 3.19);
-    aee_free: error over particles that are not held [unit of the observations]; converged: the simulation came to rest
-    """
+    aee_free: error over particles that are not held [unit of the observations]; converged: it came to rest"""
 
     value: float
     aee: float
@@ -32,9 +31,7 @@ class AtValue:
 def simulate(seen: Observation, model: Model, values: FloatArray, body: Msm | None = None) -> list[Comparison]:
     """The model at each value (g,) of its parameter; a simulation that does not come to rest is NaN.
 
-    body: `model.body(seen)`, if it exists already. Each simulation begins at rest, so that its result does not
-    depend on earlier simulations.
-    """
+    body: `model.body(seen)`, if it exists already. Each simulation begins at rest, whatever was simulated before."""
     other = np.ones(len(values))
     beta, theta = (values, model.theta * other) if model.parameter == "beta" else (model.beta * other, values)
     held = seen.deformed[seen.held]

@@ -1,13 +1,13 @@
 """Calibration of beta and theta: sweep all candidates at once, refine the minimum, and compute interval and verdict.
 
-The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
-"""
+The sweep is the thesis's Algorithm 3; `method="gradient"` serves Algorithm 2's purpose. The error is eq. 3.18, 3.19."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -64,8 +64,7 @@ TURNED = 5
 class Calibration:
     """An estimate, the simulation of every observation at the estimate, and the evidence for it.
 
-    left_out: particles of each observation that do not count as measurements
-    """
+    left_out: particles of each observation that do not count as measurements"""
 
     estimate: Estimate
     comparisons: tuple[Comparison, ...]
@@ -86,8 +85,7 @@ def calibrate(
 
     one_motion: the observations are frames of one motion, whose errors are not independent (`motion`); pace: simulate
     the observations by time stepping, in order, instead of each as a static state
-    settings: recorded with the estimate; progress: called with (what, done, all)
-    """
+    settings: recorded with the estimate; progress: called with (what, done, all)"""
     model, bounds = options.model, options.bounds
     check_observations(seen)
     check_range(model.parameter, bounds)
@@ -128,47 +126,33 @@ def calibrate(
     value = float(fit.tried.parameter[best])
     ends = inferred.posterior.shortest(options.level, value)
     used["noise"] = inferred.noise
-    source = used["noise_source"] = noise_source(seen)
+    used["noise_source"] = noise_source(seen)
     comparisons = tuple(
         Comparison(s.rest, s.deformed, p[best], s.observed, s.held, s.unit)
         for s, p in zip(seen, fit.tried.positions, strict=True)
     )
-    free = np.concatenate(
-        [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
-    )
     supported = (fit.tried.parameter >= ends[0]) & (fit.tried.parameter <= ends[1])
     converged = inferred.converged and bool(fit.tried.converged[supported].all())
-    known = identifiability(seen, comparisons, inferred)
-    noise = residual_ratio(seen, [c.simulated for c in comparisons], inference.floor), inferred.noise, source
-    judge = partial(found_in_numbers, model.parameter, value, ends, bounds, known, seen=seen)
-    numbers = judge(converged=converged, noise=noise, rank=inferred.posterior.rank(value))
     shown = [*shape_doubts(seen), *(_in_residuals(judged, best, inference) if pace is None and converged else ())]
     shown += either if "two-materials" not in (one.code for one in shown) else []
-    here = [setting(seen, model, known.misfit, inferred.noise)] if model.parameter == "theta" else []
-    reasons = ordered([*numbers, *shown, *here, *held_off(seen, stated)])
     # frames of a motion carry no force
     k = None if one_motion else _stiffness(fit, best, supported, inferred, options.level)
-    estimate = Estimate(
-        parameter=model.parameter,
-        value=value,
-        interval=ends,
-        level=options.level,
-        bounds=bounds,
-        verdict=verdict(ends, bounds, known, reasons),
-        stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
-        aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
-        aee_free=float(free.mean()),
-        nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
-        unit=seen[0].unit,
-        curve=Curve(drawn, fit.error()[fit.rows_of(drawn)]),
+    estimate = estimate_of(
+        seen,
+        comparisons,
+        inferred,
+        (model.parameter, value, ends),
+        options,
+        floor=inference.floor,
+        rank=inferred.posterior.rank(value),
         converged=converged,
-        settings={**used, **(settings or {})},
+        doubts=shown,
+        added=held_off(seen, stated),
         stiffness=k,
         contact_stiffness=None if one_motion else contact_stiffness(seen, options.level),
-        metres_per_unit=seen[0].metres_per_unit,
-        posterior=inferred.posterior,
-        identifiability=known,
-        reasons=reasons,
+        aee=float(fit.only(np.arange(len(seen)), np.ones(len(seen))).error()[best]),
+        curve=Curve(drawn, fit.error()[fit.rows_of(drawn)]),
+        settings={**used, **(settings or {})},
     )
     return Calibration(estimate, comparisons, inferred, left_out)
 
@@ -233,15 +217,56 @@ def check_range(parameter: Parameter, bounds: tuple[float, float]) -> None:
         raise InputError(f"a range that rises within 0 to {highest:g}", f"{bounds[0]:g} to {bounds[1]:g}")
 
 
-def identifiability(
-    seen: Sequence[Observation], comparisons: Sequence[Comparison], inferred: Inferred
-) -> Identifiability:
-    """Whether the data identify the parameter: see `Identifiability`."""
-    return Identifiability(
+def estimate_of(
+    seen: Sequence[Observation],
+    comparisons: Sequence[Comparison],
+    inferred: Inferred,
+    fitted: tuple[Parameter, float, tuple[float, float]],
+    options: FitOptions,
+    *,
+    floor: float,
+    rank: float | None = None,
+    converged: bool,
+    doubts: Sequence[Doubt],
+    added: Iterable[Doubt] = (),
+    stiffness: tuple[float, tuple[float, float]] | None,
+    **given: Any,
+) -> Estimate:
+    """The estimate of one fitted parameter, its value and interval, with its verdicts.
+
+    floor: least noise [unit]; rank: as in `found_in_numbers`; added: doubts that follow those of the numbers and the
+    shapes; given: the remaining fields of the `Estimate`"""
+    parameter, value, ends = fitted
+    bounds, simulated = options.bounds, [c.simulated for c in comparisons]
+    known = Identifiability(
         rise=inferred.rise,
-        explained=explained(seen, [c.simulated for c in comparisons]),
+        explained=explained(seen, simulated),
         deviation=inferred.posterior.deviation(),
         misfit=float(np.sqrt(np.mean([one.misfit() ** 2 for one in inferred.explanations]))),
+    )
+    noise = residual_ratio(seen, simulated, floor), inferred.noise, noise_source(seen)
+    judge = partial(found_in_numbers, parameter, value, ends, bounds, known, converged=converged, seen=seen)
+    here = [setting(seen, options.model, known.misfit, inferred.noise)] if parameter == "theta" else []
+    reasons = ordered([*judge(noise=noise, rank=rank), *doubts, *here, *added])
+    free = [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, seen, strict=True)]
+    return Estimate(
+        parameter=parameter,
+        value=value,
+        interval=ends,
+        level=options.level,
+        bounds=bounds,
+        verdict=verdict(ends, bounds, known, reasons),
+        stiffness_verdict="unidentified" if stiffness is None else relative_verdict(*stiffness, of_stiffness(reasons)),
+        aee_free=float(np.concatenate(free).mean()),
+        nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
+        unit=seen[0].unit,
+        metres_per_unit=seen[0].metres_per_unit,
+        converged=converged,
+        stiffness=stiffness,
+        posterior=inferred.posterior,
+        identifiability=known,
+        reasons=reasons,
+        **given,
     )
 
 
@@ -257,8 +282,7 @@ def shape_doubts(seen: Sequence[Observation]) -> Iterator[Doubt]:
 def _in_residuals(search: Search, best: int, inference: Inference, rival: float = np.inf) -> Iterator[Doubt]:
     """What simulations with other axes, and with two betas, show of the residuals of the best; see `two_materials`."""
     low, high = map(search.stretch, search.bounds)
-    spread = search.shrink(np.linspace(low, high, TURNED))
-    tried = np.append(spread, search.tried.parameter[best])
+    tried = np.append(search.shrink(np.linspace(low, high, TURNED)), search.tried.parameter[best])
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
         """States (B, K, d) of each observation whose particles are prescribed as in shapes (K, d)."""
@@ -319,8 +343,7 @@ def explained(seen: Sequence[Observation], simulated: Sequence[FloatArray]) -> f
 def _stiffness(
     fit: Search, best: int, supported: BoolArray, inferred: Inferred, level: float
 ) -> tuple[float, tuple[float, float]] | None:
-    """Stiffness k and its interval over all candidates that are supported, a mask (B,), with the force's noise and the
-    model's misfit."""
+    """Stiffness k and its interval over supported (B,) candidates, with the force's noise and the misfit."""
     inside = np.flatnonzero(supported)
     inside = np.unique([*inside[:: max(1, inside.size // 12)], *inside[-1:]]).astype(np.int64)
     parameter = fit.tried.parameter[inside]

@@ -5,8 +5,7 @@ a separate strength and time. `Endless`: the strengths for all times follow one 
 as t^n (Nutting 1921), with n about 0 as log(1 + t / t0), and reaches no plateau.
 
 Times have a log-uniform prior from a part of the approach's duration to ten holds, which is a sum of Gaussians about
-nodes: for every choice of nodes the parameters have one likeliest value.
-"""
+nodes: for every choice of nodes the parameters have one likeliest value."""
 
 from __future__ import annotations
 
@@ -24,8 +23,7 @@ relaxation of 2 to 50 %, the range of flexible foams [assumed]."""
 FASTEST, SLOWEST = 1.0 / 8.0, 10.0
 """Retardation times range from this share of the approach's duration to this number of holds [assumed]."""
 NODES_APART, NODE_SD = 0.75, 0.6
-"""Distance of log times, about; deviation of a node's Gaussian over the distance of two: their sum is level within 1
-%."""
+"""Distance of log times, about; deviation of a node's Gaussian over it: their sum is level within 1 %."""
 POWERS, POWER_SD = (0.05, 0.2, 0.35, 0.5), 0.09
 """Exponents n of a spectrum: nodes, and the deviation of a node's Gaussian."""
 BEGINS = (1.0 / 40.0, 0.5)

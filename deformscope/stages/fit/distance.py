@@ -13,16 +13,14 @@ from deformscope.arrays import BoolArray, FloatArray
 def distances(simulated: FloatArray, observed: FloatArray) -> FloatArray:
     """Euclidean distance of each particle from its observed place: (..., K, d) and (K, d) give (..., K).
 
-    Their mean is the average Euclidean error (AEE) of Thesis eq. 3.18 and 3.19.
-    """
+    Their mean is the average Euclidean error (AEE) of Thesis eq. 3.18 and 3.19."""
     return np.asarray(np.sqrt(np.sum((simulated - observed) ** 2, axis=-1)))
 
 
 def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
     """Mean distance from each simulated point (n, d) to the nearest observed one (m, d) (Thesis eq. 4.6).
 
-    One-sided: observed points that no simulated point comes near do not count.
-    """
+    One-sided: observed points that no simulated point comes near do not count."""
     distance, _ = cKDTree(observed).query(simulated)
     return float(np.mean(distance))
 
@@ -30,12 +28,10 @@ def nearest_error(simulated: FloatArray, observed: FloatArray) -> float:
 def unexplained(
     rest: FloatArray, deformed: FloatArray, simulated: FloatArray, judged: BoolArray, known: BoolArray
 ) -> tuple[float, float]:
-    """Residuals of a simulation of a motion, and of the best rigid motion: sums of squared distances over the judged
-    particles, [unit^2].
+    """Residuals of a simulation of a motion, and of the best rigid motion: sums of squares over the judged particles
+    [unit^2].
 
-    rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) particles whose deformed position is
-    known
-    """
+    rest, deformed, simulated: (K, d); judged: (K,) free and seen; known: (K,) of known deformed position"""
     rigid = rigid_positions(rest, deformed, known)
     return float(np.sum((simulated - deformed)[judged] ** 2)), float(np.sum((rigid - deformed)[judged] ** 2))
 

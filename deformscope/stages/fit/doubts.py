@@ -10,8 +10,7 @@ Which of them lower a verdict, and why:
 values depend on the error measure or on the body's load, so that the verdict is at most weak.
 - The interval accounts for other contradictions of a stated noise, because it is computed from the residuals: they are
 only named.
-- A body of an unlikely size has the same beta and theta in any unit: it is named, and its stiffness is at most weak.
-"""
+- A body of an unlikely size has the same beta and theta in any unit: it is named, and its stiffness is at most weak."""
 
 from __future__ import annotations
 
@@ -44,8 +43,7 @@ NOISE_NAMED, NOISE_LOWERS = 3.0, 10.0
 one standard deviation of its prior (`noise.SCALE_SPREAD`)."""
 
 LIKE_NOISE = 1.5
-"""Ratio of residuals to the stated noise up to which they count as noise: they include errors of prescribed
-positions."""
+"""Ratio of residuals to the stated noise up to which they are noise, with errors of prescribed positions."""
 
 STAYS, BACKGROUND = 3.0, 0.3
 """A particle that moved at most this many times its noise stayed. From this share on they may lie on a background."""
@@ -94,9 +92,7 @@ def found_in_numbers(
     """The doubts that the numbers of a fit within its bounds show.
 
     noise: residuals in units of the known noise, if any; their own noise [unit], if it is known apart from misfit;
-    source of the known noise; rank: mass of the posterior below the value, if there is a posterior; seen: as in
-    `little_explained`
-    """
+    source of the known noise; rank: mass of the posterior below the value, if any; seen: as in `little_explained`"""
     ratio, shown, source = noise
     # on the end of a wide interval a value is one of many that fit, and the reason has no verdict to lower
     sharp = ends[1] - ends[0] < IDENTIFIED_WIDTH
@@ -126,8 +122,7 @@ OF_STIFFNESS: tuple[DoubtCode, ...] = (
 
 
 def of_stiffness(reasons: Iterable[Doubt]) -> list[Doubt]:
-    """The reasons that concern the stiffness too: it is in newtons per metre, so that doubts about units always lower
-    its verdict."""
+    """The reasons that concern the stiffness too, which is in N/m: doubts about units always lower its verdict."""
     kept = [one for one in reasons if one.code in OF_STIFFNESS]
     return kept + [Doubt(one.code, one.text, one.allows or "weak") for one in reasons if one.code == "units"]
 
@@ -191,11 +186,9 @@ def _still(seen: Sequence[Observation], share: float) -> str:
 def value_at_end(
     name: str, value: float, ends: tuple[float, float], bounds: tuple[float, float], rank: float | None = None
 ) -> Iterator[Doubt]:
-    """The value of least mean distance may be at the end of the likelihood's interval, which was extended to include
-    it.
+    """The value of least mean distance may be at the end of the likelihood's interval, extended to include it.
 
-    rank: mass of the posterior below the value; a value outside of the tails is not contradicted
-    """
+    rank: mass of the posterior below the value; a value outside of the tails is not contradicted"""
     low, high = ends
     if rank is not None and TAIL < rank < 1.0 - TAIL:
         return
@@ -326,8 +319,7 @@ def turns(dim: int) -> list[Turn]:
 
 
 def bulging(seen: Sequence[Observation], bodies: Sequence[Msm], beta: FloatArray) -> Simulate:
-    """States at betas (B,) of bodies whose clusters conserve an increasing share of their volume, so that they
-    bulge."""
+    """States at betas (B,) of bodies whose clusters conserve an increasing share of their volume: they bulge."""
     betas, thetas = np.tile(beta, len(BULGES)), np.repeat(BULGES, len(beta))
 
     def simulate(shapes: Sequence[FloatArray]) -> list[FloatArray]:
@@ -349,13 +341,11 @@ def swapped_axes(
 
     bulge: the states of `bulging`. A bulge as that of rubber is no motion of another axis: exchanged columns have to
     fit better than it too. None = not tried; weight: (n,) weight of each observation, default 1
-    rival: squared error [unit^2] of another explanation, which other axes have to undercut
-    """
+    rival: squared error [unit^2] of another explanation, which other axes have to undercut"""
     each = np.ones(len(seen)) if weight is None else weight
 
     def left(matrix: FloatArray, states_of: Simulate) -> tuple[float, float]:
-        """Least squared error of the model, and its share of that of a rigid body, with the rest shapes changed by a
-        matrix (d, d)."""
+        """Least squared error of the model, and its share of a rigid body's, with rest shapes changed by (d, d)."""
         by_model: FloatArray = np.zeros(1)
         by_rigid = 0.0
         shapes = [one.rest + (one.deformed - one.rest) @ matrix.T for one in seen]
@@ -389,8 +379,7 @@ def swapped_axes(
 
 
 def setting(seen: Sequence[Observation], model: Model, misfit: float, noise: float) -> Doubt:
-    """The setting for which a theta is valid; if misfit exceeds noise [unit], another depth or resolution gives another
-    theta."""
+    """The setting for which theta is valid; with misfit above noise [unit], another depth gives another theta."""
     share = max(push_share(one) for one in seen)
     least = NEGLIGIBLE * share * max(size_of(one.rest) for one in seen)
     many = ", ".join(dict.fromkeys(str(len(one.rest)) for one in seen))

@@ -1,8 +1,7 @@
 """A motion by time stepping (Thesis Algorithm 1, eq. 3.11): held particles go from frame to frame in straight lines.
 
 Without gravity alpha and dt do not alter a static state. They determine how fast a body reaches it, so that they matter
-only if frames follow each other within few time steps.
-"""
+only if frames follow each other within few time steps."""
 
 from __future__ import annotations
 
@@ -41,11 +40,9 @@ def step_through(
     volume: Volume = "scale",
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Positions (B, F, K, d) of B candidates at every frame, from rest without velocity; and which candidates diverged
-    (B,).
+    """Positions (B, F, K, d) of B candidates at every frame, from rest; and which candidates diverged (B,).
 
-    held: (F, n, d) positions of the held particles at the frames
-    """
+    held: (F, n, d) positions of the held particles at the frames"""
     state = body.start(len(beta))
     before = body.rest[body.held]
     found = np.empty((len(beta), len(held), *body.rest.shape))

@@ -54,8 +54,7 @@ class Doubt:
     """A reason to doubt a parameter, or its range of validity.
 
     code: stable name for programs; text: one sentence for people, with its numbers; allows: the best verdict that is
-    possible with this doubt; None: the reason states the range of validity, or the interval accounts for it
-    """
+    possible with this doubt; None: the reason states the range of validity, or the interval accounts for it"""
 
     code: DoubtCode
     text: str = field(metadata=WORDING)
@@ -74,8 +73,7 @@ def limited(found: Verdict, reasons: Sequence[Doubt]) -> Verdict:
 class Curve:
     """The error over the parameter.
 
-    parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the estimate's unit], NaN if the
-    simulation diverged
+    parameter: (n,) values tried, rising; aee: (n,) average Euclidean error there [the estimate's unit], NaN if diverged
     """
 
     parameter: FloatArray
@@ -86,8 +84,7 @@ class Curve:
 class Posterior:
     """Probability of a quantity, given the data.
 
-    parameter: (g,) rising; density: (g,) density, whose integral by trapezoids is 1
-    """
+    parameter: (g,) rising; density: (g,) density, whose integral by trapezoids is 1"""
 
     parameter: FloatArray
     density: FloatArray
@@ -122,8 +119,7 @@ class Posterior:
         """The shortest interval of the mass `level` that holds a value, the estimate.
 
         It is the set of highest density if that contains the estimate, and one-sided if the density is highest at a
-        bound: equal tails cannot include it.
-        """
+        bound: equal tails cannot include it."""
         start = np.linspace(0.0, 1.0 - level, 401)
         at = self.rank(holding)
         # one of the starts makes the interval end exactly at the value, another begin there
@@ -145,8 +141,7 @@ class Identifiability:
     rise: standard deviations by which the data separate the likeliest value of the range from the least likely
     explained: share of the motion, less the best rigid one, that the model explains (sums of squares; free particles).
     The share is 0 or less if misfit or noise are as large as the motion
-    deviation: deviation of the posterior; misfit: root mean square of the model's error, per coordinate [unit]
-    """
+    deviation: deviation of the posterior; misfit: root mean square of the model's error, per coordinate [unit]"""
 
     rise: float = field(metadata=reported(key="rise_sd"))
     explained: float = field(metadata=reported())
@@ -160,8 +155,7 @@ class Choice:
 
     held: the parts whose motion is prescribed; alpha, dt [s]: of time stepping, None for static states, which neither
     alters; held_out, fit: mean error on particles left out, and of the same ones when fitted [the estimate's unit];
-    scatter: standard error of held_out relative to that of the best choice; value: the parameter with this choice;
-    chosen: this option was used
+    scatter: standard error of held_out relative to the best choice's; value: the parameter with it; chosen: it was used
     """
 
     cluster_size: int | None = field(metadata=reported())
@@ -199,8 +193,7 @@ class Estimate(ReportedResult):
     selection: choices of model that were tried, if a selection was requested; selection_text: remarks on the selection
     aee: mean error over all observed particles, held ones included (eq. 3.18); aee_free: error over the free particles
     only; nearest: one-sided nearest-neighbour error (eq. 4.6); unit: unit of every length here
-    converged: every simulation that the value and the interval rest on reached its static state
-    """
+    converged: every simulation that the value and the interval rest on reached its static state"""
 
     parameter: Parameter = field(metadata=reported())
     value: float = field(metadata=reported())
@@ -364,8 +357,7 @@ class Comparison:
     """Observed and simulated particles of one moment, at the best parameter.
 
     rest, observed, simulated: (K, d) positions [unit]; seen: (K,) whether `observed` was measured;
-    held: (n,) indices of the particles whose position was prescribed
-    """
+    held: (n,) indices of the particles whose position was prescribed"""
 
     rest: FloatArray
     observed: FloatArray

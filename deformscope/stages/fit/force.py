@@ -32,8 +32,7 @@ class Stiffness:
 def contact_stiffness(seen: Sequence[Observation], level: float) -> tuple[float, tuple[float, float]] | None:
     """Secant stiffness at the contact [N/mm], of all observations with a force; None without one.
 
-    It is the force over the mean displacement of the contact's particles, with the noise of both.
-    """
+    It is the force over the mean displacement of the contact's particles, with the noise of both."""
     force, depth, force_sd, depth_sd = [], [], [], []
     for s in seen:
         if s.force_n is None or s.metres_per_unit is None or not len(s.touched):
@@ -53,8 +52,7 @@ def secant(
     """Force over depth [N/mm] with its interval at `level`; None without a force and a depth above 0.
 
     force, force_sd: (n,) [N]; depth, depth_sd: (n,) [m]. The mean is weighted by 1 / variance; if the ratios scatter
-    more than their noise, the interval grows by that factor (Birge's ratio).
-    """
+    more than their noise, the interval grows by that factor (Birge's ratio)."""
     known = (force > 0.0) & (depth > 0.0)
     if not known.any():
         return None
@@ -81,8 +79,7 @@ def stiffness(
     is stationary, so that errors of its positions change its force to the second order: the square of that share adds
     to the force's relative noise. k fits measured = k simulated net force with weights 1 / variance; if several forces
     scatter more than their noise, its deviation grows in proportion (Birge's ratio). Eq. 3.17 has no energy, so with
-    theta in that form there is no force to compare.
-    """
+    theta in that form there is no force to compare."""
     rows = [row for row, s in enumerate(seen) if s.force_n is not None and s.metres_per_unit is not None]
     if not rows or (model.volume == "scale" and theta.any()):
         return None
@@ -132,8 +129,7 @@ def stiffness_interval(
 
 
 def stiffness_posterior(found: Stiffness, share: FloatArray) -> Posterior | None:
-    """Posterior of k [N/m], with the parameter's probability (g,) at each value; None if no finite force was
-    simulated."""
+    """Posterior of k [N/m], with the parameter's probability (g,) at each value; None without a finite force."""
     known = np.isfinite(found.value) & (share > 0.0)
     if not known.any():
         return None

@@ -1,8 +1,7 @@
 """Prediction error of a choice of model: error on blocks of particles that were left out of the fit.
 
 Blocks, not single particles, because neighbours share errors: a particle whose neighbours were fitted is not held out.
-Particles are left out, not frames: errors are similar in all frames, so that a frame left out is no independent test.
-"""
+Particles are left out, not frames, whose errors are similar: a frame left out is no independent test."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class HeldOut:
     """Errors of one choice of model over all frames [unit].
 
     error: held-out AEE; block: (b,) error of each block; fit: AEE of the same particles when all are fitted; value: the
-    fitted parameter; usable: the simulation stayed finite
-    """
+    fitted parameter; usable: the simulation stayed finite"""
 
     error: float
     block: FloatArray
@@ -52,8 +50,7 @@ class HeldOut:
 def blocks_of(rest: FloatArray, spacing: float, window: float) -> tuple[IntArray, IntArray]:
     """Block and fold (K,) of each particle; window: how far the flow's errors reach [unit of rest].
 
-    A fold's blocks are spread out: with K folds, block (i, j) goes to fold (i + 2 j) mod K, a knight's move apart.
-    """
+    A fold's blocks are spread out: with K folds, block (i, j) goes to fold (i + 2 j) mod K, a knight's move apart."""
     side = min(max(BLOCK * spacing, window), float(np.ptp(rest, axis=0).max()) / BLOCKS_ACROSS)
     block = patches(rest, side)
     middle = np.array([rest[block == one].mean(axis=0) for one in range(int(block.max()) + 1)])

@@ -10,8 +10,7 @@ parameter. The part that the parameter does not change shows the size of the err
 If misfit exceeds the noise, a few projections of the residuals, which the parameter can change, identify it, with the
 noise of the first step. In that case an estimate is no sharper than that of least squares. Weighting every detail by a
 guessed covariance (as generalised least squares does) would treat the finest part of a misfit as information. Fits of
-versions 1 and 2 always used these projections.
-"""
+versions 1 and 2 always used these projections."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
-from deformscope.arrays import FloatArray, IntArray
+from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.doubts import NOISE_NAMED
 from deformscope.stages.fit.estimate import Posterior
@@ -70,8 +69,7 @@ class Inference:
         rng = np.random.default_rng(seed)
         self.parts = [Residuals(seen, body, rng) for seen, body in zip(search.seen, search.bodies, strict=True)]
         self.converged = True
-        empty = Evidence(*3 * (np.zeros((0, 0)),))
-        self._found = [empty] * len(self.parts)
+        self._found = [Evidence(*3 * (np.zeros((0, 0)),))] * len(self.parts)
 
     @property
     def floor(self) -> float:
@@ -130,7 +128,8 @@ class Inference:
         if not standing.size:
             raise InputError("simulations that stay finite", "all diverged", "a lower --theta, or --volume project")
         nearest = standing[np.abs(np.arange(len(knots))[:, None] - standing).argmin(axis=1)]
-        nodes = np.unique(nearest[_nodes(high - low)])
+        count = 1 + int(np.searchsorted(NODES_FROM, high - low))
+        nodes = np.unique(nearest[np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])])
         total = np.zeros(len(fine))
         spline = CubicSpline(knots, np.eye(len(knots)))(fine)
         for row, part in enumerate(self.parts):
@@ -154,8 +153,7 @@ class Inference:
     def _summarise(
         self, row: int, residual: FloatArray, mix: FloatArray, responses: Sequence[FloatArray], share: FloatArray
     ) -> FloatArray:
-        """(f,) log likelihood by what of the residuals the parameter can change, given their causes: identifies the
-        parameter."""
+        """(f,) log likelihood by what of the residuals the parameter can change, given their causes."""
         part = self.parts[row]
         residual = np.tensordot(mix, residual, 1)
         onto, amplitude = part.summary(residual, responses[len(responses) // 2])
@@ -178,8 +176,7 @@ class Inference:
 def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
     """Whether the residuals are misfit of the model rather than noise, by how likely each explanation is.
 
-    Errors that neighbours share count as misfit, not noise, if they contradict the stated noise, or if none was stated.
-    """
+    Errors that neighbours share count as misfit, not noise, if they contradict the stated noise, or without one."""
     misfit, white = 0.0, 0.0
     for part in parts:
         one, noise = part.explanation, float(np.mean(part.errors.noise**2))
@@ -188,13 +185,6 @@ def misfit_outweighs(parts: Sequence[Residuals]) -> bool:
         misfit += float(one.likely @ np.where(one.shared & shared, 0.0, one.field**2))
         white += float(one.likely @ one.white**2) * noise
     return misfit > white
-
-
-def _nodes(width: float) -> IntArray:
-    """(n,) knots at which the effect of held positions is computed again: few over a (stretched) range in which it
-    changes little."""
-    count = 1 + int(np.searchsorted(NODES_FROM, width))
-    return np.array([[KNOTS // 2], [0, KNOTS - 1], [0, KNOTS // 2, KNOTS - 1]][count - 1])
 
 
 def white_noise(explanations: Sequence[Explanation], parts: Sequence[Residuals]) -> float:

@@ -1,8 +1,7 @@
 """beta and theta together: their joint posterior on a grid that is narrowed until it resolves it.
 
 Volume is conserved by projection here: with eq. 3.17 overlapping clusters at high beta and theta diverge. Simulated
-states between knots are cubic splines in -log(1 - beta) and theta; the likelihood is that for one parameter.
-"""
+states between knots are cubic splines in -log(1 - beta) and theta; the likelihood is that for one parameter."""
 
 from __future__ import annotations
 
@@ -17,31 +16,13 @@ from threadpoolctl import threadpool_limits
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, identifiability, shape_doubts
-from deformscope.stages.fit.distance import distances, nearest_error
-from deformscope.stages.fit.doubts import (
-    bulging,
-    found_in_numbers,
-    noise_source,
-    of_stiffness,
-    ordered,
-    residual_ratio,
-    setting,
-    swapped_axes,
-)
-from deformscope.stages.fit.estimate import (
-    Comparison,
-    Curve,
-    Doubt,
-    Estimate,
-    Parameter,
-    Posterior,
-    relative_verdict,
-    verdict,
-)
+from deformscope.stages.fit.calibrate import TURNED, check_observations, check_range, estimate_of, shape_doubts
+from deformscope.stages.fit.distance import distances
+from deformscope.stages.fit.doubts import bulging, swapped_axes
+from deformscope.stages.fit.estimate import Comparison, Curve, Doubt, Estimate, Parameter, Posterior
 from deformscope.stages.fit.force import contact_stiffness, stiffness_interval
 from deformscope.stages.fit.inference import Inferred, misfit_outweighs, white_noise
-from deformscope.stages.fit.model import Model, Observation
+from deformscope.stages.fit.model import FitOptions, Model, Observation
 from deformscope.stages.fit.noise import few
 from deformscope.stages.fit.outliers import LeftOut, left_out_json, without_outliers
 from deformscope.stages.fit.residuals import DROP, Explanation, Residuals
@@ -86,8 +67,7 @@ class JointEstimate:
 
     beta, theta: each with its marginal posterior; its curve is the least error over the other
     density: (b, t) joint posterior over `beta.posterior.parameter` and `theta.posterior.parameter`, whose integral is 1
-    correlation: correlation of the two in the posterior
-    """
+    correlation: correlation of the two in the posterior"""
 
     beta: Estimate
     theta: Estimate
@@ -340,40 +320,23 @@ class _Joint:
     ) -> Estimate:
         options = self.options
         bounds = options.beta_bounds if name == "beta" else options.theta_bounds
-        ends = inferred.posterior.shortest(options.level, value)
-        identified = identifiability(self.seen, comparisons, inferred)
-        simulated = [c.simulated for c in comparisons]
-        ratio = residual_ratio(self.seen, simulated, max(part.measured.floor for part in self.parts))
-        noise = ratio, inferred.noise, noise_source(self.seen)
-        numbers = found_in_numbers(
-            name,
-            value,
-            ends,
-            bounds,
-            identified,
+        first, column = self.tried[: KNOTS[0] * KNOTS[1]], 0 if name == "beta" else 1
+        values = np.unique(first[:, column])
+        # the least error over the other parameter, of the values first tried
+        least = np.array([first[first[:, column] == one, 2].min() for one in values])
+        return estimate_of(
+            self.seen,
+            comparisons,
+            inferred,
+            (name, value, inferred.posterior.shortest(options.level, value)),
+            FitOptions(options.model, bounds, level=options.level),
+            floor=max(part.measured.floor for part in self.parts),
             converged=self.converged,
-            noise=noise,
-            seen=self.seen,
-        )
-        here = [setting(self.seen, options.model, identified.misfit, inferred.noise)] if name == "theta" else []
-        reasons = ordered([*numbers, *doubts, *here])
-        free = np.concatenate(
-            [distances(c.simulated, c.observed)[s.free_observed] for c, s in zip(comparisons, self.seen, strict=True)]
-        )
-        return Estimate(
-            parameter=name,
-            value=value,
-            interval=ends,
-            level=options.level,
-            bounds=bounds,
-            verdict=verdict(ends, bounds, identified, reasons),
-            stiffness_verdict="unidentified" if k is None else relative_verdict(*k, of_stiffness(reasons)),
+            doubts=doubts,
+            stiffness=k,
+            contact_stiffness=contact_stiffness(self.seen, options.level),
             aee=aee,
-            aee_free=float(free.mean()),
-            nearest=float(np.mean([nearest_error(c.simulated[c.seen], c.observed[c.seen]) for c in comparisons])),
-            unit=self.seen[0].unit,
-            curve=self._profile(0 if name == "beta" else 1),
-            converged=self.converged,
+            curve=Curve(values, least),
             settings={
                 "cluster_size": options.model.cluster_size,
                 "mode": options.model.basis,
@@ -382,12 +345,6 @@ class _Joint:
                 "seed": options.seed,
                 **left_out_json(self.left_out),
             },
-            stiffness=k,
-            contact_stiffness=contact_stiffness(self.seen, options.level),
-            metres_per_unit=self.seen[0].metres_per_unit,
-            posterior=inferred.posterior,
-            identifiability=identified,
-            reasons=reasons,
         )
 
     def _stiffness(
@@ -407,9 +364,3 @@ class _Joint:
         share = np.append(np.full(DRAWN, 1.0 / DRAWN), 1e-3)
         states = self.simulate(b, t)
         return stiffness_interval(self.seen, self.options.model, states, b, t, share, explanations, self.options.level)
-
-    def _profile(self, column: int) -> Curve:
-        """The least error over the other parameter, of the values first tried."""
-        first = self.tried[: KNOTS[0] * KNOTS[1]]
-        values = np.unique(first[:, column])
-        return Curve(values, np.array([first[first[:, column] == value, 2].min() for value in values]))

@@ -3,8 +3,7 @@
 Gauss-Newton steps with finite differences, damped (Levenberg, Marquardt). Each round is two batches, one for the
 derivatives and one for steps of several lengths, of which the best is taken. For uniform noise the least sum of squares
 is the most likely. The sum of squares is smooth, unlike the average distance (Thesis eq. 3.18), so that its curvature
-is known.
-"""
+is known."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ class Minimum:
     """The parameters with the least sum of squares.
 
     at: (m,) parameters; simulated: (n,) there; jacobian: (n, m); residual: (n,) observed - simulated
-    inside: (m,) whether each parameter is away from both bounds; converged: the steps ended before their limit
-    """
+    inside: (m,) whether each parameter is away from both bounds; converged: the steps ended before their limit"""
 
     at: FloatArray
     simulated: FloatArray
@@ -53,8 +51,7 @@ class Minimum:
 def minimise(
     simulate: Simulate, observed: FloatArray, start: FloatArray, bounds: FloatArray, difference: FloatArray
 ) -> Minimum:
-    """The minimum downhill from `start` (m,). bounds: (m, 2) range of the search; difference: (m,) steps of the finite
-    differences; observed: (n,)"""
+    """The minimum downhill from `start` (m,). bounds: (m, 2); difference: (m,) finite steps; observed: (n,)"""
     low, high = bounds.T
     at = np.clip(np.asarray(start, dtype=np.float64), low, high)
     m = len(at)
@@ -87,8 +84,7 @@ def minimise(
             break
         converged = bool(np.abs(trials[best] - at).max() <= SETTLED)
         at = trials[best]
-    inside = (at > low) & (at < high)
-    return Minimum(at, here, jacobian, observed - here, inside, converged)
+    return Minimum(at, here, jacobian, observed - here, (at > low) & (at < high), converged)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +93,7 @@ class Noise:
 
     deviation: deviation of one observed number; shared: variance of the mean of all numbers, over that with independent
     errors; held: (r, n) variation of the simulation in repeats of the prescribed positions' noise; none (0, n) if they
-    are exact
-    """
+    are exact"""
 
     deviation: float
     held: FloatArray
@@ -115,9 +110,7 @@ class Noise:
     def covariance(self, jacobian: FloatArray) -> FloatArray:
         """Covariance (m, m) of a least squares estimate with these derivatives (n, m).
 
-        A parameter, or a combination, without effect on the observed numbers has an infinite variance, here a very
-        large one.
-        """
+        A parameter, or a combination, without effect on the observed numbers has a very large variance."""
         size = np.linalg.norm(jacobian, axis=0)
         size = np.maximum(size, NOTHING * size.max(initial=0.0)) if size.any() else np.ones_like(size)
         across, strength, along = np.linalg.svd(jacobian / size, full_matrices=False)
@@ -132,8 +125,7 @@ def shared_noise(residual: FloatArray, parameters: int, held: FloatArray, tried:
     noise, or the resolution of numbers.
 
     held: (r, n) changes of the simulated positions in r draws of the prescribed positions' noise, whose standard
-    deviation is `tried`; they explain a part of the residuals
-    """
+    deviation is `tried`; they explain a part of the residuals"""
     share = float(np.mean(held**2)) / tried**2 if len(held) else 0.0
     deviation = max(deviation_of(residual, parameters) / float(np.sqrt(1.0 + share)), least)
     return Noise(deviation, held * (deviation / tried))

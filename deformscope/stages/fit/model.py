@@ -42,8 +42,7 @@ class Observation:
     [unit], if known; particles show it only to within their spacing
     held_shift: standard deviation of the common error of all held positions [unit]: of a robot's or a fixture's
     registration; None = some hundredths of a spacing (`systematic.TOOL_SHIFT`)
-    loose: held particles whose position was estimated, not measured, None = none
-    """
+    loose: held particles whose position was estimated, not measured, None = none"""
 
     rest: FloatArray
     deformed: FloatArray
@@ -106,8 +105,7 @@ class Model:
     cluster_size: particles along a side of the overlapping clusters; None = one cluster of all particles
     beta, theta: value of the parameter that is not fitted; alpha does not change a static state and is only recorded
     volume: how theta conserves it: "scale" as eq. 3.17 does, or "project", which has an energy and stays stable in
-    overlapping clusters
-    """
+    overlapping clusters"""
 
     parameter: Parameter = "beta"
     basis: Basis = "linear"
@@ -140,8 +138,7 @@ class FitOptions:
     method: "sweep" tries `candidates` values over `bounds` and refines around the lowest error (Algorithm 3).
     "gradient" follows the slope (Algorithm 2's purpose) and draws the curve only along its path
     level: level of the interval; seed: seed of its random repeats
-    at: a value whose error is reported as well, None = none
-    """
+    at: a value whose error is reported as well, None = none"""
 
     model: Model = Model()
     bounds: tuple[float, float] = (0.0, 0.99)

@@ -16,8 +16,7 @@ class MomentFit:
     noise_px: (K,) one standard deviation of each observed coordinate [px]
     parameter: beta or theta; value, interval: NaN without a fit; verdict, verdict_text: as in any estimate, or why
     there is none; aee_px: mean error over all seen particles (Thesis eq. 3.18) [px]
-    explained: share of the motion beyond a rigid one that the model explains
-    """
+    explained: share of the motion beyond a rigid one that the model explains"""
 
     rest_px: FloatArray
     observed_px: FloatArray
@@ -51,8 +50,7 @@ class FieldMoment:
 
     place_px: (C, 2) present middles of the cells [px]; spacing_px: spacing of the particles [px]; stiffness:
     (C,) stiffness over the geometric mean of all; interval: (C, 2); determined: (C,) whether it is identified or weak
-    ratio, ratio_interval: stiffest over softest; verdict: as in a `FieldEstimate`; explained: share of the motion
-    """
+    ratio, ratio_interval: stiffest over softest; verdict: as in a `FieldEstimate`; explained: share of the motion"""
 
     place_px: FloatArray
     spacing_px: float

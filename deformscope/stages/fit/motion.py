@@ -20,8 +20,7 @@ class Motion:
     duration: (T,) [s] from each frame to the next (the last: as long as the one before); None: not known
     shape, cell: the particles' lattice, None without one
     noise: standard deviation of a coordinate; None: from the residuals; noise_source: where it is known from
-    unit, metres_per_unit: unit and scale of positions; None: not known
-    """
+    unit, metres_per_unit: unit and scale of positions; None: not known"""
 
     rest: FloatArray
     position: FloatArray

@@ -16,8 +16,7 @@ flat e_held, so chi2 = min over y of |(r + J y, y)|^2 in G^-1. The eigenvectors 
 decomposition for all sizes of the field, all residuals and all coordinates.
 
 In addition a tool or a camera may displace all positions together (`deformscope.stages.fit.systematic`): the effect of
-such displacements on r is a few vectors, whose factors are integrated out. How large they are is another choice.
-"""
+such displacements on r is a few vectors, whose factors are integrated out. How large they are is another choice."""
 
 from __future__ import annotations
 
@@ -85,8 +84,7 @@ registration or a scale may be worse than most. Versions before 3 have the first
 bodies of tuning seeds (`studies.seeds`) with a tool off by 1 mm held in 0.81."""
 
 SCALE_LEAST = 0.05
-"""Ratio to the stated noise below which residuals are no sample of it (invented or smoothed data): the stated value is
-used."""
+"""Ratio to the stated noise below which residuals are no sample of it (smoothed data): the stated value is used."""
 
 NEIGHBOURS = 1.2
 """Distance within which particles are neighbours [spacings]."""
@@ -108,8 +106,7 @@ class Measured:
     carry noise, None = not known; spacing: spacing of the particles; floor: smallest deviation that numbers resolve
     loose: (k,) prescribed particles with an unmeasured position, None = none
     touched: (k,) prescribed particles that something moved, None if `held_rest` is None
-    shift: deviation of the common offset of all held particles [unit]
-    """
+    shift: deviation of the common offset of all held particles [unit]"""
 
     rest: FloatArray
     held_rest: FloatArray | None
@@ -135,8 +132,7 @@ class NoiseHypotheses:
     held: the prescribed positions carry noise; shared: the smooth field is an error of measurement, which prescribed
     positions have too if they have noise
     field: index in `CORRELATIONS`; length: its own [spacings]; size: its variance in units of the white noise, 0 = none
-    camera, tool: their errors' deviation in units of the usual one
-    """
+    camera, tool: their errors' deviation in units of the usual one"""
 
     held: BoolArray
     shared: BoolArray
@@ -163,8 +159,7 @@ class Products:
     """chi2 of all sums of r residuals under hypotheses h: x'P x of the sum with shares x.
 
     rows: (h,) the hypotheses; product: (h, r, r) P; log_det: (h,) log determinant of the covariance; white: (r, r) P of
-    the stated noise alone; count: numbers in a residual
-    """
+    the stated noise alone; count: numbers in a residual"""
 
     rows: IntArray
     product: FloatArray
@@ -182,8 +177,7 @@ class _Basis:
 
 
 Field = tuple[int, float, bool, bool]
-"""A smooth field: its correlation and length, whether prescribed positions are noisy, and whether they have the field
-too."""
+"""A smooth field: its correlation and length, whether prescribed positions are noisy, and have the field."""
 
 
 class ErrorModel:
@@ -293,11 +287,9 @@ class ErrorModel:
     def products(
         self, residual: FloatArray, response: FloatArray, chosen: IntArray | None = None, *, settle: bool = False
     ) -> Products:
-        """chi2 of all sums of some residuals (r, n, d); if there are more residuals than coordinates, `few` reduces
-        their number.
+        """chi2 of all sums of some residuals (r, n, d); `few` reduces more residuals than coordinates.
 
-        settle: each residual belongs to a value of the parameter, and the best of them determines `log_scale`
-        """
+        settle: each residual belongs to a value of the parameter, and the best of them determines `log_scale`"""
         every = self.hypotheses
         rows = np.arange(len(every.size)) if chosen is None else chosen
         product = np.empty((len(rows), len(residual), len(residual)))
@@ -331,8 +323,7 @@ class ErrorModel:
         """Logarithm (h,) of the noise's scale by the best of some residuals, of what tool and camera leave of it, which
         depends on the scale.
 
-        alone: (h, r) chi2 without tool and camera; across, between: (h, r, q), (h, q, q) products with their effects
-        """
+        alone: (h, r) chi2 without tool and camera; across, between: (h, r, q), (h, q, q) products with their effects"""
         left, log_scale = alone, np.zeros(len(alone))
         for again in range(SCALE_ROUNDS):
             least = np.maximum(left.min(axis=1), 0.0)
@@ -400,8 +391,7 @@ class ErrorModel:
         return found, log_det
 
     def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray, amplitude: FloatArray) -> FloatArray:
-        """Covariance (h, q, q) of projections of the residuals onto (n, d, q), at noise of the scale 1. amplitude: (a,
-        a) second moment of the factors of `modes`"""
+        """Covariance (h, q, q) of projections onto (n, d, q), at noise of scale 1. amplitude: (a, a) of `modes`"""
         every = self.hypotheses
         n, d, q = onto.shape
         m = response.shape[2]
@@ -435,8 +425,7 @@ class ErrorModel:
         """Laplace's integral over t, the logarithm of the noise's scale; 0 where the statement is trusted.
 
         With a field, the stated size may be that of the white noise alone or of all of the noise: its prior is level
-        from the one to the other.
-        """
+        from the one to the other."""
         log_prior = self.hypotheses.log_prior[rows][:, None]
         c = chi2 + count * self._least**2
         if trusted:

@@ -5,8 +5,7 @@ likelihood of Gaussian errors. Therefore each particle is compared with its neig
 fit, noise apart, are smooth, for a model's misfit, a shared error or a beta that has not converged. A particle whose
 residual is far from theirs is left out like an unseen one, and the fit is repeated until no particle changes. The more
 there are, the nearer are those that are sought, by the share of right ones among them; of clean Gaussian data hardly an
-observation loses a particle. Smaller outliers stay in, where they count as noise.
-"""
+observation loses a particle. Smaller outliers stay in, where they count as noise."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ SCALE_MARGIN = 1.25
 """The bound's factor for the scale's uncertainty: it comes from few particles, and neighbours are noisy too."""
 
 NEIGHBOURS = {2: 8, 3: 12}
-"""Number of nearest particles with which one is compared, by dimension; up to half of them may be wrong, as their
-median is used."""
+"""Number of nearest particles with which one is compared, by dimension; half may be wrong, as for a median."""
 
 PARTICLES_LEAST = 12
 """Least number of free particles: fewer do not show which of them is wrong."""
@@ -56,8 +54,8 @@ for wrong tracks and for white or shared noise did not change."""
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """Particles of one observation that were left out. lost: it stayed behind on its expected way; wrong: it is
-    anywhere else; held: prescribed particles whose stated position is wrong (`prescribed_offset`). (m,) indices of the
-    observation's particles"""
+    anywhere else; held: prescribed particles whose stated position is wrong (`prescribed_offset`). (m,) indices of
+    particles"""
 
     lost: IntArray
     wrong: IntArray
@@ -84,8 +82,7 @@ Fitted = Callable[[Sequence[Observation]], Sequence[FloatArray]]
 def without_outliers(
     every: Sequence[Observation], spacing: Sequence[float], fitted: Fitted
 ) -> tuple[list[Observation], tuple[LeftOut, ...]]:
-    """The observations without their outliers, and the outliers by name. spacing: spacing of each one's particles
-    [unit]"""
+    """The observations without their outliers, and the outliers by name. spacing: of their particles [unit]"""
     off = [np.zeros(len(one.rest), dtype=bool) for one in every]
     seen = list(every)
     positions = fitted(seen)
@@ -124,8 +121,7 @@ def outlying(
 
     noise: (n,) stated deviation of a coordinate, None if unknown; floor: least deviation; known: (n,) outliers that are
     known already, with which no other particle is compared; way: (n, d) displacement that the model expects, on which
-    lost tracks stay behind
-    """
+    lost tracks stay behind"""
     n, d = rest.shape
     none = np.zeros(n, dtype=bool)
     good = np.arange(n) if known is None else np.flatnonzero(~known)
@@ -154,8 +150,7 @@ def outlying(
 
 
 def _behind(residual: FloatArray, way: FloatArray, scale: FloatArray) -> BoolArray:
-    """(n,) which residuals (n, d) are those of tracks that stay behind on their paths (n, d), too little to be outliers
-    alone.
+    """(n,) which residuals (n, d) are of tracks that stay behind on paths (n, d), too little to be outliers alone.
 
     A mixture: an unknown share of tracks does, from `STOPPED` of the way on down; scale: (n,) deviation of a coordinate
     """
@@ -179,6 +174,5 @@ def _named(rest: FloatArray, deformed: FloatArray, expected: FloatArray, off: Bo
     length = np.sum(way**2, axis=1)
     share = np.sum(way * came, axis=1) / np.maximum(length, 1e-300)
     aside = np.linalg.norm(came - np.clip(share, 0.0, 1.0)[:, None] * way, axis=1)
-    missing = np.linalg.norm(way - came, axis=1)
-    behind = (share < STOPPED) & (aside < 0.3 * missing)
+    behind = (share < STOPPED) & (aside < 0.3 * np.linalg.norm(way - came, axis=1))
     return LeftOut(rows[behind], rows[~behind])

@@ -1,7 +1,6 @@
 """Whether lengths are plausible: metres of a body that a robot handles, in one unit and one frame.
 
-A fit does not show a user's mistakes: shapes are the same in millimetres, and converge as well.
-"""
+A fit does not show a user's mistakes: shapes are the same in millimetres, and converge as well."""
 
 from __future__ import annotations
 

@@ -4,8 +4,7 @@ A simulation follows its held particles, so that a wrong one has no residual, bu
 it. Therefore each held particle gets a displacement as an unknown, in addition to the parameter and the other
 explanations of the residuals (`deformscope.stages.fit.noise`). If twice the log likelihood gains far more than noise
 explains, the particle counts as wrong. Its position is then estimated, and the remaining error is a part of the
-interval, like the noise of the other held particles.
-"""
+interval, like the noise of the other held particles."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ LEAST = 0.05
 """Displacement below which a held particle counts as right [spacings]."""
 
 SHARE_MOST = 0.34
-"""Largest share of held particles that counts as off. Largest share of wrong particles: if more seem wrong, another
-cause is assumed."""
+"""Largest share of held particles that counts as off: if more seem wrong, another cause is assumed."""
 
 ROUNDS = 4
 
@@ -51,13 +49,16 @@ EFFECT = 0.02
 def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, ...]:
     """Find the wrong held particles, place them where the free particles show them to be, and search again.
 
-    Gives their indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed.
-    """
+    Gives their indices (n,) by observation; their positions in `search.seen` are the estimated ones, not observed."""
     off = [np.zeros(len(one.held), dtype=bool) for one in search.seen]
     for _ in range(ROUNDS):
         inference = Inference(search, seed)
         best = search.best()
-        ends = _beside(search, best)
+        # candidates below and above the best one
+        low, high = (search.stretch(bound) for bound in search.bounds)
+        away = EFFECT * (high - low)
+        place = min(max(search.stretch(float(search.tried.parameter[best])), low + away), high - away)
+        ends = search.rows_of(search.shrink(np.array([place - away, place + away])))
         steps: dict[int, FloatArray] = {}
         for row, part in enumerate(inference.parts):
             if part.measured.held_rest is None or not len(part.judged):
@@ -80,21 +81,12 @@ def correct_held(search: Search, candidates: int, seed: int) -> tuple[IntArray, 
     return tuple(one.held[bad] for one, bad in zip(search.seen, off, strict=True))
 
 
-def _beside(search: Search, best: int) -> IntArray:
-    """(2,) indices of the candidates below and above the best one."""
-    low, high = (search.stretch(bound) for bound in search.bounds)
-    step = EFFECT * (high - low)
-    place = min(max(search.stretch(float(search.tried.parameter[best])), low + step), high - step)
-    return search.rows_of(search.shrink(np.array([place - step, place + step])))
-
-
 def _steps(
     part: Residuals, residual: FloatArray, effect: FloatArray, response: FloatArray, off: BoolArray
 ) -> FloatArray | None:
     """By how much held particles are off, (k, d); None where none is. Those found are marked in off (k,), one a call.
 
-    residual, effect of the parameter: (n, d); response: (n, d, m)
-    """
+    residual, effect of the parameter: (n, d); response: (n, d, m)"""
     k, d = len(off), residual.shape[1]
     columns = np.concatenate([effect[None], np.moveaxis(response, -1, 0)])
     size = np.maximum(np.linalg.norm(columns, axis=(1, 2)), 1e-300)

@@ -32,8 +32,7 @@ def relaxation_modes(strength: FloatArray, retarded_s: FloatArray) -> tuple[Floa
     sqrt(j_i l_i) E_i, and the displacement's drive of each (d, m).
 
     Under a displacement y, dE_i/dt = (F - E_i) / l_i with F = y - sum_k j_k E_k. In terms of sqrt(j_i l_i) E_i the
-    matrix is symmetric, so that its eigenvectors are orthogonal.
-    """
+    matrix is symmetric, so that its eigenvectors are orthogonal."""
     drive = np.sqrt(strength / retarded_s)
     rates = drive[:, :, None] * drive[:, None, :] + np.eye(strength.shape[1]) / retarded_s[:, :, None]
     rate, mode = np.linalg.eigh(rates)
@@ -55,8 +54,7 @@ def force_kept(
     """(d, T) share of the force at the end of an approach that is left `after_s` (T,) later, held in place.
 
     strength, retarded_s: (d, b); exponent: (d,) exponent of the elastic force over the time of the approach, which is
-    even and takes `ramp_s`
-    """
+    even and takes `ramp_s`"""
     share, relaxed_s = relaxing(strength, retarded_s)
     gone = (np.arange(RAMP_STEPS) + 0.5) / RAMP_STEPS
     grown = np.diff((np.arange(RAMP_STEPS + 1) / RAMP_STEPS) ** exponent[:, None], axis=1)
@@ -84,8 +82,7 @@ class ForceKept:
 def kept_of(
     strength: FloatArray, retarded_s: FloatArray, exponent: FloatArray, ramp_s: float, held_s: float
 ) -> tuple[ForceKept, ...]:
-    """The remaining force after round times within the hold, and at its end, of equally weighted draws; arguments as in
-    `force_kept`."""
+    """The remaining force after round times of the hold, and at its end, of equal draws: see `force_kept`."""
     after_s = np.array([*(one for one in KEPT_AFTER_S if one < 0.95 * held_s), held_s])
     kept = np.quantile(force_kept(strength, retarded_s, exponent, ramp_s, after_s), (0.05, 0.5, 0.95), axis=0).T
     return tuple(
@@ -101,8 +98,7 @@ class RelaxationSeen:
     reasons: reasons to doubt its end; short_record, no_plateau: probabilities that a branch lasts longer than the
     record, and that relaxation never ends; open: whether these together exceed `OPEN`, or the given threshold
     within: (d,) draws that relax completely within the record; share: (d,) share of the modulus that relaxes, of
-    endless creep within the record
-    """
+    endless creep within the record"""
 
     reasons: tuple[Doubt, ...]
     short_record: float
@@ -123,8 +119,7 @@ class RelaxationDraws:
     (`stages.materials.recovery`).
 
     weight: (d,) adds up to 1; strength, retarded_s: (d, b) j_i and l_i [s], with strength 0 for absent branches;
-    mean_s: (d,) mean relaxation time [s]; branches: (d,) their number; endless: (d,) the spectrum has no end
-    """
+    mean_s: (d,) mean relaxation time [s]; branches: (d,) their number; endless: (d,) the spectrum has no end"""
 
     weight: FloatArray
     strength: FloatArray

@@ -1,5 +1,4 @@
-"""Residuals of an observation: its particles that count, the model of their errors, and the effect of wrong prescribed
-positions."""
+"""Residuals of an observation: particles that count, model of errors, and effect of wrong prescribed positions."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ posterior: Miller and Dunson 2019). Compared with 0.1 and 1 on tuning seeds, 90 
 held 0.83 to 0.84 for errors shared over 3 and 6 cells, at 0.3 0.87 to 0.88, at 0.1 0.90."""
 
 SYSTEMATIC_LEAST = 0.1
-"""Least effect of an error of tool or camera along a direction, in deviations of the noise; smaller ones are left
-out."""
+"""Least effect of an error of tool or camera along a direction, in deviations of the noise, that is kept."""
 
 RESOLVED = 1e-14
 """Share of the mean variance of projections below which a variance is a rounding error."""
@@ -62,8 +60,7 @@ class Explanation:
     weight: weight by the tempered likelihood, for the parameter; likely: weight by the likelihood, for predicted errors
     white: deviation of the white noise, as a multiple of the stated one (or in the unit of the rest shape)
     field: deviation of the smooth field [unit]; length: its correlation length [spacings]; shared: prescribed particles
-    have the field too, so that it is measurement and not misfit; held: the prescribed positions were noisy
-    """
+    have the field too, so that it is measurement and not misfit; held: the prescribed positions were noisy"""
 
     weight: FloatArray
     likely: FloatArray
@@ -141,8 +138,7 @@ class Residuals:
         """How a unit step along each direction of the held positions moves the particles that count, (n, d, m).
 
         base: (K, d) static state at `parameter`, the key of stored responses; relax: states for held positions
-        exact: no response is computed if the held positions were stated to be exact
-        """
+        exact: no response is computed if the held positions were stated to be exact"""
         if exact and self.measured.held_measured is False and self.measured.loose is None:
             return np.zeros((len(self.judged), self.observed.shape[1], 0))
         if parameter not in self._responses:
@@ -185,8 +181,7 @@ class Residuals:
 
         Details that the parameter does not change distinguish such errors from it if white noise dominates. If misfit
         and shared errors outweigh it, they only bound the size of such errors.
-        response: that of held positions (n, d, m)
-        """
+        response: that of held positions (n, d, m)"""
         one = self.explanation
         variance = one.weight @ one.white**2 * self.errors.noise**2 + one.weight @ one.field**2
         weight = np.repeat(variance**-0.5, residual.shape[2])

@@ -1,7 +1,6 @@
 """The search for the parameter of the lowest error: simulate candidates together, and narrow the range around the best.
 
-The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose. The error is eq. 3.18, 3.19.
-"""
+The sweep is the thesis's Algorithm 3, the descent serves Algorithm 2's purpose. The error is eq. 3.18, 3.19."""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ Progress = Callable[[str, int, int], None]
 class Tried:
     """Every candidate simulated so far, in rising order.
 
-    parameter: (g,); positions: (g, K, d) for each observation; converged, usable (not diverged): (g,)
-    """
+    parameter: (g,); positions: (g, K, d) for each observation; converged, usable (not diverged): (g,)"""
 
     parameter: FloatArray = field(default_factory=lambda: np.empty(0))
     positions: list[FloatArray] = field(default_factory=list)
@@ -38,15 +36,20 @@ class Tried:
 class Search:
     """Finds one parameter for one or more observations that share it.
 
-    weight: (observations,) how much each counts, in the error and in the posterior
-    """
+    weight: (observations,) how much each counts, in the error and in the posterior"""
 
     def __init__(self, seen: Sequence[Observation], model: Model, bounds: tuple[float, float]) -> None:
         self.seen = list(seen)
         self.model = model
         self.bounds = bounds
         self.weight: FloatArray = np.ones(len(self.seen))
-        self.bodies = _shared_bodies(self.seen, model)
+        made: dict[tuple[object, ...], Msm] = {}  # observations of one rest shape, lattice and held set share a body
+        self.bodies: list[Msm] = []
+        for one in self.seen:
+            key = (id(one.rest), id(one.held), id(one.cell), one.shape)
+            if key not in made:
+                made[key] = model.body(one)
+            self.bodies.append(made[key])
         self.tried = Tried(positions=[np.empty((0, *s.rest.shape)) for s in self.seen])
 
     def simulate(self, parameter: FloatArray, progress: Progress | None = None, what: str = "simulating") -> None:
@@ -195,8 +198,7 @@ class Search:
         The thesis takes fixed steps of 0.01 times the slope and stops when the error changes little, often before the
         minimum. Here the slope comes from two neighbours simulated around each point, the step from the slope's own
         change (secant), limited to the bracket in which the slope changes sign. It stops when that bracket is narrower
-        than `tolerance`, or at a bound if the error falls toward it.
-        """
+        than `tolerance`, or at a bound if the error falls toward it."""
         low, high = (self.stretch(b) for b in self.bounds)
         h = 1e-3 * (high - low)
         # a few values in between, so that neither a bound nor the nearest valley is taken for the lowest
@@ -256,23 +258,10 @@ class Search:
 
 
 def beta_of(stretched: FloatArray, bounds: tuple[float, float]) -> FloatArray:
-    """beta (n,) from values of -log(1 - beta), within its bounds and exactly at them: verdicts compare with the
-    bounds."""
+    """beta (n,) from values of -log(1 - beta), within its bounds, and exactly at them, as verdicts compare."""
     low, high = bounds
     inner = np.where(stretched <= -np.log1p(-low), low, np.clip(-np.expm1(-stretched), low, high))
     return np.asarray(np.where(stretched >= -np.log1p(-high), high, inner))
-
-
-def _shared_bodies(seen: Sequence[Observation], model: Model) -> list[Msm]:
-    """The body of each observation; observations of the very same rest shape, lattice and held set share one."""
-    made: dict[tuple[object, ...], Msm] = {}
-    bodies = []
-    for one in seen:
-        key = (id(one.rest), id(one.held), id(one.cell), one.shape)
-        if key not in made:
-            made[key] = model.body(one)
-        bodies.append(made[key])
-    return bodies
 
 
 def part_of(state: Relaxed, index: int, count: int) -> Relaxed:

@@ -19,8 +19,7 @@ Measured on sheets of 8 to 12 particles per side in 6 frames (40 per kind). With
 % intervals cover 97 %, have 0.72 times the width and 0.3 times the rms error of the last frame alone. With noise that
 all frames share they cover 87 %; width and error are those of the last frame. With a random walk they cover 95 %, and
 the rms error is 1.02 times that of the last frame (1.13 on 60 others), which alone would be best: the cost of
-estimating C.
-"""
+estimating C."""
 
 from __future__ import annotations
 
@@ -56,9 +55,7 @@ WEIGHT_LEAST = 0.02
 class Shared:
     """How the errors of two frames correlate.
 
-    mean, most: mean correlation of all pairs, and its upper bound; far, near: correlation of distant and of
-    neighbouring frames
-    """
+    mean, most: mean correlation of all pairs, and its upper bound; far, near: that of distant and of near frames"""
 
     mean: float
     most: float
@@ -85,8 +82,7 @@ class Together:
 
     weight: (F,) weight of each frame's error and log likelihood; 1 = like a separate observation
     information: (F,) information of each frame alone on the parameter, in standard deviations over `STEP` of the range
-    shared: how the frames' errors correlate
-    """
+    shared: how the frames' errors correlate"""
 
     weight: FloatArray
     information: FloatArray

@@ -8,8 +8,7 @@
 
 Each displacement has a Gaussian prior, so that together they add a covariance of low rank to that of the noise. These
 displacements are always included. The effect of a tool's displacement on the residuals resembles that of a parameter,
-so that evidence would decide against an existing tool error (`python -m studies beta`, docs/results/coverage.md).
-"""
+so that evidence would decide against an existing tool error (`python -m studies beta`, docs/results/coverage.md)."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ CAMERA_SLOPE = 0.005
 
 
 def tool_modes(held: FloatArray, touched: BoolArray) -> FloatArray:
-    """(k, d, q) shifts and turns of held particles (k, d), touched where (k,) is true, by 1 at the farthest
-    particle."""
+    """(k, d, q) shifts and turns of held particles (k, d), touched where (k,) is true, by 1 at the farthest."""
     d = held.shape[1]
     found = []
     for group in (touched, ~touched):

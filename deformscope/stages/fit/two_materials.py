@@ -6,8 +6,7 @@ on one side and smaller on the other. The difference of betas is added to the fi
 explanations (noise, its reach, misfit, wrong prescribed positions: `deformscope.stages.fit.noise`). Twice the logarithm
 of the likelihood's gain is the statistic of a likelihood ratio test (a score test, as the states are linear in the
 betas about the fit). A split that explains more than noise does is fitted by simulation, and has to reduce the
-residuals much more.
-"""
+residuals much more."""
 
 from __future__ import annotations
 
@@ -82,8 +81,7 @@ def splits(seen: Observation, grouped: Clusters) -> list[BodySplit]:
 
 
 def _inclusions(middles: FloatArray, others: Sequence[BodySplit], unit: str) -> list[BodySplit]:
-    """Splits of the clusters, whose middles are (C, d), into those nearest to one of some places far from each other
-    and the others."""
+    """Splits of the clusters, of middles (C, d), into those nearest to one of some distant places and the others."""
     found: list[BodySplit] = []
     away = np.linalg.norm(middles - middles.mean(axis=0), axis=1)
     for _ in range(INCLUSIONS):
@@ -104,8 +102,7 @@ class Local:
 
     part: its particles and error model; residual: (n, d) residual at the fit; response: (n, d, m) there, to held
     positions; fitted: (q, n, d) derivatives by the parameters fitted; apart: (s, n, d) derivatives by a difference
-    between the parts of each split; weight: weight of the observation
-    """
+    between the parts of each split; weight: weight of the observation"""
 
     part: Residuals
     residual: FloatArray
@@ -154,7 +151,12 @@ def _highest(likelihood: Callable[[FloatArray], FloatArray], flat: FloatArray, c
     turn = (u[:, keep] / size[keep]).T
     unit = float(np.sqrt(np.mean(flat[0] ** 2))) or 1.0
     at = turn @ (flat[columns] @ flat[0])
-    stencil = _stencil(len(turn))
+    q = len(turn)  # a stencil by which a quadratic function of q numbers is known
+    rows = [np.zeros(q)]
+    eye = np.eye(q)
+    rows += [sign * eye[i] for i in range(q) for sign in (1.0, -1.0)]
+    rows += [eye[i] + eye[j] for i, j in combinations(range(q), 2)]
+    stencil = np.array(rows)
     best = -np.inf
     width = unit
     for _ in range(ROUNDS):
@@ -168,18 +170,8 @@ def _highest(likelihood: Callable[[FloatArray], FloatArray], flat: FloatArray, c
     return max(best, float(taken((at @ turn)[None])[0]))
 
 
-def _stencil(q: int) -> FloatArray:
-    """Places from which a quadratic function of q numbers is known, (m, q)."""
-    rows = [np.zeros(q)]
-    eye = np.eye(q)
-    rows += [sign * eye[i] for i in range(q) for sign in (1.0, -1.0)]
-    rows += [eye[i] + eye[j] for i, j in combinations(range(q), 2)]
-    return np.array(rows)
-
-
 def _peak(stencil: FloatArray, value: FloatArray) -> FloatArray:
-    """(q,) where the quadratic through values (s,) at a stencil (s, q) is highest; where it bends up, along its
-    slope."""
+    """(q,) where the quadratic through values (s,) at a stencil (s, q) is highest; bent up, along its slope."""
     q = stencil.shape[1]
     middle, up, down = value[0], value[1 : 2 * q + 1 : 2], value[2 : 2 * q + 2 : 2]
     slope = 0.5 * (up - down)
@@ -199,8 +191,7 @@ class FittedBody:
     response: (n, d, m) there, to held positions; others: (q, n, d) derivatives by parameters besides beta
     states: positions (B, K, d) for -log(1 - beta) of each cluster (B, C); weight: weight of the observation
     whole: if the observation is one frame of a history, all observed numbers of it (n,), and their derivatives for (B,
-    C), as (B, n): two betas fit errors of one frame more easily than those of all
-    """
+    C), as (B, n): two betas fit errors of one frame more easily than those of all"""
 
     part: Residuals
     grouped: Clusters
@@ -231,8 +222,7 @@ def two_materials(bodies: Sequence[FittedBody], beta: float, top: float, rival: 
     """Whether two betas explain data that one, fitted to all bodies, does not.
 
     beta: the single beta of the fit; top: the highest beta that is searched; rival: squared error [unit^2] of another
-    explanation, which two betas have to undercut
-    """
+    explanation, which two betas have to undercut"""
     every = [{way.names: way for way in splits(body.part.seen, body.grouped)} for body in bodies]
     names = [name for name in every[0] if all(name in one for one in every)]
     if not names:
