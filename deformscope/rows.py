@@ -1,12 +1,10 @@
-"""The only codec between frozen dataclasses and the columns of a recording: values that are read equal those that were
-written.
+"""The only codec between frozen dataclasses and the columns of a recording: what is read equals what was written.
 
 An object is one row of one entity; each field is a component `CLASS:FIELD`, a field of a dataclass inside it
 `CLASS:FIELD.INNER`. Numbers, texts and tuples of these are lists of values, enums are their names, bytes and arrays are
 flat. An array's shape is `FIELD_shape` unless it is (n,). None is not written; a dataclass that may be None has at
 least one value. Other values, such as mappings, are JSON. An image is encoded by its twin in `deformscope.log`;
-`IMAGES` has its place.
-"""
+`IMAGES` has its place."""
 
 from __future__ import annotations
 
@@ -122,8 +120,7 @@ OF_DEVICES: dict[type, str] = {
 """Items of a device, whose name follows: `wrench/DEVICE`."""
 
 FRAMES = (WrenchFrame, TactileFrame, ArmFrame, HandFrame, ColorFrame, DepthFrame)
-"""Rows of these types have the index not as a component but as their place on the timeline `index` of an exploration,
-else `frame`."""
+"""Rows of these types have the index as their place on the timeline `index` of an exploration, else `frame`."""
 
 IMAGES = {"ColorFrame:image": "EncodedImage:blob", "DepthFrame:depth": "EncodedDepthImage:blob"}
 """Images that a viewer shows: their components are rerun's own."""
@@ -157,8 +154,7 @@ class CodecField:
 def to_columns(items: Sequence[object], leave_out: Collection[str] = ()) -> dict[str, Column]:
     """The components of rows, by field. items: items of one class; leave_out: fields that are recorded in another way
 
-    Arrays of one field whose types differ from row to row get the type that holds them all.
-    """
+    Arrays of one field whose types differ from row to row get the type that holds them all."""
     found: dict[str, Column] = {}
     for field in _fields(cast("Any", type(items[0]))):
         if field.form != "image" and field.name not in leave_out:
@@ -183,8 +179,7 @@ def from_components(
     """Inverse of `to_components`; raises KeyError if a part is missing.
 
     components: flat arrays, or lists of words, by field; given: fields that were left out
-    read_image: replacement of an encoded image, which the second argument identifies
-    """
+    read_image: replacement of an encoded image, which the second argument identifies"""
     made: dict[str, Any] = dict(given or {})
     for field in _fields(cast("Any", kind)):
         if field.name in made:

@@ -20,8 +20,7 @@ class Journal(contextlib.AbstractContextManager["Journal"]):
     """A file to which one process at a time adds lines. A truncated last line is not read, and is overwritten by the
     next. A file without a whole line belongs to another program, and is not changed.
 
-    what: kind of its lines; hint: what to try if its lines have another kind
-    """
+    what: kind of its lines; hint: what to try if its lines have another kind"""
 
     def __init__(self, path: Path, what: str, hint: str = "") -> None:
         """Raises InputError where another process adds to it or it has no whole line, and OSError."""
@@ -61,8 +60,7 @@ class Journal(contextlib.AbstractContextManager["Journal"]):
                     raise InputError(self._what, str(error), self._hint, f"{self.path}:{number}") from error
 
     def add(self, *lines: object) -> None:
-        """Add values of JSON's types, also nan and infinities; they stay when this process is killed. Raises
-        OSError."""
+        """Add values of JSON's types, nan and infinities too, which survive this process. Raises OSError."""
         text = "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in lines).encode()
         self._file.truncate(self._end)
         try:

@@ -42,8 +42,7 @@ class HereWorker:
 
 
 class ThreadWorkers(HereWorker):
-    """Threads of this process, for computations outside of Python's interpreter; they do not delay the end of an
-    interrupted program."""
+    """Threads of this process, for computations outside the interpreter; an interrupted program ends without them."""
 
     def __init__(self, count: int) -> None:
         self.capacity, self._pool = count, ThreadPool(count)
@@ -58,8 +57,7 @@ class ThreadWorkers(HereWorker):
 
 
 class LocalWorkers:
-    """A number of processes, started when they are needed; one that ends is replaced. An attempt is represented by the
-    pipe to its process."""
+    """Processes, started when needed; one that ends is replaced. An attempt is the pipe to its process."""
 
     def __init__(self, count: int) -> None:
         self.capacity = count
@@ -85,8 +83,7 @@ class LocalWorkers:
         return ours
 
     def ready(self, under_way: Collection[Connection]) -> set[Any]:
-        """Workers that have finished, including those whose process has ended: a process that it forked may hold its
-        pipe open."""
+        """Workers that have finished, or whose process has ended: one that it forked may hold its pipe open."""
         return {*wait(under_way, RENEW_S), *(one for one in under_way if not self._processes[one].is_alive())}
 
     def result(self, attempt: Connection) -> Any:

@@ -17,8 +17,7 @@ def open_workers(
 
     executor: `local`, or `ray` at this address; workers: most workers, default: one for each core of this machine or of
     the cluster; tasks: how many there are, None = not known; apart: use a child process even for a single worker.
-    Raises InputError if nothing answers at the address.
-    """
+    Raises InputError if nothing answers at the address."""
     made: Workers
     if executor == "ray":
         from deformscope.executor.ray_cluster import RayWorkers

@@ -29,8 +29,7 @@ COUNT_S = 5.0
 
 
 class RayWorkers:
-    """Workers on the cores of a cluster. Each task uses one worker; tasks of a node that ends are tried on other
-    nodes."""
+    """Workers on the cores of a cluster. Tasks of a node that ends are tried on others."""
 
     def __init__(self, address: str, limit: int | None = None) -> None:
         """address: HOST:PORT of a cluster that this machine is part of, or ray://HOST:PORT of any; limit: tasks under
@@ -39,7 +38,14 @@ class RayWorkers:
         if importlib.util.find_spec("ray") is None:
             hint = "pip install 'deformscope[ray]', or --executor local"
             raise InputError("the package ray for --executor ray", "none here", hint)
-        _check_answer(address)
+        # Ray itself waits long for an address that does not answer
+        host, colon, port = address.removeprefix("ray://").rpartition(":")
+        if not colon or not port.isdecimal():
+            raise InputError("HOST:PORT or ray://HOST:PORT after --address", repr(address))
+        try:
+            socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+        except (OSError, OverflowError, ValueError) as error:
+            raise _nobody(address, str(getattr(error, "strerror", None) or error).lower()) from error
         _stay_on_loopback(address)
         import ray
 
@@ -56,8 +62,7 @@ class RayWorkers:
 
     @property
     def capacity(self) -> int:
-        """Largest number of tasks under way: one for each present core. Waiting for a core counts for a task's time
-        limit."""
+        """Largest number of tasks under way: one a core. Waiting for a core counts for a task's time limit."""
         if time.monotonic() - self._counted > COUNT_S or not self._cores:
             self._counted = time.monotonic()
             self._cores = int(self._ray.cluster_resources().get("CPU", 0))
@@ -91,17 +96,6 @@ class RayWorkers:
 
     def close(self) -> None:
         self._ray.shutdown()
-
-
-def _check_answer(address: str) -> None:
-    """Ray itself waits long for an address that does not answer."""
-    host, colon, port = address.removeprefix("ray://").rpartition(":")
-    if not colon or not port.isdecimal():
-        raise InputError("HOST:PORT or ray://HOST:PORT after --address", repr(address))
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
-    except (OSError, OverflowError, ValueError) as error:
-        raise _nobody(address, str(getattr(error, "strerror", None) or error).lower()) from error
 
 
 def _stay_on_loopback(address: str) -> None:

@@ -1,8 +1,7 @@
 """Tasks that workers compute: each is tried until it is done or refused, and a failed one does not end the others.
 
 A worker takes a function of a module and an item; its computation depends on nothing else. At most `capacity` tasks are
-under way, so that memory does not grow with their number.
-"""
+under way, so that memory does not grow with their number."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ class TaskOutcome(Generic[T, R]):
     """Outcome of a task. error: why the last attempt failed, None = it succeeded; reasons: why each attempt failed, in
     a line
 
-    seconds: duration of the last attempt in its worker
-    """
+    seconds: duration of the last attempt in its worker"""
 
     item: T
     value: R | None
@@ -87,8 +85,7 @@ def compute(
 
     items: cases; each is taken only when a worker is free for it; attempts: most attempts of each task
     limit_s: an attempt that takes longer is ended; the start of its worker counts too; begin: a function of a module
-    too, called in each worker before its first task. Raises OtherVersion; an error of an attempt becomes its outcome.
-    """
+    too, called in each worker before its first task. Raises OtherVersion; errors of attempts become outcomes."""
     coming, again = iter(items), deque[tuple[T, tuple[str, ...]]]()
     under_way: dict[Any, tuple[T, tuple[str, ...], float]] = {}
     while True:

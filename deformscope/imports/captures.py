@@ -22,8 +22,7 @@ from deformscope_drivers.optoforce.protocol import Reading as ForcePacket
 FED = {"optoforce": "wrench", "dsa": "tactile"}
 """Drivers whose frames depend only on the bytes that the device sends, and the frames' kind."""
 PIECE_BYTES = 16
-"""Size of a piece: no longer than the shortest reading, so that each piece of a file without times completes at most
-one."""
+"""Size of a piece: that of the shortest reading, so that one of a file without times completes at most one."""
 
 
 def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
@@ -38,8 +37,7 @@ def check_capture(stream: MappedStream, topics: Mapping[str, Topic]) -> None:
 
 
 class Counted:
-    """Counts of a stream's frames. lost: number of messages without a frame; gap_ns: the longest time between two
-    frames"""
+    """Counts of a stream's frames. lost: messages without a frame; gap_ns: longest time between two frames"""
 
     def __init__(self) -> None:
         self.count = self.lost = self.skipped = self.first_ns = self.last_ns = self.gap_ns = 0

@@ -1,8 +1,7 @@
 """The map of an import in TOML: it assigns topics and tables to devices.
 
 It is read strictly, like a rig file. Values that a source does not contain (a unit, a pose, clock offsets) are keys of
-the map; while one reads `"?"` the import is refused with its name.
-"""
+the map; while one reads `"?"` the import is refused with its name."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
     joints: names of the joints, in their order; focal_px, center_px, size_px: focal length, centre and size of the
     camera that points are projected into; pads: layout of a tactile sensor; rate_hz: rate of rows without a time;
-    driver, config: the driver whose bytes they are, and its keys as in a rig file; topics are then received and sent
-    bytes
+    driver, config: the driver whose bytes they are, its keys as in a rig file; topics then are received and sent bytes
     """
 
     device: str

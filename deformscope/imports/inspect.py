@@ -105,7 +105,11 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
         kind, _ = STANDARD.get(one.topic.type, ("wrench", {}))
         asked: dict[str, Any] = {"device": one.topic.name.rsplit(".", 1)[0].strip("/").replace("/", "_"), "kind": kind}
         if one.topic.type in TABLE_TYPES:
-            asked |= _table(one.topic.units)
+            # only the owner of a foreign table can identify its columns
+            time = next((name for known in TIMES for name in one.topic.units if name.lower() == known), ASKED)
+            unit = "" if time == ASKED else one.topic.units[time] or ("ns" if time.endswith("_ns") else ASKED)
+            columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
+            asked |= {"columns": columns, "units": {ASKED: ASKED}, "time": time, "time_unit": unit}
         elif one.topic.type in ("bytes", "candump"):
             config = {"bus": f"socketcan:{one.topic.name.partition('/')[0]}"} if one.topic.type == "candump" else {}
             asked |= {"driver": ASKED, "config": config}
@@ -129,14 +133,6 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
             asked["offset_s"] = ASKED
         streams.append(MappedStream(topics=(one.topic.name,), **asked))
     return ImportMap(tuple(streams))
-
-
-def _table(units: Mapping[str, str]) -> dict[str, Any]:
-    """The stream of a foreign table: only its owner can identify its columns. units: units of each column"""
-    time = next((name for known in TIMES for name in units if name.lower() == known), ASKED)
-    unit = "" if time == ASKED else units[time] or ("ns" if time.endswith("_ns") else ASKED)
-    columns = {f"force_{axis}_n": ASKED for axis in "xyz"}
-    return {"columns": columns, "units": {ASKED: ASKED}, "time": time, "time_unit": unit}
 
 
 def _own(one: Found, kind: Any, found: list[Found], about: Manifest) -> MappedStream:

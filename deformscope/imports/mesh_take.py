@@ -1,10 +1,8 @@
-"""A take of another laboratory's poked object, as pairs and a motion: meshes frame by frame with forces, in the form of
-PokeFlex.
+"""A take of another laboratory's poked object, as pairs and a motion: meshes with forces, in the form of PokeFlex.
 
 robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one for each frame,
 with the same vertices [mm], z up; CAMERA/camera_parameters.json: intrinsics and extrinsics, of a Kinect
-color_intrinsics...
-"""
+color_intrinsics..."""
 
 from __future__ import annotations
 
@@ -102,7 +100,12 @@ def read_take(folder: Path, particles: int) -> MeshTake:
         came = f"{len(found)} meshes, {len(forces)} forces, {len(frames)} of them of one frame"
         raise InputError("meshes/mesh-f00001.obj and on, with a force each", came, where=folder)
     rest = _vertices(found[frames[0]])
-    chosen = _spread(rest, particles)
+    # each the farthest from those before (Gonzalez 1985)
+    farthest, away = [0], np.linalg.norm(rest - rest[0], axis=1)
+    while len(farthest) < particles and away.max() > 0.0:
+        farthest.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(rest - rest[farthest[-1]], axis=1))
+    chosen = np.array(sorted(farthest), np.int64)
     position = np.empty((len(frames) - 1, len(chosen), 3))
     for at, frame in enumerate(frames[1:]):
         if len(vertices := _vertices(found[frame])) != len(rest):
@@ -139,15 +142,6 @@ def _vertices(path: Path) -> FloatArray:
     if found.ndim != 2 or found.shape[1] != 3 or not np.abs(found).max(initial=0.0) <= FARTHEST_MM:
         raise InputError("a mesh with vertices (v x y z)", f"none, or not within {FARTHEST_MM:g} mm of 0", where=path)
     return found * MM
-
-
-def _spread(points: FloatArray, count: int) -> IntArray:
-    """Indices of `count` points at most, each the farthest from those before (Gonzalez 1985)."""
-    chosen, away = [0], np.linalg.norm(points - points[0], axis=1)
-    while len(chosen) < count and away.max() > 0.0:
-        chosen.append(int(np.argmax(away)))
-        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
-    return np.array(sorted(chosen), np.int64)
 
 
 def _npz(**arrays: Any) -> bytes:

@@ -1,7 +1,6 @@
 """Points of PCD and PLY files: no value comes from beyond the bytes of the file.
 
-Open3D 0.20 takes float64 of a binary PCD as 0, and what its memory held for the points that a shorter file lacks.
-"""
+Open3D 0.20 takes float64 of a binary PCD as 0, and what its memory held for the points that a shorter file lacks."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ PLY_TYPES |= {f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u
 
 
 def read_points(path: Path) -> FloatArray:
-    """(H, W, 3) points in the file's unit; H = 1 if they have no order. Raises InputError for a file that does not have
-    the points that it declares."""
+    """(H, W, 3) points in the file's unit; H = 1 without an order. Raises InputError if some are missing."""
     check_size("a file of points", path.stat().st_size, path)
     try:
         return (_pcd if path.suffix.lower() == ".pcd" else _ply)(path.read_bytes())

@@ -39,12 +39,9 @@ PACKAGE = "deformscope_msgs/msg/"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: number of messages, None
-    = not known
+    """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: of messages, or None
 
-    units: units of each field that it names, empty if unknown; kind: for an export of deformscope, the class
-    of the rows
-    """
+    units: of each field that it names, or empty; kind: for an export of deformscope, the class of the rows"""
 
     name: str
     type: str
@@ -90,8 +87,7 @@ class Reader(Protocol):
     def topics(self) -> dict[str, Topic]: ...
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of these topics in the order in which they were recorded; those of tables one table after the
-        other."""
+        """Messages of these topics in the order of recording; those of tables one table after the other."""
 
 
 @contextlib.contextmanager
@@ -197,8 +193,7 @@ def _metadata(path: Path) -> Manifest:
 
 
 class ByteReader:
-    """Bytes of a device: a file of raw bytes (`.bin`, `.raw`), or frames of a CAN bus in the format of candump
-    (`.log`)."""
+    """Bytes of a device: raw in a file (`.bin`, `.raw`), or frames of a CAN bus as of candump (`.log`)."""
 
     about = Manifest()
 
@@ -257,21 +252,18 @@ class FolderReader:
         found = {name: Topic(name, "files", len(files)) for name, files in self._files.items()}
         for name in self._tables:
             try:
-                found[name] = self._table(name)
+                with self._opened(name) as (schema, count, _):
+                    metadata = schema.metadata or {}
+                    units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
+                    units |= {one.name: "ns" for one in schema if _has_ns(one.type)}
+                    own = self._own(name)
+                    units |= {one.name: one.unit for one in own.columns if one.name in units}
+                    kinds = metadata.get(b"deformscope.kinds", b"").decode().split() or [own.kind]
+                found[name] = Topic(name, self._tables[name].suffix.lower()[1:], count, units, kinds[-1])
             except InputError:  # notes beside images need not be a table
                 if not self._files:
                     raise
         return found
-
-    def _table(self, name: str) -> Topic:
-        with self._opened(name) as (schema, count, _):
-            metadata = schema.metadata or {}
-            units = {one.name: (one.metadata or {}).get(b"unit", b"").decode() for one in schema}
-            units |= {one.name: "ns" for one in schema if _has_ns(one.type)}
-            own = self._own(name)
-            units |= {one.name: one.unit for one in own.columns if one.name in units}
-            kinds = metadata.get(b"deformscope.kinds", b"").decode().split() or [own.kind]
-        return Topic(name, self._tables[name].suffix.lower()[1:], count, units, kinds[-1])
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         for name in topics:
@@ -341,8 +333,7 @@ def _manifest(path: Path) -> Manifest:
 
 
 def _batch_rows(about: Any, path: Path) -> int:
-    """How many rows of a Parquet file are read together, by its metadata. Raises InputError for a file that a few bytes
-    make large."""
+    """Rows of a Parquet file that are read together. Raises InputError for a file that a few bytes make large."""
     most = check_size(f"a table, of {about.num_columns} columns,", about.num_columns * COLUMN_BYTES, path)
     longest = 1
     for group in map(about.row_group, range(about.num_row_groups)):

@@ -53,7 +53,11 @@ class ImportSource(ItemSource):
             for one in asked.streams
         }
         streams = tuple(reader.about.stream(name, one.describe()) for name, one in self._made.items())
-        self._check_first(reader)
+        # first stamps against their recorded times, of streams without a clock in the map
+        every = ((name, one.behind_s(reader)) for name, one in self._made.items() if one.stream.offset_s is None)
+        found = sorted((behind, name) for name, behind in every if behind is not None)
+        if found and (apart_s := found[-1][0] - found[0][0]) > CLOCKS_APART_S:
+            raise self._of_another_clock({name: abs(behind) for behind, name in (found[0], found[-1])}, apart_s)
         super().__init__(self._read(reader), streams, asked.start_ns)
         if self._next is None:
             raise InputError("a source with frames for the map's streams", "none", self._hint(*self._made.values()))
@@ -65,7 +69,14 @@ class ImportSource(ItemSource):
         """The next frames. Raises InputError at the end if the streams' clocks differ."""
         was_over, found = self.ended, super().take(wait_s)
         if self.ended and not was_over:
-            self._check_clocks()
+            if empty := [one for one in self._made.values() if not one.count]:
+                came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
+                raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
+            same = {name: one for name, one in self._made.items() if one.stream.offset_s is None}
+            for (name, one), (other, its) in itertools.combinations(same.items(), 2):
+                if (apart_s := max(its.first_ns - one.last_ns, one.first_ns - its.last_ns) / 1e9) > APART_S:
+                    first_ns = {name: abs(one.first_ns - self.start_ns), other: abs(its.first_ns - self.start_ns)}
+                    raise self._of_another_clock(first_ns, apart_s)
         return found
 
     def look(self) -> HealthReport:
@@ -98,23 +109,6 @@ class ImportSource(ItemSource):
     def _hint(self, *empty: _Stream | CaptureStream) -> str:
         is_posed = any(one.stream.kind == "arm" for one in empty)
         return f"its topics{', pose and joints' if is_posed else ''} in the map, which --inspect lists"
-
-    def _check_clocks(self) -> None:
-        if empty := [one for one in self._made.values() if not one.count]:
-            came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
-            raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
-        same = {name: one for name, one in self._made.items() if one.stream.offset_s is None}
-        for (name, one), (other, its) in itertools.combinations(same.items(), 2):
-            if (apart_s := max(its.first_ns - one.last_ns, one.first_ns - its.last_ns) / 1e9) > APART_S:
-                first_ns = {name: abs(one.first_ns - self.start_ns), other: abs(its.first_ns - self.start_ns)}
-                raise self._of_another_clock(first_ns, apart_s)
-
-    def _check_first(self, reader: Reader) -> None:
-        """Compare first stamps with their recorded times, of streams without a clock in the map."""
-        every = ((name, one.behind_s(reader)) for name, one in self._made.items() if one.stream.offset_s is None)
-        found = sorted((behind, name) for name, behind in every if behind is not None)
-        if found and (apart_s := found[-1][0] - found[0][0]) > CLOCKS_APART_S:
-            raise self._of_another_clock({name: abs(behind) for behind, name in (found[0], found[-1])}, apart_s)
 
     def _of_another_clock(self, away: Mapping[str, float], apart_s: float) -> InputError:
         """away: how far two streams are from the beginning, or from when they were recorded"""

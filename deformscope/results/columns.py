@@ -27,8 +27,7 @@ def to_cells(found: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Numbers, texts and booleans by the names of the JSON; nested names have a dot.
 
     A fitted value has the name of its `parameter`; an interval's ends are NAME_low and NAME_high; a list of results is
-    its length, one of reasons their codes. Longer lists and texts are left out.
-    """
+    its length, one of reasons their codes. Longer lists and texts are left out."""
     return dict(_cells(found, prefix))
 
 

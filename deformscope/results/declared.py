@@ -9,8 +9,7 @@ A field has the declaration as its metadata, a property as its decorator:
     def dent_m_per_n(self) -> float: ...
 
 Quantities are rendered in the order in which they are declared (`deformscope.results.render`). Undeclared values are
-not reported, only recorded.
-"""
+not reported, only recorded."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ class Quantity:
     missing: text in place of None
     optional: JSON lacks the key if the value is None; flat: JSON has the value's parts instead
     line: its text in the line of main values, with "{}" for the value; caption: its text below the title of a picture
-    name: name of the field or property; place: number that rises in the order of declaration
-    """
+    name: name of the field or property; place: number that rises in the order of declaration"""
 
     label: str = ""
     key: str | None = ""

@@ -108,8 +108,7 @@ def to_rows(result: Any, *names: str) -> Rows:
 
 
 def to_columns(results: Sequence[Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Results of one kind as columns: the names of all quantities with a value in any result, and each result's
-    values."""
+    """Results of one kind as columns: names of all quantities with a value in any result, and each's values."""
     shown: list[tuple[str, list[str]]] = []
     for one in quantities(type(results[0])) if results else ():
         if one.label and one.interval_key:

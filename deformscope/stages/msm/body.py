@@ -1,5 +1,4 @@
-"""Common parts of lattice and general bodies: the particles at rest, the parameters of a launch, and rest data for
-fits."""
+"""Common parts of lattice and general bodies: particles at rest, parameters of a launch, and rest data."""
 
 from __future__ import annotations
 
@@ -22,8 +21,7 @@ class BodyRest:
 
     position: (K, d); mass: (K,); free: (K,) bool; counts: (K,) clusters of each
     metric: (K,) N_i m_i over the mean mass, in which the goal map is symmetric; 0 where held
-    slipping: (K,) particles that are held only along `held_axis`; -1: none
-    """
+    slipping: (K,) particles that are held only along `held_axis`; -1: none"""
 
     position: FloatArray
     mass: FloatArray
@@ -38,8 +36,7 @@ class BodyRest:
 class Parameters:
     """Parameters of all candidates on the device.
 
-    beta_stride: 0, or with a beta for each cluster the numbers from one group of candidates to the next
-    """
+    beta_stride: 0, or with a beta for each cluster the numbers from one group of candidates to the next"""
 
     beta: Field
     theta: Field
@@ -52,8 +49,7 @@ class RestArrays:
     """Rest data of C clusters (or of one, if all are equal): see `reference.RestCluster`.
 
     a_qq: (C, d, d) moments over their trace; null: (C, d, r); span: (C, d, d), columns beyond span_count (C,) are 0
-    root: (C, d, d); lift: (C, d, r)
-    """
+    root: (C, d, d); lift: (C, d, r)"""
 
     a_qq: FloatArray
     null: FloatArray
@@ -93,13 +89,11 @@ def rest_struct(functions: SimpleNamespace, arrays: RestArrays, stride: int, sca
 
 
 class Operator(ABC):
-    """Goals of a body's clusters for the candidates of one layout: fields of clusters, and stored values for the
-    derivative.
+    """Goals of a body's clusters for the candidates of one layout: fields, and stored values for the derivative.
 
     arrays: the body's, with the struct types `Motion` and `Kept`; cluster_stride: numbers between rows of a field of
     clusters; maps: the clusters' goal maps; beta_stride: see `Parameters`
-    threads: number of threads of one group of candidates in the kernels `resident`; 0 without such kernels
-    """
+    threads: number of threads of one group of candidates in the kernels `resident`; 0 without such kernels"""
 
     beta_stride: int
 
@@ -184,8 +178,7 @@ class Operator(ABC):
     def cluster_gradient(self, adjoint: Field) -> FloatArray:
         """(B, C) sum over each cluster's particles of m_i <adjoint_i, d goal_i / d beta_c>.
 
-        The derivative of the goals by beta is the last output of `residual`.
-        """
+        The derivative of the goals by beta is the last output of `residual`."""
 
 
 class Body(ABC):

@@ -19,8 +19,7 @@ direction flatter than this does not determine the fit, so that it is left out (
 class Clusters:
     """Overlapping clusters in compressed rows: cluster c holds `members[offsets[c]:offsets[c + 1]]`.
 
-    members: (M,) int32 particle indices; offsets: (C + 1,) int32; particle_count: K. Every particle belongs to at least
-    one cluster.
+    members: (M,) int32 particle indices; offsets: (C + 1,) int32; particle_count: K. Every particle is in one at least.
     """
 
     def __init__(self, rows: Sequence[IntArray], particle_count: int) -> None:
@@ -63,8 +62,7 @@ class LatticeClusters(Clusters):
     """Clusters that are windows of a lattice, stored as such: their index lists are made only on request.
 
     shape: lattice; cell: (K,) flat index of each particle; window: particles of a cluster along each axis
-    corner: (shape) True at the lowest corner of each cluster
-    """
+    corner: (shape) True at the lowest corner of each cluster"""
 
     def __init__(self, shape: tuple[int, ...], cell: IntArray, window: tuple[int, ...], corner: BoolArray) -> None:
         self.particle_count = len(cell)
@@ -90,7 +88,8 @@ class LatticeClusters(Clusters):
 
     def cluster_counts(self) -> IntArray:
         """(K,) the number of clusters that each particle is in."""
-        return _covering(self.corner, self.window).reshape(-1)[self.cell]
+        padded = np.pad(self.corner, [(w - 1, 0) for w in self.window])
+        return _window_sums(padded, self.window).reshape(-1)[self.cell]
 
     def spacing(self, rest: FloatArray) -> float:
         """`spacing` of the particles (K, d), without a search if they lie along the axes of a full lattice."""
@@ -117,13 +116,11 @@ def single(particle_count: int) -> Clusters:
 
 
 def lattice(rest: FloatArray, shape: Sequence[int], cell: IntArray, size: int) -> Clusters:
-    """Clusters of all windows of `size` particles per side, stride 1, over a lattice that may have holes (Thesis fig.
-    3.6).
+    """Clusters of all windows of `size` particles per side, stride 1, of a lattice, perhaps with holes (fig. 3.6).
 
     rest: (K, d) rest positions; shape: lattice, last axis fastest; cell: (K,) flat index of each particle. `size` is
     clipped to the lattice. A window stays if its present particles span as many directions as a full one. A particle in
-    no window (thin walls next to holes) has the smallest cluster of nearest neighbours that spans them too.
-    """
+    no window (thin walls next to holes) has the smallest cluster of nearest neighbours that spans them too."""
     dims = tuple(int(n) for n in shape)
     if size < 2:
         raise InputError("a cluster size of at least 2 particles per side", str(size))
@@ -163,17 +160,14 @@ def rank(points: FloatArray) -> int:
     """How many directions a set of points (n, d) spans, by `FLAT_MOMENT_RATIO`."""
     q = points - points.mean(axis=0)
     moments = np.linalg.eigvalsh(q.T @ q)
-    if moments[-1] <= 0.0:
-        return 0
-    return int(np.count_nonzero(moments > FLAT_MOMENT_RATIO * moments[-1]))
+    return 0 if moments[-1] <= 0.0 else int(np.count_nonzero(moments > FLAT_MOMENT_RATIO * moments[-1]))
 
 
 def find_lattice(rest: FloatArray, tolerance: float = 0.01) -> tuple[tuple[int, ...], IntArray] | None:
     """The full regular lattice of `rest` (K, d), within `tolerance` of a cell; None if there is none.
 
     Returns its shape (one entry an axis of space, last fastest) and the flat cell of each particle. An axis along
-    which all particles agree has one cell: a flat sheet in space is a lattice too.
-    """
+    which all particles agree has one cell: a flat sheet in space is a lattice too."""
     k, d = rest.shape
     extent = float(np.ptp(rest, axis=0).max())
     if k < 4 or extent <= 0.0:
@@ -212,15 +206,13 @@ def held_mask(particle_count: int, held: IntArray) -> BoolArray:
 
 
 def spacing(rest: FloatArray) -> float:
-    """Median distance of points (K, d) to the nearest neighbour, in their unit: the length that makes everything
-    dimensionless."""
+    """Median distance of points (K, d) to the nearest neighbour, which makes everything dimensionless."""
     distance, _ = cKDTree(rest).query(rest, k=2)
     return float(np.median(distance[:, 1]))
 
 
 def _particle_at(shape: tuple[int, ...], cell: IntArray) -> IntArray:
-    """The particle of each cell of a lattice of `shape`, -1 where there is none. cell: (K,) flat index of each
-    particle's cell"""
+    """The particle in each cell of a lattice, -1 where there is none. cell: (K,) flat index of each particle's"""
     found = np.full(shape, -1, dtype=np.int64)
     found.reshape(-1)[cell] = np.arange(len(cell))
     return found
@@ -245,16 +237,8 @@ def _window_sums(values: IntArray | BoolArray, window: tuple[int, ...]) -> IntAr
     return sums
 
 
-def _covering(corner: BoolArray, window: tuple[int, ...]) -> IntArray:
-    """How many clusters each cell is in, an array of the shape of `corner` (one or more axes), a mask of the clusters'
-    first cells."""
-    padded = np.pad(corner, [(w - 1, 0) for w in window])
-    return _window_sums(padded, window)
-
-
 def _adopt(rest: FloatArray, alone: IntArray, directions: int) -> list[IntArray]:
-    """A cluster (n,) for each particle that is in none: itself and neighbours enough to span all directions of (K,
-    d)."""
+    """A cluster (n,) for each particle of (K, d) in none: itself and neighbours enough to span all directions."""
     tree = cKDTree(rest)
     adopted = []
     for particle in alone:

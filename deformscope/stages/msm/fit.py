@@ -24,11 +24,10 @@ DERIVATIVE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """value: beta; position: (K, d) static state at that value [m]; aee: mean distance to the observed positions [m]
-    (Thesis eq. 3.18)
+    """value: beta; position: (K, d) static state at that value [m]; aee: mean distance to those observed [m] (Thesis
+    eq. 3.18)
 
-    evaluations: static states that were followed; converged: the last step of beta was below the tolerance
-    """
+    evaluations: static states that were followed; converged: the last step of beta was below the tolerance"""
 
     value: float
     position: FloatArray
@@ -52,8 +51,7 @@ def fit_beta(
     within an interval of betas whose derivatives have opposite signs. If the error has several minima, the one downhill
     from `start` is found; a sweep finds all.
 
-    held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: tolerance of beta
-    """
+    held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]; tolerance: tolerance of beta"""
     method: Newton = body._method(Newton, 1, 0)
     seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=1))
     target = np.where(seen[:, None], (observed - body.rest) / body.scale, 0.0)
@@ -89,14 +87,7 @@ def fit_beta(
 
 
 def _followed(
-    method: Newton,
-    body: Msm,
-    target: FloatArray,
-    seen: BoolArray,
-    *,
-    start: float,
-    tolerance: float,
-    most: int,
+    method: Newton, body: Msm, target: FloatArray, seen: BoolArray, *, start: float, tolerance: float, most: int
 ) -> tuple[float, int, bool]:
     """The search of `fit_beta` where no kernel does it in one launch: beta, evaluations, whether it settled."""
     layout, spread = method.layout, STATE_TOLERANCE * body.extent / body.scale

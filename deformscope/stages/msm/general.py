@@ -1,7 +1,6 @@
 """Clusters as index lists on a device: their rest data, and the launches that make goals of displacements.
 
-With a beta along each axis or with S^p they have a material: see `materials`.
-"""
+With a beta along each axis or with S^p they have a material: see `materials`."""
 
 from __future__ import annotations
 
@@ -214,8 +213,7 @@ class GeneralOperator(Operator):
         self.launch(self.arrays.kernels.flow, self.body.cluster_count, inputs, [self.strain, moved, size])
 
     def flowed(self) -> tuple[FloatArray, FloatArray]:
-        """Plastic flow of the last step, (B, C) each: the largest change of an entry of S^p, and |S - I|_2 before
-        it."""
+        """Plastic flow of the last step, (B, C) each: largest change of an entry of S^p, and |S - I|_2 before it."""
         moved, size = (self._cluster_fields(each, 1)[..., 0] for each in self._flowed[:2])
         return moved, size
 

@@ -1,7 +1,6 @@
 """The two methods for a static state, over the goals of any body: Newton's steps, and Anderson's acceleration.
 
-Launches are recorded once and replayed: on a CPU too, where a launch from Python costs more than its work.
-"""
+Launches are recorded once and replayed: on a CPU too, where a launch from Python costs more than its work."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ ROUNDING = {wp.float32: 1e-8, wp.float64: 2e-15}
 """Residual that is only rounding, as a share of the displacements (or of a spacing)."""
 
 STRETCH = 0.05
-"""Share of a preconditioned body's longest side that no particle goes beyond in one Newton step: such steps bend it
-smoothly."""
+"""Share of a preconditioned body's longest side that no particle passes in a Newton step, which bends it."""
 
 PREDICTED = 1e-2
 """Share to which the linear equations at rest are solved, for a state to begin from."""
@@ -58,8 +56,7 @@ class Ended:
     """How the candidates ended, (B,) each; norm and error in particle spacings.
 
     smoothed: evaluations in the preconditioner's finest level; unaided: continued without it
-    out_of_time: candidates that still ran at the time limit
-    """
+    out_of_time: candidates that still ran at the time limit"""
 
     state: IntArray
     norm: FloatArray
@@ -189,8 +186,7 @@ class Iteration:
         self.operator.residual(self.u, out, parameters, self._every_group, what=by)
 
     def launch(self, kernel: wp.Kernel, over: tuple[int, ...] | int, *inputs: Any) -> None:
-        """A kernel of both methods, whose arguments begin with the layout of particles and the stored values of
-        candidates."""
+        """A kernel of both methods, whose arguments begin with the layout and the stored values of candidates."""
         inputs = (self.span, self.state, *inputs)
         wp.launch(kernel, dim=over, inputs=inputs, device=self.layout.device, block_dim=self.span.threads)
 
@@ -213,8 +209,7 @@ class Iteration:
 class Newton(Iteration):
     """Newton's steps on the energy, each solved by conjugate gradients; without eq. 3.17.
 
-    Large lattices are preconditioned (`multigrid`).
-    """
+    Large lattices are preconditioned (`multigrid`)."""
 
     def __init__(self, body: Body, rest: BodyRest, size: int, volume: int) -> None:
         super().__init__(body, rest, size, volume, aided=True)
@@ -261,12 +256,18 @@ class Newton(Iteration):
         self._watch(progress, until)
         if start is not None:
             self.put(start)
-        size = self.layout.candidates
-        spent = np.zeros(size, dtype=int)
+        spent = np.zeros(self.layout.candidates, dtype=int)
         if self.multigrid is not None:
             self.multigrid.reset()
             if start is not None and start.any() and not start[:, self._free].any():
-                spent = self._predict(max_iterations)
+                # where all the motion is still between two layers Newton's steps are short: begin at the static state
+                # of the equations linearised at rest
+                self.replay(self._launch_at_rest)
+                self._begin(0.0, PREDICTED, outer=0)
+                self.replay(self._launch_aim)
+                self._descend(max_iterations - 2)
+                self.launch_blocks(self.kernels.add_step)
+                spent = np.asarray(self.state.total.numpy()[: self.layout.candidates] + 2)
         self._begin(tolerance, 0.0, outer=1)
         self.step.zero_()
         done = int(spent.max())
@@ -281,17 +282,6 @@ class Newton(Iteration):
             if not self.threads:
                 done += self._descend(max_iterations - done)
         return self._ended(state, spent)
-
-    def _predict(self, most: int) -> IntArray:
-        """Goes from rest, where some held particles have moved, to the static state of the equations linearised there;
-        evaluations that it took (B,). From where all the motion is still between two layers Newton's steps are short.
-        """
-        self.replay(self._launch_at_rest)
-        self._begin(0.0, PREDICTED, outer=0)
-        self.replay(self._launch_aim)
-        self._descend(most - 2)
-        self.launch_blocks(self.kernels.add_step)
-        return np.asarray(self.state.total.numpy()[: self.layout.candidates] + 2)
 
     def _launch_at_rest(self) -> None:
         everything, rest = self._every_group, self.step
@@ -472,8 +462,7 @@ class Anderson(Iteration):
 
     def solve(self, relative: float, max_iterations: int) -> bool:
         """y of y = J y + right (`linear_right`) where `evaluate` was last called, into `u`; whether the residual
-        reached `relative` of the right-hand side.
-        """
+        reached `relative` of the right-hand side."""
         self._watch()
         set_first(self.state.floor, 0.0)
         set_first(self.state.relative, relative)
@@ -511,8 +500,7 @@ class Anderson(Iteration):
         self._launch_rest()
 
     def _launch_linear(self) -> None:
-        running = self.state.groups
-        self.operator.change(self.u, self.residual, self.parameters, running, self._kept)
+        self.operator.change(self.u, self.residual, self.parameters, self.state.groups, self._kept)
         self.launch_blocks(self.kernels.add_right, self.linear_right)
         self._launch_rest()
 

@@ -18,8 +18,7 @@ from deformscope.stages.msm.layout import Field, Layout, upload, widths
 from deformscope.stages.msm.resident_kernels import THREADS, resident_kernels_for
 
 REGULAR = 1e-6
-"""Largest distance of a particle from its place in an even lattice, in spacings, at which the lattice counts as
-even."""
+"""Largest distance of a particle from its place, in spacings, at which the lattice counts as even."""
 
 FITTED, AT_ONCE = 100_000, 16_384
 """Particles that a lattice's edges are fitted to, and of which places are compared at once (they fit into a cache)."""
@@ -28,8 +27,7 @@ SLIDE = {"cpu": (3, 32), "cuda": (4, 8)}
 """Widest window that is summed at each cell separately, and the run of a sliding sum over wider ones."""
 
 SLIDE_FROM = 500_000
-"""Number of cells from which a GPU slides over wide windows: in smaller bodies too few threads would be left to
-slide."""
+"""Number of cells from which a GPU slides over wide windows: smaller bodies have too few threads for it."""
 
 RESIDENT_CELLS = 8192
 """Largest number of cells for which one block of a GPU's threads computes a whole body."""
@@ -109,8 +107,7 @@ class LatticeBody(Body):
     def moments(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Mass (n,), mean offset [cells] (n, 3) and second moments about it [spacings^2] (n, d, d) of the windows.
 
-        One row if all clusters are equal, else one for each cell (0 where no cluster is).
-        """
+        One row if all clusters are equal, else one for each cell (0 where no cluster is)."""
         if self.alike:
             mass, chosen = np.full(self.window, self.rest.mass[0]), np.ones_like(self.corner[:1, :1, :1])
         else:

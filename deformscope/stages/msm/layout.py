@@ -24,8 +24,7 @@ class Layout:
     `group` numbers apart. A group is a sequence of places, each with `abreast` candidates.
 
     width: lanes; abreast: 1 (the lanes are places) or `width` (the lanes are candidates); places: number of places in a
-    group; place: (K,) place of each particle
-    """
+    group; place: (K,) place of each particle"""
 
     candidates: int
     width: int
@@ -102,8 +101,7 @@ def widths(
 
 
 def upload(values: FloatArray | IntArray | BoolArray, dtype: type[Any], device: str, spare: int = 0) -> Field:
-    """Numbers of any shape (rows, ...) on a device, flat, row after row; `spare` more at the end, for lanes that reach
-    over it."""
+    """Numbers (rows, ...) on a device, flat, row by row; `spare` more at the end, for lanes that reach over it."""
     host = np.zeros(np.size(values) + spare, dtype=_dtype(dtype))
     host[: np.size(values)] = np.ravel(values)
     return wp.array(host, dtype=dtype, device=device)

@@ -19,8 +19,7 @@ again (area in the plane; a flat cluster keeps the measure of what it spans), an
 
 - S is the stretch sqrt(A^T A), turned inside out: its smallest value negative; the flow stops short of turning S^p.
 - S^p is brought to the bound along I + s (S^p - I) with its determinant set to 1, so that both conditions hold: the
-paper's scaling alone violates det = 1.
-"""
+paper's scaling alone violates det = 1."""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ LEAST_FACTOR = 0.1
 class AxisBeta:
     """A beta along each axis of the material, in place of one beta.
 
-    value: (d,) or (B, d), each 0 to 1; axes: (d, d) orthonormal columns, the axes in the rest shape; None: x, y, z
-    """
+    value: (d,) or (B, d), each 0 to 1; axes: (d, d) orthonormal columns, the axes in the rest shape; None: x, y, z"""
 
     value: FloatArray
     axes: FloatArray | None = None
@@ -61,8 +59,7 @@ class Plasticity:
     """When and how a cluster yields; each value is a number, or (B,) one for each candidate.
 
     yield_strain: |S - I|_2 above which it flows; creep: [1/s] share of S - I that becomes permanent in a second
-    maximum: largest |S^p - I|_2
-    """
+    maximum: largest |S^p - I|_2"""
 
     yield_strain: FloatArray | float
     creep: FloatArray | float = np.inf

@@ -9,9 +9,8 @@ displacements: it is a multiple of an operator of another beta, which may be bel
 
 A cycle is symmetric: Chebyshev's iteration before and after the coarse correction, whose interpolation (linear) and
 restriction are transposed. Neither held particles nor coarse ones next to them move. All levels are linearised at the
-state of the fine one. Any positive definite preconditioner gives the same solution, so simplifications here can cost
-only iterations.
-"""
+state of the fine one. Any positive definite preconditioner gives the same solution: simplifications cost only
+iterations."""
 
 from __future__ import annotations
 
@@ -31,12 +30,7 @@ from deformscope.stages.msm.body import Body, BodyRest, Parameters
 from deformscope.stages.msm.clusters import FLAT_MOMENT_RATIO, LatticeClusters
 from deformscope.stages.msm.lattice import RESIDENT_CELLS, LatticeBody
 from deformscope.stages.msm.layout import Field, Layout, upload
-from deformscope.stages.msm.multigrid_kernels import (
-    Cells,
-    Transfer,
-    smoother_for,
-    transfer_kernels_for,
-)
+from deformscope.stages.msm.multigrid_kernels import Cells, Transfer, smoother_for, transfer_kernels_for
 from deformscope.stages.msm.newton_functions import sum_functions_for
 
 Launch: TypeAlias = Callable[[], None]
@@ -48,8 +42,7 @@ NARROWEST, FEWEST = 5, 150
 """Cells along an axis, and in all, below which a level is not coarsened further."""
 
 STIFFER = 1.25
-"""Factor on a coarse level's energies: corrections that are too small cost fewer iterations than those that are too
-large."""
+"""Factor on a coarse level's energies: too small corrections cost fewer iterations than too large ones."""
 
 DEGREE, RANGE = 2, 5.0
 """Chebyshev's iteration: its steps, and the ratio of the largest to the smallest eigenvalue that it damps."""
@@ -68,8 +61,7 @@ class CoarseRest:
     present, held: (n0, n1, n2); mass: the same, over the mean mass of the body; corner: the same, where clusters are
     window: (3,); edges: (3, d) vectors from a cell to the next along each axis [spacings]; affine, strain: factors of
     the two energies; weights: (n, n0), (m, n1), (l, n2) interpolation from its planes to the finer ones, along each
-    axis; spread: (n0, n1, n2) sum of the weights with which finer particles interpolate from each cell
-    """
+    axis; spread: (n0, n1, n2) sum of the weights with which finer particles interpolate from each cell"""
 
     present: BoolArray
     held: BoolArray
@@ -307,8 +299,7 @@ class Multigrid:
         )
 
     def set(self, beta: FloatArray, theta: FloatArray) -> bool:
-        """Parameters of the candidates, beta (B,) or (B, C), theta (B,); whether a captured graph must be captured
-        again."""
+        """Parameters of candidates, beta (B,) or (B, C), theta (B,); whether graphs must be captured again."""
         near = self._nearest if beta.ndim > 1 else [None] * len(self.levels)
         each = [beta if some is None else beta[:, some] for some in near]
         changed = [level.set(own, theta) for level, own in zip(self.levels, each, strict=True)]
@@ -336,8 +327,7 @@ class Multigrid:
         return bool(self.plain.numpy()[: self.layout.candidates].all())
 
     def used(self, linearised: Field, predicted: BoolArray) -> tuple[IntArray, BoolArray]:
-        """(B,) evaluations in the finest level, and which candidates continued without it. linearised: how often each
-        was;
+        """(B,) evaluations in the finest level, and which candidates left it. linearised: how often each was;
         predicted: (B,) once more"""
         size = self.layout.candidates
         evaluations = linearised.numpy()[:size] + predicted + 2 * DEGREE * self.applied.numpy()[:size]

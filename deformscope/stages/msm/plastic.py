@@ -23,8 +23,7 @@ class Loaded:
 
     position: (B, K, d) [m]; strain: (B, C) |S - I|_2 of each cluster when the load came, before any flow
     flowed: (B,) whether any cluster flowed under this load; converged: (B,) position is static for its S^p, and with an
-    unlimited duration nothing flows any more; rounds: rounds of flow and relaxation
-    """
+    unlimited duration nothing flows any more; rounds: rounds of flow and relaxation"""
 
     position: FloatArray
     strain: FloatArray
@@ -37,8 +36,7 @@ class PlasticMsm:
     """B candidates of a body whose clusters yield (see `materials`), with their plastic deformations.
 
     body: any clusters and basis; it runs by index lists; size: B; law: law of plasticity, whose numbers can differ
-    between candidates; axes: (d, d) the material's axes, where beta is to be an `AxisBeta` (linear basis, theta = 0)
-    """
+    between candidates; axes: (d, d) the material's axes, where beta is to be an `AxisBeta` (linear basis, theta = 0)"""
 
     def __init__(self, body: Msm, law: Plasticity, size: int = 1, *, axes: FloatArray | None = None) -> None:
         self.body = body.variant(axes=axes, plastic=True)
@@ -84,8 +82,7 @@ class PlasticMsm:
         the yield strain. Creep does not matter then. With a duration [s], S^p flows once by duration * creep of S - I,
         but not past the yield strain, and the body relaxes.
 
-        held_position: (n, d) or (B, n, d) [m]; beta, theta, volume, tolerance: as in `Msm.relax`
-        """
+        held_position: (n, d) or (B, n, d) [m]; beta, theta, volume, tolerance: as in `Msm.relax`"""
         body, dim = self.body, self.body.dim
         if not body.free.any():
             raise ValueError("expected free particles; got a body whose particles are all held")
@@ -135,8 +132,7 @@ class PlasticMsm:
         """goals(x) - x at positions (K, d) or (B, K, d), (B, K, d).
 
         plastic: S^p (C, d, d) or (B, C, d, d); default: this model's S^p.
-        Its negative, times particle mass and cluster count, is the force on each particle per unit of stiffness.
-        """
+        Its negative, times particle mass and cluster count, is the force on each particle per unit of stiffness."""
         body = self.body
         at = np.broadcast_to(np.asarray(position, dtype=np.float64), self._position.shape)
         _, beta_b, theta_b = self._parameters(at[:, body.held], beta, theta)

@@ -2,8 +2,7 @@
 
 A rigid tip presses the particles under it. They follow it along its direction; sideways they stick to it or slip. A
 flat tip touches its whole footprint, a round one as much as it has sunk in. Force is that of the model's energy:
-stiffness times the reaction at the touched particles.
-"""
+stiffness times the reaction at the touched particles."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ SLIDE = 1.6
 class Tip:
     """A tip: "flat" (a rectangle of size (x, y), in the plane a width), "disc" or "sphere" (a diameter) [m].
 
-    slips: particles under the tip move freely sideways; otherwise they stick to it
-    """
+    slips: particles under the tip move freely sideways; otherwise they stick to it"""
 
     shape: TipShape
     size: tuple[float, ...]
@@ -62,12 +60,10 @@ class Tip:
         return float(np.pi / 4.0 * self.size[0] ** 2)
 
     def rise(self, lateral_offsets: FloatArray, spacing: float = 0.0) -> FloatArray:
-        """Distance of its surface behind its foremost point, at places away from its axis (n, d - 1) [m]; inf beyond
-        it.
+        """Distance of its surface behind its foremost point, away from its axis (n, d - 1) [m]; inf beyond it.
 
         spacing: spacing of the particles at these places: a disc then includes those just outside its rim, so that the
-        touched area is about that of the disc
-        """
+        touched area is about that of the disc"""
         grace = 1.0 + 1e-6
         if self.shape == "flat":
             half = 0.5 * np.asarray(
@@ -117,8 +113,7 @@ class PokeSetup:
     """A body that is prepared for pokes.
 
     rest: (K, d); clusters; fixed: (n,) particles that do not move; open: (m,) particles that a tip can touch;
-    toward: (d,) unit vector along which a tip moves; spacing: spacing of the particles
-    """
+    toward: (d,) unit vector along which a tip moves; spacing: spacing of the particles"""
 
     rest: FloatArray
     clusters: Clusters
@@ -133,9 +128,8 @@ class Pressed:
     """A static state under a tip.
 
     position: (K, d); touched: (m,) particles; depth: depth of the tip below where it first touches; reaction: net force
-    along the tip's direction, per unit of stiffness k [m]; converged: the state, and the sets of touching, sticking and
-    slipping particles
-    """
+    along the tip's direction, per unit of stiffness k [m]; converged: state, and sets of touching, sticking and
+    slipping particles"""
 
     position: FloatArray
     touched: IntArray
@@ -169,11 +163,10 @@ def press(
     """The static state under a poke. With a force, `stiffness` k [N/m] determines its depth.
 
     poke.at: (d,) a point on the tip's axis; deepest: depth [m] at which the search for that of a force is given up
-    start: (K, d) another law's solution of the same poke, near which the state is sought Each round relaxes the body
+    start: (K, d) another law's solution of the same poke, near which the state is sought. Each round relaxes the body
     with the touched particles held, and lets slipping ones move until no lateral force remains. It releases from a
     round tip the particles that it would pull, adds those that it reaches, and corrects the depth until the force is as
-    requested.
-    """
+    requested."""
     if poke.force is not None and not stiffness:
         raise InputError("a depth, or a model with a stiffness", "a force", "fit the model with force_n")
     rise = poke.tip.rise(lateral_offsets(scene.rest[scene.open], poke.at, scene.toward), scene.spacing)

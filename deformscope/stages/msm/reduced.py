@@ -20,8 +20,7 @@ the modes. That is 5 unknowns in the plane and 12 in space, for any basis and nu
 them. With theta = 0, e = 0 and R = polar(K): the first step only confirms it.
 
 Flags are checked: `converged` takes a Newton step below the tolerance, goals that agree with the state by separately
-evaluated equations, and for eq. 3.17, which has no energy, a state that its goals pull back to.
-"""
+evaluated equations, and for eq. 3.17, which has no energy, a state that its goals pull back to."""
 
 from __future__ import annotations
 
@@ -58,8 +57,7 @@ class Equilibrium:
     residual: (B,) root mean square of goal - place over all particles, from separately evaluated equations [m]
     error: (B,) length of the last Newton step [m]: how far the state before it was from the solution
     converged: (B,) both are below the tolerance; diverged: (B,) no stable state of eq. 3.17 was found: a body turned
-    inside out has none, and diverges in time stepping
-    """
+    inside out has none, and diverges in time stepping"""
 
     transform: FloatArray
     translation: FloatArray
@@ -78,8 +76,7 @@ class OneCluster:
 
     basis: (K, terms) q~ of every particle, in cluster radii; radius [m]
 
-    Calls share scratch: one thread at a time.
-    """
+    Calls share scratch: one thread at a time."""
 
     def __init__(
         self,
@@ -183,8 +180,7 @@ class OneCluster:
         state, the state is the one that follows from theta = 0 without a jump.
 
         beta, theta: a number or (B,); start: positions (K, d) or (B, K, d) [m], default rest; tolerance: tolerance of
-        `residual` and `error`, as a share of the cluster's radius, at least `SMALLEST_TOLERANCE`
-        """
+        `residual` and `error`, as a share of the cluster's radius, at least `SMALLEST_TOLERANCE`"""
         size = max(
             np.size(beta), np.size(theta), len(held.moments), 1 if start is None else start.size // self.rest.size
         )
@@ -222,8 +218,7 @@ class OneCluster:
     ) -> tuple[FloatArray, FloatArray]:
         """How every particle of static states moves with beta and with theta, two of (B, K, d) [m]; held ones stay.
 
-        Derivatives of the state by implicit differentiation, with Newton's matrix. beta, theta: (B,) or one
-        """
+        Derivatives of the state by implicit differentiation, with Newton's matrix. beta, theta: (B,) or one"""
         work = self._filled(len(equilibrium.transform), held, beta, theta, 0.0, 0, volume)
         work.start[:] = equilibrium.transform.reshape(len(work.start), -1) / self.radius
         result = work.run("differentiate")

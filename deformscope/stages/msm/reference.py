@@ -18,8 +18,7 @@ rest volume at theta = 1:
 compressed cluster it amplifies every displacement, so that overlapping clusters at high beta and theta diverge.
 - "project" goes the share theta of the distance from the fit to the nearest fit of the rest volume. Its goals are the
   gradient of an energy that no step to them raises, so it cannot diverge; theta weights the pull to the rest volume.
-  Choose it for overlapping clusters, and where stability counts more than the thesis's numbers.
-"""
+  Choose it for overlapping clusters, and where stability counts more than the thesis's numbers."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ class RestCluster:
     span: (d, k) orthonormal directions that it spans; radius: root mean square distance from its centre
     root: (d, d) with A root = B, in which the cost of changing A is a plain distance, |dB|^2 up to a factor, and the
     measures of A and B are equal; only its first k columns are not 0
-    lift: (d, r) effect of a change of B on the whole fit, dA~ = dB lift; 0 where changing A costs nothing
-    """
+    lift: (d, r) effect of a change of B on the whole fit, dA~ = dB lift; 0 where changing A costs nothing"""
 
     index: IntArray
     mass: FloatArray
@@ -108,8 +106,7 @@ def _measure_metric(gram: FloatArray, span: FloatArray, largest: float) -> tuple
     A change dA~ = [dA, dQ] of the best fit costs tr(dA~ gram dA~^T). For a given dA that is least with dQ = -dA C, C =
     G_AQ G_QQ^+. It is then tr(dA S dA^T) with the Schur complement S = G_AA - C G_QA: the quadratic terms adapt. If
     they alone fit every displacement in a direction (too few particles), the measure can have any value at no cost, and
-    nothing is projected.
-    """
+    nothing is projected."""
     d, k = span.shape
     c = gram[:d, d:] @ np.linalg.pinv(gram[d:, d:], rcond=FLAT_MOMENT_RATIO, hermitian=True)
     schur = gram[:d, :d] - c @ gram[d:, :d]

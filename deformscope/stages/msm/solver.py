@@ -66,8 +66,7 @@ class Relaxed:
     diverged: (B,) the state diverged (eq. 3.17 with overlapping clusters can): its position is the last one, and is
     useless; smoothed: (B,) evaluations besides, in float32, on the finest level of a large lattice's preconditioner
     unaided: (B,) the preconditioner did not help: plain conjugate gradients continued
-    out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are the last ones
-    """
+    out_of_time: (B,) the time limit came first: `position`, `residual` and `error` are the last ones"""
 
     position: FloatArray
     residual: FloatArray
@@ -87,8 +86,7 @@ class Relaxed:
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """How static states move with their parameters: by beta and by theta (B, K, d) [m]; converged: all equations were
-    solved."""
+    """How static states move with beta and with theta (B, K, d) [m]; converged: all equations were solved."""
 
     beta: FloatArray
     theta: FloatArray
@@ -108,8 +106,7 @@ class Gradient:
 class Moving:
     """The state of time stepping, on the device: displacements now and one step before, for B bodies.
 
-    held: indices of the held particles, their places in memory, and their displacements (B or 1, h, d)
-    """
+    held: indices of the held particles, their places in memory, and their displacements (B or 1, h, d)"""
 
     def __init__(self, operator: Operator) -> None:
         self.last_dt = 0.0
@@ -167,8 +164,7 @@ class Msm:
     One candidate is one beta, one theta and one set of held positions. Arguments with a leading axis of B are B
     candidates; others are shared. Windows of an even lattice with a linear basis are summed axis by axis, at a cost
     that does not grow with their width. Other clusters are gathered particle by particle; a body of one cluster relaxes
-    in the unknowns of that cluster.
-    """
+    in the unknowns of that cluster."""
 
     def __init__(
         self,
@@ -361,8 +357,7 @@ class Msm:
         max_iterations: default 4000, or 40 a particle where that is more (long thin bodies bend slowly). By default,
         candidates that do not converge with eq. 3.17 start again at the state without conservation
         progress: called with (candidates done, candidates) now and then, also within one long solve
-        limit_s: after this time, checked every few iterations, candidates that still run end as `out_of_time`
-        """
+        limit_s: after this time, checked every few iterations, candidates that still run end as `out_of_time`"""
         if isinstance(beta, AxisBeta):
             found: Relaxed = self._along(beta, theta).relax(
                 held_position,
@@ -414,12 +409,10 @@ class Msm:
         progress: Callable[[int, int], None] | None,
         until: float,
     ) -> None:
-        """Has candidates that neither converged nor ran away by eq. 3.17 begin again, at the state without
-        conservation.
+        """Has candidates that neither converged nor ran away by eq. 3.17 begin at the state without conservation.
 
         From there the stable state that the pressed body comes to is near. Where that fails and time steps run away
-        from there, the candidate has diverged.
-        """
+        from there, the candidate has diverged."""
         rows = np.flatnonzero(~(found.converged | found.diverged | found.out_of_time) & (theta > 0.0))
         if not len(rows):
             return
@@ -509,7 +502,11 @@ class Msm:
         d) or (B, K, d), static for these parameters (`relax`), held particles in place"""
         position = np.asarray(position, np.float64).reshape(-1, *self.rest.shape)
         if self._one is not None:
-            return self._one_sensitivity(position, beta, theta, volume)
+            one = self._one
+            held = one.hold(position[:, self.held])
+            found = one.relax(held, np.asarray(beta, np.float64).reshape(-1), theta, volume=volume, start=position)
+            moved = one.changes(found, held, beta, theta, volume=volume)
+            return Sensitivity(moved[0], moved[1], bool(found.converged.all()))
         method = self._at(position, beta, theta, volume)
         out = []
         good = True
@@ -539,8 +536,7 @@ class Msm:
 
         position: as in `sensitivity`; cotangent: (K, d) or (B, K, d), the function's derivative by each coordinate
         (that of held particles does not count). With eq. 3.17 overlapping clusters have no symmetric equations; there
-        the derivatives by beta and theta are solved for, and those by cluster are not given (nan).
-        """
+        the derivatives by beta and theta are solved for, and those by cluster are not given (nan)."""
         cotangent = np.array(cotangent, np.float64).reshape(-1, *self.rest.shape)
         if self.slips:
             cotangent[:, self._particles.slipping, self._particles.held_axis] = 0.0
@@ -582,16 +578,6 @@ class Msm:
         method.evaluate()
         return method
 
-    def _one_sensitivity(
-        self, position: FloatArray, beta: FloatArray | float, theta: FloatArray | float, volume: Volume
-    ) -> Sensitivity:
-        one = self._one
-        assert one is not None
-        held = one.hold(position[:, self.held])
-        found = one.relax(held, np.asarray(beta, np.float64).reshape(-1), theta, volume=volume, start=position)
-        moved = one.changes(found, held, beta, theta, volume=volume)
-        return Sensitivity(moved[0], moved[1], bool(found.converged.all()))
-
     # -- time stepping ---------------------------------------------------------------------------------------------
 
     def start(self, size: int = 1, position: FloatArray | None = None) -> Moving:
@@ -623,8 +609,7 @@ class Msm:
 
         dt [s]; acceleration: f_ext / m, (d,) [m/s^2]. Without it, dt does not change the motion (alpha = 1).
         held_from: (n, d) or (B, n, d), whence the held particles go to held_position evenly over the steps; without it
-        they are there from the first step on
-        """
+        they are there from the first step on"""
         how: Any = {"volume": volume, "alpha": alpha, "dt": dt, "acceleration": acceleration}
         self.advance(state, held_position, beta, theta, **how, steps=steps, held_from=held_from)
         return self.positions(state)
@@ -684,8 +669,7 @@ class Msm:
 
         It is the gradient of the energy: m_i (x_i - goal_i), summed over the particle's clusters. Volume is conserved
         by projection, since eq. 3.17 has no energy. At a static state the reaction is 0 at the free particles.
-        position: (K, d) or (B, K, d)
-        """
+        position: (K, d) or (B, K, d)"""
         pull = self._unheld.residual(position, beta, theta, volume="project")
         return -pull * (self._particles.counts * self._particles.mass)[:, None]
 
@@ -724,7 +708,11 @@ class _Stepping:
         held, self.places, now = state.held
         if len(body.held):
             if held is not body.held:
-                self.places, now = self._find(body.held), None
+                layout = self.state.layout
+                c = np.arange(layout.candidates)[:, None]
+                places = layout.front + layout.group * (c // layout.abreast) + layout.place[body.held] * layout.abreast
+                places += c % layout.abreast
+                self.places, now = upload(places, int, layout.device), None
             if not np.array_equal(now, held_u):
                 self._hold(held_u)
             state.held = body.held, self.places, held_u
@@ -744,14 +732,6 @@ class _Stepping:
             last.update(beta=beta, theta=theta)
         return found  # type: ignore[no-any-return]
 
-    def _find(self, held: IntArray) -> Field:
-        """Places of the held particles (h,) of all candidates in memory."""
-        layout = self.state.layout
-        c = np.arange(layout.candidates)[:, None]
-        places = layout.front + layout.group * (c // layout.abreast) + layout.place[held] * layout.abreast
-        places += c % layout.abreast
-        return upload(places, int, layout.device)
-
     def _hold(self, held_u: FloatArray) -> None:
         """Put the held displacements (B, h, d), in particle spacings, into the state now and before."""
         state, layout, operator = self.state, self.state.layout, self.state.operator
@@ -764,8 +744,7 @@ class _Stepping:
         wp.launch(kernels.put_at, len(self.places), inputs, outputs, device=layout.device)
 
     def run_moving(self, steps: int, before: FloatArray, after: FloatArray) -> None:
-        """The next `steps` steps, on which the displacements of held particles go from `before` to `after`, (B, h,
-        d)."""
+        """The next `steps` steps, on which the held particles' displacements go from `before` to `after`, (B, h, d)."""
         if self.places is None:
             self.run(steps)
             return

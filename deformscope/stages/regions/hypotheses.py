@@ -18,8 +18,7 @@ class RegionHypotheses:
 
     maps: for each number of regions its maps (none for one region), their levels (n, k) and covariances (n, k, k), and
     weights (n,); smooth: kernels with their weights; all weights add up to 1; forces_add: as in `RegionPrior`
-    scatter: for each number of regions the scatter of its maps (n,)
-    """
+    scatter: for each number of regions the scatter of its maps (n,)"""
 
     maps: tuple[tuple[Partitions | None, FloatArray, FloatArray, FloatArray], ...]
     smooth: tuple[tuple[SmoothField, float], ...]

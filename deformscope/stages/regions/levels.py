@@ -1,7 +1,6 @@
 """Levels of stiffness of a map's regions, given touches: a Gaussian posterior in closed form (Bishop 2006).
 
-A touch averages the regions under its contact, whose forces add, plus its errors (`touch_error`).
-"""
+A touch averages the regions under its contact, whose forces add, plus its errors (`touch_error`)."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ class RegionPrior:
     blur_m was fitted to finite elements of a ball of 1 cm at 3 N, 0 to 4 cm from a border. With forces that add, 0.0075
     gives the true stiffness within 3 % if one side is 1.8 times as stiff as the other, within 6 % at 3.6 times. Next to
     a rigid part it is within a factor of 1.5, except for the nearest 4 mm. A mean of logarithms needs
-    another blur for each of the two (0.008, 0.0045), and a border that is shifted by 2 to 6 mm.
-    """
+    another blur for each of the two (0.008, 0.0045), and a border that is shifted by 2 to 6 mm."""
 
     one: float = 0.47
     two: float = 0.33
@@ -121,8 +119,7 @@ def levels_of(
     The touches are a linear model in the levels, whose prior is Gaussian (Bishop 2006, 3.49 and 3.86), their errors
     correlated by scatter that neighbours share and by the arm. The remaining part of the prior, for levels that differ
     enough, is counted afterwards, pair by pair.
-    last_noise: factor on the variance of the last touch
-    """
+    last_noise: factor on the variance of the last touch"""
     count, touches, _ = shares.shape
     scatter = np.broadcast_to(scatter, np.broadcast_shapes(np.shape(scatter), (count,)))
     at_once = max(1, FACTORS_BYTES // max(1, 8 * touches**2 * math.prod(scatter.shape[:-1])))
@@ -181,8 +178,7 @@ def _block_levels(
 
 
 def mixed_stiffness(shares: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Log stiffness (n, t) of contacts with shares (n, t, k) of levels (n, k): their forces add; and its derivative by
-    each level (n, t, k)."""
+    """Log stiffness (n, t) of contacts with shares (n, t, k) of levels (n, k), and its derivative by each."""
     most = level.max(axis=1, keepdims=True)
     force = shares * np.exp(level - most)[:, None]
     total = force.sum(axis=-1)

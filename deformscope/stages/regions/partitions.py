@@ -7,8 +7,7 @@ within the first one's rest, make three: stripes, a T, a patch in a half, two pa
 curve divides any of those before it: quadrants, too.
 
 Every curve is a family and a vector of standard normal numbers. Therefore a small change that preserves the prior is
-one line of code (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape.
-"""
+one line of code (preconditioned Crank-Nicolson, Cotter et al. 2013, 4.2), whatever the shape."""
 
 from __future__ import annotations
 
@@ -58,8 +57,7 @@ class Family(IntEnum):
 
 
 FAMILY_SHARES = (0.32, 0.10, 0.20, 0.10, 0.08, 0.12, 0.08)
-"""Shares of curves, in the families' order; three sets were tried, and this one is best for both rings and straight
-borders (`studies.seeds`)."""
+"""Shares of curves, in the families' order; of three sets the best for rings and straight borders (`studies.seeds`)."""
 DOUBLE_SHARE = 0.15
 """Share of the maps of two regions in which two curves bound the same material."""
 
@@ -70,9 +68,8 @@ class Partitions:
 
     family: (n, c) `Family` of each curve; the number of curves is two, or one less than that of regions; latent: (n, c,
     LATENTS) standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region
-    that each curve divides: the area outside of it is the next region; family_shares: family shares of curves in each
-    family, before any touch
-    """
+    that each curve divides: the area outside of it is the next region; family_shares: of curves in each family, before
+    any touch"""
 
     regions: int
     size_m: tuple[float, float]
@@ -128,9 +125,7 @@ class Partitions:
     def shares(self, xy_m: FloatArray, blur_m: float) -> FloatArray:
         """(n, p, regions) share of each region in a contact at places (p, 2): Gaussian of `blur_m` [m].
 
-        Each curve counts as straight within the blur: the share on one side is the normal distribution function of the
-        distance.
-        """
+        Each curve counts as straight within the blur: a share is normal in the distance."""
         first = ndtr(self._distance(0, xy_m) / blur_m)
         if self.regions == 2 and self.double.any():
             second = ndtr(self.take(self.double)._distance(1, xy_m) / blur_m)
@@ -145,8 +140,7 @@ class Partitions:
 
     def admissible(self) -> BoolArray:
         """(n,) maps whose every region is large enough to be one."""
-        grid = MapGrid(self.size_m, COARSE_M)
-        labels = self.labels(grid.centres_m)
+        labels = self.labels(MapGrid(self.size_m, COARSE_M).centres_m)
         least = LEAST_AREA_M2 / COARSE_M**2
         enough = [(labels == region).sum(axis=1) >= least for region in range(self.regions)]
         return np.asarray(np.all(enough, axis=0))
@@ -218,11 +212,7 @@ def propose(rng: np.random.Generator, maps: Partitions) -> Partitions:
 
 
 def _draw(
-    rng: np.random.Generator,
-    regions: int,
-    size_m: tuple[float, float],
-    count: int,
-    family_shares: tuple[float, ...],
+    rng: np.random.Generator, regions: int, size_m: tuple[float, float], count: int, family_shares: tuple[float, ...]
 ) -> Partitions:
     curves = max(2, regions - 1)
     family = rng.choice(len(FAMILY_SHARES), (count, curves), p=family_shares)
@@ -230,13 +220,7 @@ def _draw(
     last = np.tile(np.arange(curves), (count, 1))
     parent = last if regions <= 3 else rng.integers(last + 1)
     return Partitions(
-        regions,
-        size_m,
-        family=family,
-        latent=latent,
-        double=double,
-        parent=parent,
-        family_shares=family_shares,
+        regions, size_m, family=family, latent=latent, double=double, parent=parent, family_shares=family_shares
     )
 
 

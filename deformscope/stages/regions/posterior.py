@@ -8,8 +8,7 @@ when few are left (iterated batch importance sampling, Chopin 2002). This also g
 the number of regions. Four are followed once three are the most likely, five once four have some probability; until
 then they count as explaining the touches as well as the largest number that is followed. A map of more than three
 regions counts by those that a touch lies in: a further one with hardly any effect would cost no evidence. A surface
-whose stiffness changes smoothly is the rival hypothesis (`smooth`); where it wins, the verdict is "gradual".
-"""
+whose stiffness changes smoothly is the rival hypothesis (`smooth`); where it wins, the verdict is "gradual"."""
 
 from __future__ import annotations
 
@@ -55,8 +54,7 @@ SMOOTH_SDS = (0.25, 0.6)
 SLOPES_PER_M = (1.0, 3.0)
 """Slopes of log stiffness: how smooth fields may vary; each combination has the same prior probability."""
 PRIOR_EXTENT_M, PRIOR_MARGIN_M = 0.5, 0.05
-"""Distances between places, and from the border, are scaled to this size: the priors on shapes are of a surface of
-about 0.6 m."""
+"""Distances of places, and from the border, are scaled to this size: that of the priors on shapes, 0.6 m."""
 RIGID_SDS = 2.0
 """Levels within this many deviations below the bound of rigid touches count as rigid."""
 SCATTER_MAPS = 100
@@ -82,8 +80,7 @@ class RegionMap:
     field, field_sd: log stiffness at every cell, over all hypotheses
     scatter: deviation of touches' log stiffness within one material, root mean square over the posterior
     wrong_share: share of the surface that is expected to have a wrong label, given k; nan without regions
-    boundary_sd_m: the same as a distance from the boundary; nan without one
-    """
+    boundary_sd_m: the same as a distance from the boundary; nan without one"""
 
     grid: MapGrid
     verdict: RegionMapKind
@@ -118,11 +115,9 @@ class RegionMap:
 
 @dataclass(frozen=True)
 class RegionPosterior:
-    """The probability of every map after some touches; `with_touch` gives the next one. The same touches give the same
-    result.
+    """The probability of every map after some touches; `with_touch` gives the next, repeatably.
 
-    particles: number of particles of 2, 3 and more regions; most_regions: largest number that is distinguished
-    """
+    particles: number of particles of 2, 3 and more regions; most_regions: largest number that is distinguished"""
 
     grid: MapGrid
     prior: RegionPrior
@@ -142,8 +137,7 @@ class RegionPosterior:
         seed: int = 0,
         most_regions: int = MOST_REGIONS,
     ) -> RegionPosterior:
-        """The posterior before any touch. particle_count: maps stored for each number of regions; four times as many at
-        first"""
+        """The posterior before any touch. particle_count: maps for each number of regions, four times as many first"""
         if particle_count < 50:
             raise InputError("50 particles or more", f"{particle_count}")
         nothing = cls(grid, prior or RegionPrior(), (), (), particle_count, seed, most_regions)
@@ -220,19 +214,13 @@ class RegionPosterior:
     def probability(self) -> dict[str, float]:
         """Probability of "1", "2" and more regions and of "gradual"."""
         *shares, last, gradual = self._shares.tolist()
-        rest = self._prior_shares[len(shares) :]
+        every = self.prior.regions
+        rest = [*every[: self.most_regions - 1], sum(every[self.most_regions - 1 :])][len(shares) :]
         shares += [last * share / sum(rest) for share in rest]
         return {str(number): share for number, share in enumerate(shares, start=1)} | {"gradual": gradual}
 
-    @property
-    def _prior_shares(self) -> list[float]:
-        """Prior probability of each distinguished number of regions, the last or more."""
-        every = self.prior.regions
-        return [*every[: self.most_regions - 1], sum(every[self.most_regions - 1 :])]
-
     def with_smooth_field(self, kernel: SmoothKernel, share: float) -> tuple[tuple[SmoothField, float], ...]:
-        """The fields of one more smooth hypothesis with this prior probability, and the probability of each among all
-        hypotheses."""
+        """The fields of one more smooth hypothesis of this prior probability, and each one's probability among all."""
         fields = self._fields(kernel)
         logs = np.log(share) + np.array([one.log_evidence for one in fields])
         every = np.logaddexp(logsumexp(logs), np.log1p(-share) + logsumexp(self._joint_logs))
@@ -242,10 +230,11 @@ class RegionPosterior:
     def _joint_logs(self) -> FloatArray:
         """Logarithm of prior probability times evidence of 1, 2 and more regions, as many as are followed or more, and
         of a smooth field. In maps of four regions and more, those that were touched count."""
+        kernels = len(SLOPES_PER_M) + len(SMOOTH_SDS) * len(SMOOTH_LENGTHS_M)
         evidence = [
             logsumexp(self._one_region[0]),
             *(one.log_evidence for one in self.particles),
-            self._smooth_log_evidence,
+            float(logsumexp([one.log_evidence for one in self._smooth]) - np.log(kernels)),
         ]
         every = self.prior.regions
         prior = np.array([*every[: len(self.particles)], sum(every[len(self.particles) :]), self.prior.gradual])
@@ -387,8 +376,7 @@ class RegionPosterior:
         return self.hypotheses()
 
     def _rigid_regions(self, labels: IntArray, level: FloatArray) -> BoolArray:
-        """(k,) regions with a rigid touch whose level is at its bound: softer touches in them are those that a boundary
-        explains."""
+        """(k,) regions with a rigid touch and a level at its bound: a boundary explains softer touches in them."""
         rows, columns = self.grid.shape
         rigid = np.zeros(len(level), dtype=bool)
         for touch in self.touches:
@@ -476,14 +464,8 @@ class RegionPosterior:
         readings, scatters = readings_of(self.touches, self.prior), zip(*self.prior.error.scatters(), strict=True)
         return [SmoothField(readings, kernel, float(scatter), float(np.log(share))) for scatter, share in scatters]
 
-    @property
-    def _smooth_log_evidence(self) -> float:
-        kernels = len(SLOPES_PER_M) + len(SMOOTH_SDS) * len(SMOOTH_LENGTHS_M)
-        return float(logsumexp([one.log_evidence for one in self._smooth]) - np.log(kernels))
-
 
 def _edges(labels: IntArray) -> float:
-    """Number of cell sides between two labels; a slanted boundary has sqrt(2) more than its length at most, 4/pi on
-    average, which is divided out."""
+    """Number of cell sides between two labels over 4/pi, the mean of slanted boundaries' excess."""
     sides = (labels[1:] != labels[:-1]).sum() + (labels[:, 1:] != labels[:, :-1]).sum()
     return float(sides) * np.pi / 4.0

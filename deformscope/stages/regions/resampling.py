@@ -1,5 +1,4 @@
-"""Weighted maps that every touch reweights, and that move under the prior when few are left (iterated batch importance
-sampling, Chopin 2002)."""
+"""Weighted maps that touches reweight, and that move when few are left (iterated importance sampling, Chopin 2002)."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ MOVE_BELOW = 0.3
 
 @dataclass(frozen=True, slots=True)
 class WeightedMaps:
-    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) log likelihood of all
-    touches"""
+    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) of all touches"""
 
     maps: Partitions
     log_weight: FloatArray
@@ -88,8 +86,7 @@ def resampled(log_weight: FloatArray, family: IntArray, count: int, start: float
     weight, and in it to its maps' weights.
 
     Maps that are improbable now may explain later touches. From the few maps that their weight is worth they would
-    return as copies of one, with an evidence that is wrong by factors.
-    """
+    return as copies of one, with an evidence that is wrong by factors."""
     weight = np.exp(log_weight)
     share = np.bincount(family, weight)
     number = np.ceil(count * np.cbrt(share) / np.cbrt(share).sum()).astype(int)
@@ -112,8 +109,7 @@ def _moved(
     """Metropolis steps under the prior (`partitions.propose`), which do not change the posterior.
 
     Most proposals fail already under the one scatter that is most likely of all. The others are then judged under every
-    scatter, by its addition (delayed acceptance, Christen and Fox 2005).
-    """
+    scatter, by its addition (delayed acceptance, Christen and Fox 2005)."""
     scatters, share = prior.error.scatters()
     logs = log_likelihood_by_scatter(maps.shares(readings.xy_m, prior.blur_m), readings, prior, last_noise)
     likeliest = int(logsumexp(logs, axis=1).argmax())

@@ -22,8 +22,7 @@ class StiffnessSample:
     resolution: `log_stiffness` is a lower bound; arm_sd: its increase if the arm were stiffer by one deviation of its
     calibration, an error that all touches of a session share
     exponent, exponent_sd: exponent and deviation of the law of force over depth, if it was free, and exponent_related:
-    covariance of its error and log_stiffness's; None if it was not
-    """
+    covariance of its error and log_stiffness's; None if it was not"""
 
     xy_m: FloatArray
     log_stiffness: float
