@@ -131,7 +131,7 @@ class FrameBuilder:
         return tuple(self._fields or ())
 
     def _check_columns(self, standard: Iterable[str]) -> None:
-        """Refuse columns that no frame of the kind has, and vectors that lack a part. standard: of its messages"""
+        """Refuse columns that no frame of the kind has, and vectors that lack a part. standard: its messages'"""
         stream, names = self.stream, {*standard, *self.stream.columns}
         known = [one.name for one in fields(KINDS[stream.kind]) if one.name not in ("stamp", "index", "device")]
         other = {*standard, *(f"q{axis}" for axis in "xyzw" if stream.kind == "arm")}

@@ -39,9 +39,9 @@ PACKAGE = "deformscope_msgs/msg/"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: of messages, or None
+    """Content of a source under a name. type: type of its messages, `csv` or `parquet`; count: messages, or None
 
-    units: of each field that it names, or empty; kind: for an export of deformscope, the class of the rows"""
+    units: units of fields, or empty; kind: for an export of deformscope, the class of the rows"""
 
     name: str
     type: str
@@ -193,7 +193,7 @@ def _metadata(path: Path) -> Manifest:
 
 
 class ByteReader:
-    """Bytes of a device: raw in a file (`.bin`, `.raw`), or frames of a CAN bus as of candump (`.log`)."""
+    """Bytes of a device: raw in a file (`.bin`, `.raw`), or frames of a CAN bus by candump (`.log`)."""
 
     about = Manifest()
 

@@ -151,7 +151,7 @@ class PlacedRun(TouchRun):
     def _step_m(self, set_n: float, along_n: float, stiffness_n_m: float) -> float:
         """How much further down the next step goes [m]: a STEPS-th of the set force by the stiffness of the last step.
 
-        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: of the last step [N/m]"""
+        set_n, along_n: requested and measured force along the normal [N]; stiffness_n_m: that of the last step [N/m]"""
         arm = self._robot.arm
         assert isinstance(arm, ManualArm)
         finest_m = arm.config.resolution_m

@@ -54,7 +54,7 @@ class CollisionWatch:
         """Why this is a collision, with which joint; empty where it is none.
 
         torques_nm: (n,) numbers, without gravity's, repeated until the next reading; joints_deg: (n,); now_ns: when
-        tip_n: greatest recent magnitude of the force on the tip [N]; limit_nm: of noise and model [Nm]"""
+        tip_n: greatest recent magnitude of the force on the tip [N]; limit_nm: noise and model [Nm]"""
         if torques_nm == self._before:
             return ""
         self._before = torques_nm

@@ -80,7 +80,7 @@ class PlacingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Obstacle:
-    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: of its place; round: a cylinder"""
+    """A container on the table. T_table_container: (4, 4); size_m: (3,); doubt_m: uncertainty; round: a cylinder"""
 
     T_table_container: FloatArray
     size_m: FloatArray

@@ -56,7 +56,7 @@ class UrdfJoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UrdfShapes:
-    """root: the first link; joints: parents before children; solids: of each link, in its frame, as seen"""
+    """root: the first link; joints: parents before children; solids: solids of each link, in its frame"""
 
     root: str
     joints: tuple[UrdfJoint, ...]
@@ -68,7 +68,7 @@ class UrdfShapes:
         return tuple(joint for joint in self.joints if joint.kind in MOVABLE)
 
     def poses(self, values: Mapping[str, float]) -> dict[str, FloatArray]:
-        """Pose (4, 4) of each link in the root's frame. values: of joints by name [rad or m], else 0"""
+        """Pose (4, 4) of each link in the root's frame. values: joints' by name [rad or m], else 0"""
         found: dict[str, FloatArray] = {self.root: np.eye(4)}
         for joint in self.joints:
             found[joint.child] = found[joint.parent] @ joint.moved(values.get(joint.name, 0.0))

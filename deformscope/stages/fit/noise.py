@@ -391,7 +391,7 @@ class ErrorModel:
         return found, log_det
 
     def projected(self, onto: FloatArray, response: FloatArray, chosen: IntArray, amplitude: FloatArray) -> FloatArray:
-        """Covariance (h, q, q) of projections onto (n, d, q), at noise of scale 1. amplitude: (a, a) of `modes`"""
+        """Covariance (h, q, q) of projections onto (n, d, q), at noise of scale 1. amplitude: (a, a), see `modes`"""
         every = self.hypotheses
         n, d, q = onto.shape
         m = response.shape[2]

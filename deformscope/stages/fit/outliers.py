@@ -82,7 +82,7 @@ Fitted = Callable[[Sequence[Observation]], Sequence[FloatArray]]
 def without_outliers(
     every: Sequence[Observation], spacing: Sequence[float], fitted: Fitted
 ) -> tuple[list[Observation], tuple[LeftOut, ...]]:
-    """The observations without their outliers, and the outliers by name. spacing: of their particles [unit]"""
+    """The observations without their outliers, and the outliers by name. spacing: their particles' [unit]"""
     off = [np.zeros(len(one.rest), dtype=bool) for one in every]
     seen = list(every)
     positions = fitted(seen)

@@ -38,7 +38,7 @@ posterior: Miller and Dunson 2019). Compared with 0.1 and 1 on tuning seeds, 90 
 held 0.83 to 0.84 for errors shared over 3 and 6 cells, at 0.3 0.87 to 0.88, at 0.1 0.90."""
 
 SYSTEMATIC_LEAST = 0.1
-"""Least effect of an error of tool or camera along a direction, in deviations of the noise, that is kept."""
+"""Least effect of an error of tool or camera along a direction, in deviations of the noise, that counts."""
 
 RESOLVED = 1e-14
 """Share of the mean variance of projections below which a variance is a rounding error."""

@@ -13,7 +13,7 @@ class StateSweep:
     """A lattice of particles in the plane, or one layer of one in space, seen from the side.
 
     over: name of the parameter; value: (n,) values of it; rest: (rows, columns, 2), position: (n, rows, columns, 2)
-    [m]; held: (rows, columns) particles whose position is prescribed; measure: (n,) of the body, named by `measured`"""
+    [m]; held: (rows, columns) particles whose position is prescribed; measure: (n,) measure of the body (`measured`)"""
 
     name: str
     over: Literal["beta", "theta"]

@@ -28,7 +28,7 @@ MOVE_BELOW = 0.3
 
 @dataclass(frozen=True, slots=True)
 class WeightedMaps:
-    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) of all touches"""
+    """Weighted maps of one number of regions. log_weight: (n,) normalised; log_likelihood: (n,) by all touches"""
 
     maps: Partitions
     log_weight: FloatArray

@@ -31,7 +31,7 @@ class SmoothKernel:
 
 
 class SmoothField:
-    """A Gaussian process through the touches, which scatter. log_evidence: of these parameters, with `log_prior`"""
+    """A Gaussian process through the touches, which scatter. log_evidence: its evidence, with `log_prior`"""
 
     def __init__(self, readings: Readings, kernel: SmoothKernel, scatter: float, log_prior: float) -> None:
         self.kernel, self.readings_of, self.scatter, self.log_evidence = kernel, readings, scatter, log_prior
