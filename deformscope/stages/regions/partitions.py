@@ -68,7 +68,7 @@ class Partitions:
 
     family: (n, c) `Family` of each curve; the number of curves is two, or one less than that of regions; latent: (n, c,
     LATENTS) standard normal; double: (n,) the second curve counts too in a map of two regions; parent: (n, c) region
-    that each curve divides: the area outside of it is the next region; family_shares: shares of curves in each family, before
+    that each curve divides: the area outside is the next region; family_shares: shares of curves in each family, before
     any touch"""
 
     regions: int
