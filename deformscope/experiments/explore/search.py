@@ -80,7 +80,7 @@ class SurfaceSearch(ABC):
         if len(beta) < FEWEST_FOR_FIELD:
             return None
         sds = np.where(np.isfinite(beta_sd), beta_sd, BETA_PRIOR.nugget)
-        field = fit_field(places_m, beta, sds, prior=BETA_PRIOR)
+        field = fit_field(places_m, beta, sds, BETA_PRIOR)
         found = field.on(grid)
         trained = TrainedField(
             kernel=field.kernel,

@@ -1,6 +1,6 @@
 """Fields over a surface from a few touches: log stiffness, or beta, as an exact Gaussian process (Thesis 4.2).
 
-    field = fit_field(places_m, log_stiffness, log_sd)
+    field = fit_field(places_m, log_stiffness, log_sd, FieldPrior())
     found = field.on(grid)                 # mean and deviation on cells of 0.5 cm
 
 Each touch has its own variance. The additional scatter of touches at one place is the *nugget*, the same for all
@@ -12,7 +12,7 @@ uncertainty.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
-from deformscope.arrays import BoolArray, FloatArray, IntArray
+from deformscope.arrays import FloatArray, IntArray
 from deformscope.errors import InputError
 from deformscope.stages.gaussian_process import Kernel, ProcessPrediction
 from deformscope.stages.poke.contact import Z_90
@@ -43,8 +43,6 @@ LEAST_CURVATURE, LEAST_SHARE = 0.5, 1e-4
 
 LEAST_SD = 1e-6
 """Smallest deviation of a touch, so that touches at one place stay distinct."""
-
-NAMES = ("sigma_e", "length", "nugget")
 
 Cost = Callable[[FloatArray], tuple[float, FloatArray]]
 """Negative log posterior of hyper-parameters (3,) and its slopes."""
@@ -79,7 +77,6 @@ class FieldPrior:
         return np.array([self.sigma_e_spread, self.length_spread, self.nugget_spread])
 
 
-STIFFNESS_PRIOR = FieldPrior()
 BETA_PRIOR = FieldPrior(sigma_e=0.25, nugget=0.05, nugget_spread=0.7, level_sd=1.0)
 
 
@@ -118,9 +115,7 @@ class Field:
     """A field given its touches.
 
     places_m: (n, 2) [m]; value, sd: (n,) value and standard deviation of the touches; level: the constant that the mean
-    varies around; kernel, nugget: the likeliest ones; log_likelihood: marginal log likelihood at these; at_bound: which
-    of "sigma_e", "length", "nugget" are at an end of their range; states: hyper-parameters of the average; a single set
-    if they are fixed
+    varies around; kernel, nugget: the likeliest ones; states: hyper-parameters of the average
     """
 
     places_m: FloatArray
@@ -129,8 +124,6 @@ class Field:
     level: float
     kernel: Kernel
     nugget: float
-    log_likelihood: float
-    at_bound: tuple[str, ...]
     states: tuple[_State, ...]
 
     def at(self, places_m: FloatArray) -> ProcessPrediction:
@@ -153,21 +146,11 @@ class Field:
         return FieldMap(grid, found.mean.reshape(grid.shape), found.deviation.reshape(grid.shape))
 
 
-def fit_field(
-    places_m: FloatArray,
-    value: FloatArray,
-    sd: FloatArray,
-    *,
-    prior: FieldPrior = STIFFNESS_PRIOR,
-    kernel: Kernel | None = None,
-    nugget: float | None = None,
-    average: bool = True,
-) -> Field:
+def fit_field(places_m: FloatArray, value: FloatArray, sd: FloatArray, prior: FieldPrior) -> Field:
     """The field through touches at places (n, 2) [m] with values (n,) and their deviations (n,).
 
-    kernel, nugget: used if given, else estimated by marginal likelihood under `prior`; several touches at one place are
-    replicates and identify the nugget; average: average over the posterior of the hyper-parameters; otherwise the most
-    probable ones count as known. Raises InputError without a touch, and for values that are not finite.
+    Several touches at one place are replicates and identify the nugget. Raises InputError without a touch, and for
+    values that are not finite.
     """
     places, value, sd = (np.asarray(one, dtype=np.float64) for one in (places_m, value, sd))
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
@@ -179,7 +162,7 @@ def fit_field(
     if not (np.isfinite(sd).all() and (sd >= 0.0).all()):
         raise InputError("a finite deviation of each touch, 0 or more", f"{float(np.min(sd)):g}")
     with threadpool_limits(1):
-        return _Fit(places, value, np.maximum(sd, LEAST_SD), prior).run(kernel, nugget, average)
+        return _Fit(places, value, np.maximum(sd, LEAST_SD), prior).run()
 
 
 class _Fit:
@@ -190,36 +173,25 @@ class _Fit:
         self.value, self.left = value, value - self.level
         self.square = np.sum((places[:, None] - places) ** 2, axis=2)
 
-    def run(self, kernel: Kernel | None, nugget: float | None, average: bool) -> Field:
+    def run(self) -> Field:
         median, spread = self.prior.median(), self.prior.spread()
         low, high = median - FREEDOM * spread, median + FREEDOM * spread
-        free = np.array([kernel is None, kernel is None, nugget is None])
-        at = median.copy()
-        if kernel is not None:
-            at[:2] = np.log([kernel.sigma_e, kernel.length_m])
-        if nugget is not None:
-            at[2] = np.log(max(nugget, LEAST_SD))
-        low, high = np.where(free, low, at), np.where(free, high, at)
 
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
             value, slope = self.likelihood(x)
-            away = np.where(free, (x - median) / spread, 0.0)
+            away = (x - median) / spread
             return -value + 0.5 * float(away @ away), -slope + away / spread
 
-        if free.any():
-            starts = [at, *(at + np.where(free, step, 0.0) for step in ([0.0, -1.0, 0.0], [0.0, 1.0, 0.0]))]
-            bounds = np.column_stack([low, high])
-            found = [
-                minimize(cost, np.clip(start, low, high), jac=True, method="L-BFGS-B", bounds=bounds)
-                for start in starts
-            ]
-            at = np.asarray(min(found, key=lambda one: float(one.fun)).x)
-        around = self._around(at, free, low, high, cost) if average and free.any() else [(at, 1.0)]
-        bound = tuple(
-            name
-            for name, f, x, a, b in zip(NAMES, free, at, low, high, strict=True)
-            if f and (x <= a + 1e-6 or x >= b - 1e-6)
-        )
+        starts = [median, *(median + step for step in ([0.0, -1.0, 0.0], [0.0, 1.0, 0.0]))]
+        bounds = np.column_stack([low, high])
+        found = [
+            minimize(cost, np.clip(start, low, high), jac=True, method="L-BFGS-B", bounds=bounds) for start in starts
+        ]
+        at = np.asarray(min(found, key=lambda one: float(one.fun)).x)
+        return self.field(at, self._around(at, low, high, cost))
+
+    def field(self, at: FloatArray, around: Sequence[tuple[FloatArray, float]]) -> Field:
+        """at: (3,) likeliest hyper-parameters, as in `likelihood`; around: those to average over, and their shares"""
         return Field(
             places_m=self.places,
             value=self.value,
@@ -227,8 +199,6 @@ class _Fit:
             level=self.level,
             kernel=Kernel.of_length(float(np.exp(at[0])), float(np.exp(at[1]))),
             nugget=float(np.exp(at[2])),
-            log_likelihood=self.likelihood(at)[0],
-            at_bound=bound,
             states=tuple(self._state(x, share) for x, share in around),
         )
 
@@ -266,30 +236,24 @@ class _Fit:
             share=share,
         )
 
-    def _around(
-        self, at: FloatArray, free: BoolArray, low: FloatArray, high: FloatArray, cost: Cost
-    ) -> list[tuple[FloatArray, float]]:
+    def _around(self, at: FloatArray, low: FloatArray, high: FloatArray, cost: Cost) -> list[tuple[FloatArray, float]]:
         """Hyper-parameters (3,) to average over and their shares: the mode, and points around it on a sphere of the
         posterior's deviations, with Gaussian weights corrected by the posterior (Rue et al. 2009, 6.5: a central
         composite design)."""
-        which = np.flatnonzero(free)
-        size = len(which)
+        size = len(at)
         curvature = np.empty((size, size))
-        for row, i in enumerate(which):
-            step = STEP * (1.0 if at[i] + STEP <= high[i] else -1.0) * np.eye(3)[i]
-            curvature[row] = (cost(at + step)[1] - cost(at)[1])[which] / step[i]
+        for row in range(size):
+            step = STEP * (1.0 if at[row] + STEP <= high[row] else -1.0) * np.eye(size)[row]
+            curvature[row] = (cost(at + step)[1] - cost(at)[1]) / step[row]
         value, vector = np.linalg.eigh(0.5 * (curvature + curvature.T))
-        deviation = 1.0 / np.sqrt(np.maximum(value, LEAST_CURVATURE / self.prior.spread()[which].max() ** 2))
+        deviation = 1.0 / np.sqrt(np.maximum(value, LEAST_CURVATURE / self.prior.spread().max() ** 2))
         radius = BEYOND * np.sqrt(size)
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=size))) / np.sqrt(size)
-        axes = np.concatenate([np.eye(size), -np.eye(size)]) if size > 1 else np.empty((0, size))
-        away = radius * np.concatenate([corners, axes])
+        away = radius * np.concatenate([corners, np.eye(size), -np.eye(size)])
         points, logs = [at], [np.log(1.0 - BEYOND**-2.0)]
         here = cost(at)[0]
         for one in away:
-            x = at.copy()
-            x[which] += vector @ (deviation * one)
-            x = np.clip(x, low, high)
+            x = np.clip(at + vector @ (deviation * one), low, high)
             points.append(x)
             logs.append(here - cost(x)[0] + 0.5 * radius**2 - np.log(len(away) * BEYOND**2))
         share = np.exp(np.array(logs) - max(logs))

@@ -49,7 +49,7 @@ FIRST_SHARE = (0.25, 0.5)
 APART = 0.1
 """Touches whose betas are farther apart have an isopleth between them: ten steps of the sweep of Algorithm 3."""
 
-THESIS_SIDE_M, THESIS_GRID_M, THESIS_STEP = 0.15, 0.005, 0.01
+THESIS_SIDE_M, THESIS_STEP = 0.15, 0.01
 """Side of the square around a touch; the thesis's grid (4.4) and step of the sweep of beta (Algorithm 3)."""
 
 THESIS_NOTE = (
