@@ -5,6 +5,7 @@ Open3D 0.20 takes float64 of a binary PCD as 0, and what its memory held for the
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from deformscope.file_io import check_size
 AXES = ("x", "y", "z")
 POINT_BYTES = 72
 """Memory of a point, with its copies."""
+PCD_TYPES = {"I": "i", "U": "u", "F": "f"}
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 PLY_TYPES |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 PLY_TYPES |= {f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)}
@@ -37,17 +39,20 @@ def read_points(path: Path) -> FloatArray:
 
 def _pcd(raw: bytes) -> FloatArray:
     lines, _, body = raw.partition(b"\nDATA ")
-    form, _, body = body.partition(b"\n")
+    data, _, body = body.partition(b"\n")
+    form = data.strip().decode("latin-1")
+    if form not in ("ascii", "binary", "binary_compressed"):
+        raise ValueError(f"DATA: {form!r}")
     said = {words[0]: words[1:] for line in lines.decode("latin-1").splitlines() if (words := line.split())}
     fields = said["FIELDS"]
-    kinds = [f"<{kind.lower()}{size}" for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
+    kinds = [f"<{PCD_TYPES[kind]}{int(size)}" for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     counts = [int(one) for one in said.get("COUNT", ["1"] * len(fields))]
     width, height, points = (int(" ".join(said[name])) for name in ("WIDTH", "HEIGHT", "POINTS"))
     if min(*counts, width, height) < 1 or points != width * height:
         raise ValueError("COUNT, WIDTH, HEIGHT, or POINTS, which are WIDTH times HEIGHT")
     places, each = [fields.index(axis) for axis in AXES], list(zip(kinds, counts, strict=True))
-    if form.strip() != b"binary_compressed":
-        return _points(body, points, each, places, form.strip() == b"ascii").reshape(height, width, 3)
+    if form != "binary_compressed":
+        return _points(body, points, each, places, form == "ascii").reshape(height, width, 3)
     sizes = [points * np.dtype(kind).itemsize * count for kind, count in each]
     packed, unpacked = np.frombuffer(body, "<u4", 2).tolist()
     if unpacked != sum(sizes) or packed > len(body) - 8:
@@ -65,10 +70,10 @@ def _ply(raw: bytes) -> FloatArray:
     if words[starts[0]][1] != "vertex":
         raise ValueError("element vertex, the first")
     given = [line for line in words[starts[0] : [*starts, len(words)][1]] if line[:1] == ["property"]]
-    form = next(line[1] for line in words if line[:1] == ["format"])
+    form = next((line[1] for line in words if line[:1] == ["format"]), "format")
     order = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}[form]
-    each = [(order + PLY_TYPES[kind], 1) for _, kind, _ in given]
-    places = [[name for *_, name in given].index(axis) for axis in AXES]
+    each = [(order + PLY_TYPES[line[1]], 1) for line in given]
+    places = [[line[-1] for line in given].index(axis) for axis in AXES]
     return _points(body.partition(b"\n")[2], int(words[starts[0]][2]), each, places, form == "ascii")[None]
 
 
@@ -81,7 +86,8 @@ def _points(
         raise ValueError(f"number of points: {points}")
     check_size(f"a file of {points} points", points * POINT_BYTES)
     if is_ascii:
-        table, begins = np.loadtxt(io.BytesIO(body), ndmin=2, max_rows=points), np.cumsum([0, *(n for _, n in each)])
+        lines = itertools.islice(filter(bytes.strip, io.BytesIO(body)), points)
+        table, begins = np.loadtxt(lines, ndmin=2, comments=None), np.cumsum([0, *(n for _, n in each)])
         if table.shape != (points, begins[-1]):
             raise ValueError(f"number of values: {table.shape}, of {(points, int(begins[-1]))}")
         return np.asarray(table[:, begins[list(places)]])

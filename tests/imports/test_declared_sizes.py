@@ -405,10 +405,14 @@ BAD_POINTS = [
     ("pcd", "WIDTH 3\nHEIGHT 2\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6", "WIDTH 40000\nHEIGHT 40000\nPOINTS 1600000000"),
     ("pcd", "DATA binary", ""),
     ("pcd", "DATA binary", "DATA binary_compressed"),
+    ("pcd", "DATA binary", "DATA BINARY_OF_ANOTHER"),
+    ("pcd", "TYPE F F F", "TYPE F F ,"),
     ("ply", "vertex 6", "vertex 7"),
     ("ply", "vertex 6", "vertex 4000000000"),
     ("ply", "vertex 6", "vertex -6"),
     ("ply", "float z", "quad z"),
+    ("ply", "property float z", "property list uchar float z"),
+    ("ply", "format binary_little_endian 1.0\n", ""),
     ("ply", "end_header", "end"),
 ]
 
@@ -488,6 +492,11 @@ def test_vertices_are_read_by_their_names(form: str, axes: str, tmp_path: Path) 
     head += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     (tmp_path / "a.ply").write_bytes(head.encode() + body + (b"3 0 1 1\n" if form == "ascii" else bytes(13)))
     assert read_points(tmp_path / "a.ply").tolist() == [[[1, 2, 3], [4, 5, 6]]]
+
+
+def test_empty_lines_between_points_are_none(tmp_path: Path) -> None:
+    (tmp_path / "a.pcd").write_bytes(pcd_of("ascii", "F4", [[1, 2, 3], [4, 5, 6]]).replace(b"3.0\n", b"3.0\r\n\r\n"))
+    assert read_points(tmp_path / "a.pcd").tolist() == [[[1, 2, 3], [4, 5, 6]]]
 
 
 def test_a_file_with_a_line_less_is_refused(tmp_path: Path) -> None:
