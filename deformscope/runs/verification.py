@@ -56,12 +56,13 @@ def verify_recording(path: Path, *, stages: bool = False, privacy: bool = False)
     if check is None:
         check_magic(path)
     differs = None if check is None else check.problems
-    # Without a path: what `recover` makes of it, with its ledger, goes to others.
-    structure = run_rrd("verify", path).removeprefix(f'"{path}": ').replace(str(path), "it")
+    structure = run_rrd("verify", path)
     if (
         check is not None and check.ended and not differs and "footer" in structure
     ):  # finished without one, as where the disk was short
         structure = run_rrd("verify", "--check-footers=false", path)
+    # Without a path: what `recover` makes of it, with its ledger, goes to others.
+    structure = structure.removeprefix(f'"{path}": ').replace(str(path), "it")
     facts = read_facts(path)
     outcome, recovered = facts.outcome, "recovered" in facts.outcome
     # Without a footer, or an outcome that says so, the run did not come to its end: that is no damage.

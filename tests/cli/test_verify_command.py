@@ -22,6 +22,7 @@ from deformscope.recording import facts as recording_facts
 from deformscope.recording.ledger import LedgerWriter, check_recording, ledger_path, read_ledger, write_ledger
 from deformscope.recording.reader import Replay
 from deformscope.recording.recorder import Recorder
+from deformscope.runs import verification
 from deformscope.runs.recovery import recover_recording
 from deformscope_drivers.clock import Stamp
 from tests.patience import PATIENCE_S
@@ -80,6 +81,20 @@ def test_without_a_ledger_nothing_is_called_checked(whole: Path, capsys: pytest.
     status, found, said = verified(whole, capsys)
     assert (status, found["ok"], found["checked"], found["problems"]) == (3, None, False, [])
     assert "it has no ledger: changed bytes cannot be detected" in said
+
+
+def test_what_is_wrong_with_the_structure_names_no_folder(
+    whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`recover` puts it into a ledger that goes to others."""
+    monkeypatch.setattr(
+        verification,
+        "run_rrd",
+        lambda *words: f'"{words[-1]}": ' + ("no footer" if len(words) == 2 else f"{words[-1]} has a bad chunk"),
+    )
+    status, found, _ = verified(whole, capsys)
+    assert status == 2
+    assert found["problems"] == ["it has a bad chunk"]
 
 
 @pytest.mark.parametrize(("content", "came"), [(b"of another kind", "a file of another kind"), (b"", "an empty file")])
