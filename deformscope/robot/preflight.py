@@ -78,21 +78,20 @@ def check(
     *,
     calibrated: Mapping[str, bool],
     ages: Mapping[str, CalibrationAge] | None = None,
-    rates_hz: Mapping[str, float] | None = None,
     lift_m: float = 0.0,
     described: RobotDescription = AS_CAPSULES,
 ) -> Preflight:
     """Check a robot at rest for half a second, and its planned motion.
 
     plans: the touches, or those at the corners of the area of possible touches; calibrated: the required calibrations,
-    by name, and whether they are done; ages: ages of the calibrations, by name; rates_hz: rates of "arm", "force
-    sensor", "camera" (default: those in their configurations); lift_m: height of the plans above the surface;
-    described: shapes of hand and cables. Raises RobotStopped if the supervisor stops meanwhile; nothing moves."""
+    by name, and whether they are done; ages: ages of the calibrations, by name; lift_m: height of the plans above
+    the surface; described: shapes of hand and cables. Raises RobotStopped if the supervisor stops meanwhile; nothing
+    moves."""
     robot.start()
     seen = [robot.cycle() for _ in range(LOOK_PERIODS)]
     return Preflight(
         (
-            *_devices(robot, seen, rates_hz or _configured_rates(robot)),
+            *_devices(robot, seen, _configured_rates(robot)),
             *_force(robot, seen),
             *_arm(robot, seen),
             *_clocks(robot, seen),

@@ -21,6 +21,9 @@ STATE_TOLERANCE = 1e-5
 DERIVATIVE_TOLERANCE = 1e-3
 """Tolerance of d state / d beta in the search, as a share: it only gives the direction."""
 
+EVALUATIONS = 40
+"""Most evaluations of a fit."""
+
 
 @dataclass(frozen=True, slots=True)
 class Fit:
@@ -43,7 +46,6 @@ def fit_beta(
     *,
     start: float = 0.5,
     tolerance: float = 1e-4,
-    max_evaluations: int = 40,
 ) -> Fit:
     """The beta in [0, 0.9999] at which the average Euclidean error (Thesis eq. 3.18) is least, for theta = 0.
 
@@ -66,7 +68,7 @@ def fit_beta(
         beta, evaluations, settled, found = method.follow(
             target,
             seen,
-            most=max_evaluations,
+            most=EVALUATIONS,
             limit=limit,
             start=start,
             largest=LARGEST,
@@ -77,7 +79,7 @@ def fit_beta(
         )
     else:
         beta, evaluations, settled = _followed(
-            method, body, target, seen, start=start, tolerance=tolerance, most=max_evaluations
+            method, body, target, seen, start=start, tolerance=tolerance, most=EVALUATIONS
         )
         method.set(np.array([beta]), np.zeros(1))
         found = bool(method.relax(None, share, limit).state[0] == CONVERGED)

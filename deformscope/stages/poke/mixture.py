@@ -21,16 +21,14 @@ def quantile(
     share: float,
     *,
     below: Callable[[FloatArray], FloatArray] = ndtr,
-    farthest: float = FARTHEST,
 ) -> FloatArray:
     """The value (...) that a `share` of a mixture lies below, by bisection.
 
     mean, deviation: (c, ...) mean and deviation of the components; weight: (c,) or (c, ...), adding up to 1 over them;
-    below: distribution function of a component of mean 0 and deviation 1; farthest: deviations within which the
-    quantile lies for certain
+    below: distribution function of a component of mean 0 and deviation 1
     """
     own = weight.reshape(*weight.shape, *(1,) * (mean.ndim - weight.ndim))
-    low, high = (mean - farthest * deviation).min(axis=0), (mean + farthest * deviation).max(axis=0)
+    low, high = (mean - FARTHEST * deviation).min(axis=0), (mean + FARTHEST * deviation).max(axis=0)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         less = (own * below((middle - mean) / deviation)).sum(axis=0) < share
