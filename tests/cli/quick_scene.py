@@ -39,7 +39,7 @@ def use_quick_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on `explore` makes coarse maps of scenes in closed form."""
     use_coarse_maps(monkeypatch)
     for module in ("explore", "options"):
-        monkeypatch.setattr(f"deformscope.experiments.{module}.PLAN_CELL_M", PLAN_CELL_M)
+        monkeypatch.setattr(f"deformscope.experiments.explore.{module}.PLAN_CELL_M", PLAN_CELL_M)
     monkeypatch.setattr("deformscope.lab.scene_lab.slab_world", _Layers)
     near = partial(TouchPlan, slow_within_m=0.01, far_speed_m_s=0.05, travel_speed_m_s=0.15)
     monkeypatch.setattr("deformscope.experiments.measured.TouchPlan", near)
