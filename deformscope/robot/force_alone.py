@@ -35,6 +35,9 @@ mean a fault."""
 GONE, GONE_PERIODS = 0.2, 5
 """Share of the contact's force below which the mean of that many control periods is no contact any more. A larger share
 stops at a contact that noise made early, a smaller one lets a sensor that died with the contact pass."""
+REST_PERIODS = 100
+"""Control periods over which the force before contact is averaged: a sensor drifts after its tare by as much as means
+contact. More follow its drift too late, fewer follow the force of soft foam before it counts as contact."""
 SLOWEST_M_S = 1e-3
 """Lowest speed of the tip on its way down: 3 cm take half a minute. If a lower speed is needed, the preflight refuses
 (`tip: force at contact`): a touch would take too long."""
@@ -113,7 +116,7 @@ class PressWatch:
         self._farthest_m = alone.doubt_m + MISS_M
         self._passed: deque[tuple[float, float]] = deque()
         self._recent: deque[tuple[float, float]] = deque(maxlen=LOST_PERIODS)
-        self._free_m = self._stiffness_n_m = 0.0
+        self._free_m = self._stiffness_n_m = self._rest_n = 0.0
         self._fell = self._pressed = 0
 
     def look(self, down_m: float, force_n: float, *, met: bool) -> str:
@@ -123,7 +126,8 @@ class PressWatch:
         self._recent.append((force_n, down_m))
         mean_n = sum(one_n for one_n, _ in [*self._recent][-GONE_PERIODS:]) / GONE_PERIODS
         if not met:
-            self._free_m = down_m if force_n < 0.25 * self._contact_n else self._free_m
+            self._free_m = down_m if force_n - self._rest_n < 0.25 * self._contact_n else self._free_m
+            self._rest_n += (force_n - self._rest_n) / REST_PERIODS
             self._fell = self._fell + 1 if force_n < -2.0 * self._contact_n else 0
             return f"{force_n:.2f} N before contact: something pulls the tip" if self._fell >= FELL_PERIODS else ""
         most_n, at_m = max(self._recent)
@@ -133,8 +137,8 @@ class PressWatch:
         self._pressed += 1
         if self._fell >= FELL_PERIODS or (self._pressed > GONE_PERIODS and mean_n < GONE * self._contact_n):
             return f"{force_n:.2f} N after {most_n:.2f} N, although the tip did not go back"
-        if force_n > KNOWN_N and down_m > self._free_m:
-            seen_n_m = HARDENS * force_n / (down_m - self._free_m)
+        if (more_n := force_n - self._rest_n) > KNOWN_N and down_m > self._free_m:
+            seen_n_m = HARDENS * more_n / (down_m - self._free_m)
             self._stiffness_n_m = min(max(self._stiffness_n_m, seen_n_m), alone.stiffness_n_m)
         way_m = self._farthest_m
         if self._stiffness_n_m:

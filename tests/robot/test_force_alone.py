@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 
@@ -270,3 +271,23 @@ def test_a_force_that_does_not_follow_the_depth_stops_below_the_hard_stop(
         assert most_n <= 1.03 * 3.0 / 0.2
     else:
         assert most_n <= 15.0
+
+
+def drifting(drift_n: float, most_n: float = math.inf) -> Callable[[float, Phase], float]:
+    """A sensor that drifts by so much in 0.5 s after its tare, and saturates at a true force [N]."""
+    periods = itertools.count()
+    return lambda true_n, phase: min(true_n, most_n) + drift_n * min(next(periods) / 50, 1.0)
+
+
+@pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 1e5])
+@pytest.mark.parametrize("drift_n", [-0.05, 0.05])
+@pytest.mark.parametrize("modulus_pa", [5e3, 2e4, 6e4, 1e9])
+def test_a_sensor_that_drifts_before_contact_is_watched_as_well(
+    modulus_pa: float, drift_n: float, stiffness_n_m: float
+) -> None:
+    for creeps in (0.0, 0.5):
+        why, _, machine = pressed(stiffness_n_m, modulus_pa, drifting(drift_n), creeps=creeps, noise_n=0.016)
+        assert why == ""
+        assert machine.ending in (TouchEnding.SET_FORCE, TouchEnding.DEPTH, TouchEnding.NOT_SETTLED)
+    _, most_n, _ = pressed(stiffness_n_m, modulus_pa, drifting(drift_n, 1.0), noise_n=0.016)
+    assert most_n <= 15.0
