@@ -75,7 +75,7 @@ def test_each_has_a_study_that_is_there_or_is_called_an_estimate() -> None:
         if command == "estimate":
             assert where, name
             continue
-        study = re.search(r"`(?:python -m studies (\w+)|(?:deformscope|pytest) [\w ./]+)`", command)
+        study = re.search(r"`(?:python -m studies ((?:reproduce )?\w+)|(?:deformscope|pytest) [\w ./]+)`", command)
         assert study, (name, command)
         assert study[1] is None or study[1] in summaries(), (name, command)
         page, words = re.match(r"(\S+\.md): (.+)", where).groups()  # type: ignore[union-attr]
@@ -87,7 +87,7 @@ def test_nothing_is_added_to_what_is_not_counted() -> None:
 
 
 def test_what_is_not_counted_is_shown_as_an_estimate() -> None:
-    region = MapRegion(0.5, np.array([0.4, 0.6]), 50e3, np.array([40e3, 60e3]), False, 0.2, np.array([0.1, 0.3]))
+    region = MapRegion(0.5, np.array([0.4, 0.6]), 50e3, np.array([40e3, 60e3]), False)
     assert format_value(region, "modulus_pa") == "about 50 kPa"
     each = np.array([[0.1, 0.1, 0.02, 0.03]])
     lumps = InclusionsResult(

@@ -293,7 +293,7 @@ def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: pytest
     ledger_path(recording).write_text("{")
 
     assert main(["verify", str(recording)]) == 2
-    assert "the ledger cannot be read" in capsys.readouterr().err
+    assert "it is damaged" in capsys.readouterr().err
 
 
 def test_a_device_that_is_gone_is_named_with_what_it_cost(

@@ -122,8 +122,8 @@ def test_arrays_that_do_not_fit_together_are_refused(tmp_path: Path, model: Cont
         ("m0.scale", np.zeros(3)),
         ("m0.directions", np.ones((2, 3))),
         ("m0.c0.points", np.ones((0, 1))),
-        ("m1.c2.target", np.full(len(good["m1.c2.target"]), 9)),
-        ("m1.c4.slope", np.ones((4, 7))),
+        ("m1.c0.target", np.full(len(good["m1.c0.target"]), 9)),
+        ("m1.c3.slope", np.ones((4, 7))),
         ("s0.1.weight", -good["s0.1.weight"]),
     ):
         assert name in good
