@@ -300,6 +300,8 @@ def _depth(self: FrameBuilder, row: Row, at: At) -> Frame | None:
         raise InputError(f"distances of {self.stream.device} of one channel", came, 'kind = "color" in the map')
     is_real = depth.dtype.kind == "f"
     unit_m = float(row.get("unit_m") or self.stream.unit_m or (REAL_STEP_M if is_real else 1e-3))
+    if not 1e-7 <= unit_m <= 10.0:
+        raise InputError(f"a unit_m of distances of {self.stream.device} from 1e-7 to 10 m", f"{unit_m:g}")
     if is_real:
         counts = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) / unit_m)
         depth = np.where((counts > 0) & (counts < 65536), counts, 0).astype(np.uint16)

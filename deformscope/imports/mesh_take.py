@@ -22,7 +22,7 @@ from deformscope.file_io import read_file
 
 MESH = re.compile(r"mesh-f(\d{1,9})\.obj$")
 MM = 1e-3
-FARTHEST_MM = 1e6
+FARTHEST_MM, MOST_N = 1e6, 1e6
 STANDS = 0.05
 """Share of the height, from below, whose particles rest on the table."""
 TOUCHED, PRESSED_M = 0.8, 1e-3
@@ -38,7 +38,7 @@ class _Reading(msgspec.Struct):
     forces: list[float]
 
     def __post_init__(self) -> None:
-        if len(self.forces) not in (3, 6):
+        if len(self.forces) not in (3, 6) or any(abs(one) > MOST_N for one in self.forces):
             raise ValueError(f"forces {self.forces}")
 
 

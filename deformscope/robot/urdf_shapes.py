@@ -21,6 +21,8 @@ from deformscope_drivers.arm.kinematics import FloatArray, rotation_from_rpy, tr
 MOVABLE = ("revolute", "continuous", "prismatic")
 FILE_BYTES = 2_000_000
 """Largest URDF file: vendors' have a tenth at most. It bounds time and memory for a file of unknown origin."""
+LARGEST = 1e30
+"""Largest number of any kind: squares stay finite."""
 LONGEST_M = 1000.0
 """Side of a box, radius or length, or factor of a mesh: files in millimetres stay below it."""
 SIDES = 24
@@ -143,8 +145,8 @@ def _origin(given: ET.Element) -> FloatArray:
 
 def _numbers(words: str, count: int) -> tuple[float, ...]:
     found = tuple(float(word) for word in words.split())
-    if len(found) != count or not all(map(math.isfinite, found)):
-        raise ValueError(f"expected {count} numbers; got {words[:60]!r}")
+    if len(found) != count or not all(abs(one) <= LARGEST for one in found):
+        raise ValueError(f"expected {count} numbers up to {LARGEST:g}; got {words[:60]!r}")
     return found
 
 
