@@ -28,8 +28,7 @@ def show_remarks() -> None:
 class InputError(Exception):
     """Input of a user that cannot be used.
 
-    The message has, in one line, the expectation, the actual value, and what to try; a path comes last.
-    """
+    The message has, in one line, the expectation, the actual value, and what to try; a path comes last."""
 
     def __init__(self, expected: str, came: str, try_this: str = "", where: object = "") -> None:
         parts = [f"expected {expected}; got {came}"]

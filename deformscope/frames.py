@@ -1,8 +1,7 @@
 """Items that devices, files and recordings give to experiments and recordings: stamped and immutable.
 
 Every frame has its time (`stamp`), its device (`device`, its name in the rig) and its index in that device's stream
-(`index`, from 0; a missing index was lost).
-"""
+(`index`, from 0; a missing index was lost)."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ Kind = Literal["color", "depth", "tactile", "wrench", "arm", "hand"]
 class ColorFrame:
     """One camera image.
 
-    image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16
-    """
+    image: (H, W) grey or (H, W, 3) RGB, uint8 or uint16"""
 
     stamp: Stamp
     index: int
@@ -39,8 +37,7 @@ class DepthFrame:
     """One image of distances along the camera's axis.
 
     depth: (H, W) uint16 in units of unit_m [m], 0 = nothing seen; color: (H, W, 3) RGB uint8 at the depth's pixels, or
-    None
-    """
+    None"""
 
     stamp: Stamp
     index: int
@@ -55,8 +52,7 @@ class TactileFrame:
     """The pressures on a hand's pads at one moment.
 
     counts: (texels,) uint16, as the device gave them, all pads one after the other, row by row; pressure_pa: one (rows,
-    columns) array for each pad [Pa]
-    """
+    columns) array for each pad [Pa]"""
 
     stamp: Stamp
     index: int
@@ -71,8 +67,7 @@ class WrenchFrame:
 
     counts: (channels * axes,) as the device gave them
     force_n: (channels, 3) [N], NaN where no sensitivity report was given; torque_nm: (channels, 3) [N m] or None
-    overload: an axis is beyond its range; usable: the device reports no fault
-    """
+    overload: an axis is beyond its range; usable: the device reports no fault"""
 
     stamp: Stamp
     index: int
@@ -91,8 +86,7 @@ class ArmFrame:
     joint_deg, joint_velocity_deg_s, joint_torque_nm: (joints,) [deg], [deg/s], [N m]
     position_m: (3,) end effector [m]; rotation_rad: (3,) its Euler angles as the arm reports them [rad]
     force_n, torque_nm: (3,) at the end effector as the arm estimates them [N], [N m]
-    finger: (fingers,) 0 open to 1 closed; queued: points that the arm has not executed yet
-    """
+    finger: (fingers,) 0 open to 1 closed; queued: points that the arm has not executed yet"""
 
     stamp: Stamp
     index: int
@@ -113,8 +107,7 @@ class HandFrame:
     """The joints of a hand.
 
     position_deg, velocity_deg_s: (7,) [deg], [deg/s]; temperature_c: (9,) [deg C], NaN before the first reading; state:
-    one word for each axis (idle, positioning, blocked...)
-    """
+    one word for each axis (idle, positioning, blocked...)"""
 
     stamp: Stamp
     index: int
@@ -196,8 +189,7 @@ class StageResult:
     host_ns: when that frame was taken, on the host's clock [ns]
     skipped: frames of that device since the previous result that were not used, as newer ones came
     late_s: time from taking the frame until the result was there [s]
-    result: result of a kind that `deformscope.rows` can record
-    """
+    result: result of a kind that `deformscope.rows` can record"""
 
     stage: str
     used: tuple[UsedFrames, ...]
@@ -212,8 +204,7 @@ class StageCost:
     """Cost of a computation, without separately measured stages within it.
 
     stage: its name; wall_ms: duration by the clock; cpu_ms: CPU time of the thread that computed
-    behind_ms: delay of its result relative to the newest frame, None if frames wait for it
-    """
+    behind_ms: delay of its result relative to the newest frame, None if frames wait for it"""
 
     stage: str
     wall_ms: float
@@ -250,8 +241,7 @@ class Stream:
     simulated: it is a double, not a real device; pads: layout of a tactile sensor; urdf: URDF of an arm; serial: as the
     device reports it
     channels: channels of a force sensor; torques: whether it measures them; fastest_hz: the rate to which it was set
-    full_scale_pa: pressure of a tactile sensor's largest count [Pa], 0 where that is not known
-    """
+    full_scale_pa: pressure of a tactile sensor's largest count [Pa], 0 where that is not known"""
 
     device: str
     kind: Kind

@@ -114,8 +114,7 @@ def _unpacked_bytes(encoded: bytes) -> int:
 def _bare_png(encoded: bytes, where: object) -> bytes:
     """The PNG with its critical chunks alone, each checked.
 
-    The decoder prints to the standard error on damage, and on a camera's odd colour profile: neither gets there.
-    """
+    The decoder prints to the standard error on damage, and on a camera's odd colour profile: neither gets there."""
     kept = [PNG_SIGNATURE]
     place = len(PNG_SIGNATURE)
     kind = b""

@@ -1,7 +1,6 @@
 """The functions of `import deformscope as ds`: a script's arguments, read into the options of a command, and its run.
 
-Each raises `InputError` for what cannot be used, which names parameters as Python spells them.
-"""
+Each raises `InputError` for what cannot be used, which names parameters as Python spells them."""
 
 from __future__ import annotations
 
@@ -57,9 +56,8 @@ def calibrate_beta(
     progress: called with what is done, how much of it, and of how much; default: shown on stderr where that is a
     terminal or a notebook; True: always, False: never
     options: the flags of `deformscope calibrate beta` by their names (`deformscope.config.BetaConfig`): cluster_size,
-    theta, thickness_m, whole_motion, roi, grid, held, px_per_cm, level, seed, fine, record, viewer... Raises
-    InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    theta, thickness_m, whole_motion, roi, grid, held, px_per_cm, level, seed, fine, record, viewer... Raises InputError
+    for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import BetaConfig
 
     return _calibrate(BetaConfig, source, options, progress)
@@ -72,8 +70,7 @@ def calibrate_theta(
 
     source: see `CalibrationSource`; several pairs are fitted to one value; progress: see `calibrate_beta`
     options: the flags of `deformscope calibrate theta`: cluster_size, beta, theta_range...
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import ThetaConfig
 
     return _calibrate(ThetaConfig, source, options, progress)
@@ -110,8 +107,7 @@ def calibrate_both(
 
     sources: pair files, `sample:pair`; joint: fit one beta and one theta to all pairs
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate both`.
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import BothConfig
     from deformscope.runs.joint_calibration import calibrate_jointly
 
@@ -127,8 +123,7 @@ def calibrate_axes(
     """Find a beta along each axis of a material, from images, a recording, or pair files in one fit.
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate axes`: turn_deg, frame, cluster_size...
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import AxesConfig
 
     return _calibrate_material(AxesConfig, sources, options, progress)
@@ -140,8 +135,7 @@ def calibrate_field(
     """Find the stiffness of each place of a body relative to the others, from images, a recording, or one pair file.
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate field`: frame, force_n...
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import FieldConfig
 
     return _calibrate_material(FieldConfig, sources, options, progress)
@@ -153,8 +147,7 @@ def calibrate_yield(
     """Find the strain at which a body yields, from images, a recording, or a motion file (`sample:press`).
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate yield`: beta, creep, at, force...
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import YieldConfig
 
     return _calibrate_material(YieldConfig, sources, options, progress)
@@ -167,8 +160,7 @@ def calibrate_viscous(
     or a motion file.
 
     progress: see `calibrate_beta`; options: the flags of `deformscope calibrate viscous`: at, released, force...
-    Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import ViscousConfig
 
     return _calibrate_material(ViscousConfig, sources, options, progress)
@@ -207,8 +199,7 @@ def predict(
     model: a file that `calibrate ... --save` wrote, a calibration of a pair or of pokes, or its `model()`
     at: (2,) or (3,) place [m]; depth_m or force_n: its depth [m] or force [N]; tip, size_m: flat (sides), disc or
     sphere (diameter), default the tip of the fit; points_m: (n, 3) points of the surface whose deformed positions are
-    predicted too. Raises InputError for unusable input.
-    """
+    predicted too. Raises InputError for unusable input."""
     from deformscope.config.flags import PokeText
     from deformscope.runs.prediction import fitted_model, predicted
 
@@ -243,8 +234,7 @@ def explore(
     function
     options: the flags of `deformscope explore` by their names (`deformscope.config.ExploreConfig`): touches, goal,
     set_force, beta_model, hold, pace, seed, record, viewer, yes... Raises InputError for unusable input,
-    TypeError for options that it has not, and SystemExit if the exploration was stopped before its end.
-    """
+    TypeError for options that it has not, and SystemExit if the exploration was stopped before its end."""
     from deformscope.config import ExploreConfig
     from deformscope.runs.exploration_run import explore_on
 
@@ -266,8 +256,7 @@ def squeeze(rig: str | Path, *, progress: Say | bool | None = None, **options: o
     options: the flags of `deformscope squeeze` by their names (`deformscope.config.SqueezeConfig`): content, container
     (the laboratory draws them if they are empty), dataset, keep, model, place, seed, record, yes... Raises InputError
     for unusable input, and for a squeeze that did not reach its steady state (a data set stores it as discarded, with
-    the reason); TypeError for options that it has not; KeyboardInterrupt if Ctrl-C ended it.
-    """
+    the reason); TypeError for options that it has not; KeyboardInterrupt if Ctrl-C ended it."""
     from deformscope.config import SqueezeConfig
     from deformscope.runs.squeeze_run import leave, squeeze_on
 
@@ -294,8 +283,7 @@ def record(
     rig: a rig file (.toml) or `lab:NAME`; file: an `.rrd`, default `runs/NAME-<stamp>.rrd`
     progress: called with each line about devices, links and rates; default: as in `explore`.
     options: the flags of `deformscope record` by their names (`deformscope.config.RecordConfig`): label, stage,
-    overwrite... Raises InputError for what cannot be used, and TypeError for options that it has not.
-    """
+    overwrite... Raises InputError for what cannot be used, and TypeError for options that it has not."""
     from deformscope.config import RecordConfig
     from deformscope.runs.rig_run import run_rig
 
@@ -314,9 +302,8 @@ def replay(
     """Compute a recording again from its inputs, and compare with the recorded numbers.
 
     settings: settings of an exploration that replace the recorded ones, by name, or as KEY=VALUE; their results are not
-    compared to the bit; progress: as in `calibrate_beta`; options: the flags of `deformscope replay`: record...
-    Raises InputError where the numbers differ, or for what cannot be used.
-    """
+    compared to the bit; progress: as in `calibrate_beta`; options: the flags of `deformscope replay`: record... Raises
+    InputError where the numbers differ, or for what cannot be used."""
     from deformscope.config import ReplayConfig
     from deformscope.runs.replay import replay_on
 
@@ -352,8 +339,7 @@ def sweep(
     combination is computed
     executor, address: `ray` at a cluster's address; workers: most workers; send: send the file instead of its path
     limit_s: time limit of a task; progress: as in `calibrate_beta`; options: options of the function.
-    Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason.
-    """
+    Raises InputError for what cannot be used; a task that fails is a row of `table`, with the reason."""
     from deformscope.config.executor import ExecutorOptions
     from deformscope.runs.sweep import SweepOptions, call_function, files_in, function_variations, one_thread, sweep_on
 
@@ -382,8 +368,7 @@ def classify(
     containers, or as TRAINED:TESTED; progress: as in `calibrate_beta`
     options: the flags of `deformscope classify` by their names (`deformscope.config.ClassifyConfig`): modalities,
     splits, curve_splits, duplicates, level, seed... Raises InputError for what cannot be used, and TypeError for
-    options that it has not.
-    """
+    options that it has not."""
     from deformscope.config import ClassifyConfig
     from deformscope.config.classify import parse_merges, parse_transfers
     from deformscope.runs.classification import classify_table, options_of, table_from
@@ -412,8 +397,7 @@ def verify(path: Path | str, *, stages: bool = False, privacy: bool = False) -> 
     """Check whether a recording is whole: `ok`, and `error` with the reason if it is not.
 
     stages: list its stages of computation; privacy: list information on people and machines. Raises InputError for a
-    file that is no recording, or one that a run is writing.
-    """
+    file that is no recording, or one that a run is writing."""
     from deformscope.runs.verification import verify_recording
 
     return verify_recording(Path(path), stages=stages, privacy=privacy)
@@ -434,8 +418,7 @@ def export(
 
     out: a new folder; to: csv, parquet, npz, mcap, video or images; progress: as in `calibrate_beta`
     options: the other fields of `deformscope.config.ExportConfig`: only, camera, anonymous, license, overwrite...
-    Raises InputError if something cannot be read or written; then the folder is unchanged.
-    """
+    Raises InputError if something cannot be read or written; then the folder is unchanged."""
     from deformscope.config import ExportConfig
     from deformscope.runs.exporting import export_recording
 
@@ -451,8 +434,7 @@ def import_recording(
 
     map: a TOML file that assigns topics and columns to devices; `deformscope import --inspect` proposes one; record: a
     new .rrd; options: the other fields of `deformscope.config.ImportConfig`, such as those of stages. Raises InputError
-    for missing entries of the map and for wrong data; then no file is left.
-    """
+    for missing entries of the map and for wrong data; then no file is left."""
     from deformscope.config import ImportConfig
     from deformscope.runs.importing import import_source
 
@@ -480,8 +462,7 @@ def catalog(
     """The recordings of a folder, as `table` (Arrow): settings, results with intervals, losses.
 
     where: a condition, such as 'beta < 0.5 and verdict == "identified"'; sort: a column, -column for descending
-    columns: columns to show; progress: as in `calibrate_beta`. Raises InputError for what cannot be used.
-    """
+    columns: columns to show; progress: as in `calibrate_beta`. Raises InputError for what cannot be used."""
     from deformscope.runs.catalog import catalogue
 
     with _python_names(), shown_progress(progress) as note:

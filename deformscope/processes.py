@@ -86,8 +86,7 @@ def _follow_low(nice: int, begin: Callable[..., object], *given: Any) -> None:
 def child_process(name: str, target: Callable[..., None], *arguments: Any, nice: int = 0) -> Iterator[Connection]:
     """Run `target(pipe, *arguments)` in such a process, which is to end when the pipe does; yields the other end.
 
-    nice: its priority, unless this process's is lower; 0 = that of this process
-    """
+    nice: its priority, unless this process's is lower; 0 = that of this process"""
     ours, theirs = SPAWN.Pipe()
     given = (nice, target, theirs, *arguments)
     process = SPAWN.Process(target=_follow_low, args=given, name=name, daemon=True)

@@ -3,8 +3,7 @@
 An experiment is a generator. It receives a source's items (a frame of a video, or all items of a rig's devices since
 the last time), None once a source has ended, and an `Answer` to each of its commands. It yields a `Step`: results, and
 a command where it acts. Neither a robot's motion nor a computation blocks the loop: frames are recorded and sent to the
-experiment until the answer is ready.
-"""
+experiment until the answer is ready."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ class Moment:
     """Time of results in a session with a robot.
 
     now_ns: time on the robot's clock; touch: number of the touch to which they belong, from 1; 0 before the first;
-    seen_ns: when their dent was last seen, None without a dent; cell_m: cell size of a plan's maps [m]
-    """
+    seen_ns: when their dent was last seen, None without a dent; cell_m: cell size of a plan's maps [m]"""
 
     now_ns: int
     touch: int = 0
@@ -45,8 +43,7 @@ class Moment:
 class Compute:
     """A command: call a function outside the loop (for devices on their own clock); its value is the answer.
 
-    stage: name under which its cost is recorded
-    """
+    stage: name under which its cost is recorded"""
 
     call: Callable[..., object]
     arguments: tuple[object, ...] = ()
@@ -69,8 +66,7 @@ class Step:
     moment: their time instead, in a session with a robot; command: a `Compute`, a future that another party will fill,
     such as a person's answer, or a command that the robot carries out; an experiment gives one at a time
     batch_s: time over which device items are then gathered, without a robot
-    costs: costs of the computations behind the results; the loop adds them; notes: remarks for the recording
-    """
+    costs: costs of the computations behind the results; the loop adds them; notes: remarks for the recording"""
 
     results: tuple[object, ...] = ()
     frame: int | None = None
@@ -111,8 +107,7 @@ class SessionRig(Protocol):
 class SessionRobot(Protocol):
     """An object that carries out commands (`deformscope.experiments.explore.touching_robot`).
 
-    stopped: future that fails when the robot must stop, also without a command
-    """
+    stopped: future that fails when the robot must stop, also without a command"""
 
     stopped: Future[None]
 
@@ -177,8 +172,7 @@ def run(
 ) -> SummaryT:
     """Drive one experiment over one source to its end and return its summary. executor: computes; None = `Inline`
 
-    The time of a `Compute` is recorded with the next results; with frames of a file, so is that of the experiment.
-    """
+    The time of a `Compute` is recorded with the next results; with frames of a file, so is that of the experiment."""
     executor = executor or Inline()
     frames = iter(source) if isinstance(source, Iterable) else None
     waiting: Future[Any] | None = None

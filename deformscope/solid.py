@@ -18,8 +18,7 @@ from deformscope.arrays import BoolArray, FloatArray
 class Solid:
     """A surface of triangles; it must be closed to determine which points are inside.
 
-    vertices_m: (n, 3) [m], rounded to float32, as they are recorded; triangles: (m, 3) uint32
-    """
+    vertices_m: (n, 3) [m], rounded to float32, as they are recorded; triangles: (m, 3) uint32"""
 
     vertices_m: FloatArray
     triangles: npt.NDArray[np.uint32]

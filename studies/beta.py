@@ -62,8 +62,7 @@ class Disturbance:
     cells: over how many spacings neighbours share errors (0: not at all), 0.7 to 1.3 times it, exponential, Matern or
     Gaussian; white: share of the variance that they do not; held_noise: held positions have it too; wrong, lost: share
     of the free particles whose track is wrong or lost; off: distance of one held particle from where it is said to be
-    [spacings]; frames: frames of a motion, None for its end alone; frames_share: all have the same errors
-    """
+    [spacings]; frames: frames of a motion, None for its end alone; frames_share: all have the same errors"""
 
     cells: float = 0.0
     white: float = 0.0

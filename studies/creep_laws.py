@@ -1,7 +1,6 @@
 """Foams of known laws, touched by hereditary integrals: how often the results of a hold are right (`studies.creep`).
 
-The touches share no code with the fit (`studies.independent.viscoelastic`).
-"""
+The touches share no code with the fit (`studies.independent.viscoelastic`)."""
 
 from __future__ import annotations
 

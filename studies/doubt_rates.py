@@ -4,8 +4,7 @@ alarms, and on data with known errors.
 Bodies, noise and fits are those of `studies.random_bodies`; finite element bodies of one material, which have no true
 beta, are those of `studies.unseen_pokes` with a uniform modulus. Bodies of "other solver" are those of
 `studies.independent`. They are clusters, and plane stress or strain of one material whose whole faces are stretched,
-pressed or sheared by 2 to 10 %.
-"""
+pressed or sheared by 2 to 10 %."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Arms that are driven to forbidden poses, and programs that are killed: whether the arm stops in time.
 
-`fault_study` injects faults of devices in the midst of a touch; here the commands of the arm are themselves wrong.
-"""
+`fault_study` injects faults of devices in the midst of a touch; here the commands of the arm are themselves wrong."""
 
 from __future__ import annotations
 
@@ -76,8 +75,7 @@ class DrivenRun:
     """seed: seed of everything; rogue: not by the robot's own commands but past them, as another program would
 
     left: least distance to its target: deg to the joint's limit, m to table or itself, smallest singular value
-    ended_s, moved_later, standstill: as in `fault_study.FaultRun`
-    """
+    ended_s, moved_later, standstill: as in `fault_study.FaultRun`"""
 
     seed: int
     driven: Driven
@@ -250,8 +248,7 @@ while True:
 class KilledRun:
     """moved_s: after the SIGKILL, until the last answer that moved the arm; turned_deg: its joint in that time
 
-    moved_later: it moved in the half second after that
-    """
+    moved_later: it moved in the half second after that"""
 
     seed: int
     moved_s: float

@@ -1,7 +1,6 @@
 """Faults at random moments of simulated touches: when each is detected, and when the arm is at rest.
 
-Each run has its own foam, tip, tilt, moment and fault, all drawn from its seed, and goes through the real drivers.
-"""
+Each run has its own foam, tip, tilt, moment and fault, all drawn from its seed, and goes through the real drivers."""
 
 from __future__ import annotations
 
@@ -45,11 +44,7 @@ GREATEST_TILT_DEG = 20.0
 MODULI_PA = (10e3, 1e9)
 
 
-ALLOWED_S = {
-    **dict.fromkeys(FORCE, 0.05),
-    **dict.fromkeys(ARM, 0.1),
-    **dict.fromkeys(CAMERA, 2 / 30),
-}
+ALLOWED_S = {**dict.fromkeys(FORCE, 0.05), **dict.fromkeys(ARM, 0.1), **dict.fromkeys(CAMERA, 2 / 30)}
 """Time limits of detection. A camera's two frame periods count from when its pictures matter; an arm that turns on its
 own, or whose angles are frozen, counts from its first motion."""
 AS_IT_MOVES = (Injected.ARM_TURNS, Injected.ARM_FROZEN)
@@ -66,8 +61,7 @@ ENDED_WITHIN_S = 2 * ARM_CYCLE_NS / 1e9
 class Standstill:
     """From when a fault was noticed until no joint turned. nan = it never stood
 
-    seconds; tip_m: way of the tip's centre; turned_deg: turn of the joint that turned most
-    """
+    seconds; tip_m: way of the tip's centre; turned_deg: turn of the joint that turned most"""
 
     seconds: float = math.nan
     tip_m: float = math.nan
@@ -97,8 +91,7 @@ class FaultRun:
     ended_s: after it was noticed, until nothing waited in the arm that would move it; moved_later: a stopped arm was
     moved again; moving: it moved when the fault came; max_force_n: greatest true contact force
     standstill: from when it was stopped until it stood; unseen_m: way of the tip from the fault until it was noticed;
-    turned_deg: rotation of the arm's end relative to the command; both are true values
-    """
+    turned_deg: rotation of the arm's end relative to the command; both are true values"""
 
     seed: int
     injected: Injected
@@ -158,11 +151,7 @@ def make_scene(
     foam = SpringyFoam(drawn_pa if modulus_pa is None else modulus_pa, point_m, normal, tool)
     pictures = np.random.default_rng([seed, 0xCA])
     lab = TouchLab(
-        foam,
-        tool=tool,
-        view=lambda _: View(pictures.normal(0.8, 0.002, VIEW_SHAPE)),
-        start_deg=start_deg,
-        seed=seed,
+        foam, tool=tool, view=lambda _: View(pictures.normal(0.8, 0.002, VIEW_SHAPE)), start_deg=start_deg, seed=seed
     )
     lab.arm_double.accelerate(ACCELERATION_DEG_S2)
     lab.arm_double.blur_torques(TORQUE_NOISE_NM, GRAVITY_LEFT)

@@ -110,8 +110,7 @@ class FieldOutcome:
     border: distance of the farthest wrong cell from one of its assigned material [spacings], 0 = none is wrong; NaN
     without materials, or with another number; held: share of the places whose interval holds the truth; beta_ratio:
     ratio of 1 - beta, over the true ratio of stiffness; claims: places differ; reasons: to doubt it; directions: ratio
-    of moduli along those that are named, over the true one, None where none are
-    """
+    of moduli along those that are named, over the true one, None where none are"""
 
     kind: str
     seed: int

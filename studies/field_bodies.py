@@ -35,8 +35,7 @@ def elastic_pair(
 
     young: modulus of places (n, d) [m]; noise_m: noise of every coordinate, shared by neighbours (Matern 3/2) over
     `reach` spacings, held particles included. The elements are half as wide as the particles' cells, quadratic, in
-    space.
-    """
+    space."""
     d = len(shape)
     ends = [(n - 1) * SPACING_M for n in shape]
     fine = [np.linspace(0.0, end, 2 * n - 1) for end, n in zip(ends, shape, strict=True)]

@@ -35,15 +35,7 @@ from deformscope.stages.poke.poke_fit import SeenPoke, fit_pokes, seen_poke
 from deformscope.stages.poke.stiffness_field import fit_field
 from deformscope.stages.regions.posterior import SurfaceKind
 from studies.quantities import Quantity, Rate, Row, band, by, percent, rows, table
-from studies.reproduce.poke_slabs import (
-    KINDS,
-    POISSON,
-    PokedSlab,
-    PokeGroup,
-    SlabKind,
-    Split,
-    draw_slab,
-)
+from studies.reproduce.poke_slabs import KINDS, POISSON, PokedSlab, PokeGroup, SlabKind, Split, draw_slab
 from studies.reproduce.poke_study import GRID, OTHER_TIPS, TIP, Press, observe, plan_of
 from studies.runner import Study, StudyOptions, StudyReport, Trials
 from studies.seeds import reported
@@ -105,8 +97,7 @@ class UnseenForce:
     the fast way up to a factor; error: relative error of the predicted force; low, high: ends of the interval over the
     true force; held: it holds that; width: width of it over the predicted force; surface_error: share of the depth,
     None of the fast way
-    own_nearest: the nearest fitted poke is on the same side of the border
-    """
+    own_nearest: the nearest fitted poke is on the same side of the border"""
 
     group: PokeGroup
     place: tuple[float, float]
@@ -364,8 +355,7 @@ def report(options: ForceCoverageConfig, seconds: float, tried: Sequence[tuple[T
         for scatter in options.scatter
     ]
     return StudyReport(
-        tables,
-        {"level": options.level, "full": options.full, "split": options.split, "rows": lines, "slabs": slabs},
+        tables, {"level": options.level, "full": options.full, "split": options.split, "rows": lines, "slabs": slabs}
     )
 
 

@@ -1,7 +1,6 @@
 """A controller's record of a tip that comes down on foam with a memory, holds its force and retracts.
 
-It resembles `studies.touching`: no wires, no control loop.
-"""
+It resembles `studies.touching`: no wires, no control loop."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ class HeldTouch:
     """A touch with a hold and a retract, as recorded, and its truth.
 
     time_s, position_m, force_n, true_depth_m, true_force_n: as in `Approach`; loading, held: how many samples lead up
-    to the set force, and how many were taken until the way back; slid_m: how far it slid until then
-    """
+    to the set force, and how many were taken until the way back; slid_m: how far it slid until then"""
 
     time_s: FloatArray
     position_m: FloatArray
@@ -62,8 +60,7 @@ def held_touch(
     The force is controlled as in `robot.touch`: a speed in proportion to the missing force, no faster than the
     approach.
     lean: lateral motion of the tip along x relative to its depth; it sticks, STICKS times as stiff across as along,
-    until `sensing.friction` is reached, and slides
-    """
+    until `sensing.friction` is reached, and slides"""
     xy_m = np.asarray(xy_m, dtype=np.float64)
     normal = world.scene.normal(xy_m)
     rest = np.append(xy_m, world.scene.foam_height_m(xy_m)) + (tip.radius or 0.0) * normal

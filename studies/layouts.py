@@ -2,8 +2,7 @@
 down before singularities.
 
 Each seed draws an arm, the table's pose relative to it, and a stick; then some touches, as `explore` makes them: a
-table of checks, paths to above each place, the touch.
-"""
+table of checks, paths to above each place, the touch."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class LayoutRun:
     margin_deg: least of a joint to the end of its range in any of the arm's cycles, from when the robot might move
     near: (deg to a singularity along the motion, by a walk in steps of 1 deg, and sent share of the requested
     velocity), near of periods in which an arm leads its tip and has a singularity within the walk
-    far: how many looks have none, and their mean share
-    """
+    far: how many looks have none, and their mean share"""
 
     seed: int
     arm: str

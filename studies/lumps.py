@@ -58,8 +58,7 @@ class LumpCase:
 @dataclass(frozen=True, slots=True)
 class LumpAfter:
     """After some touches. found: lumps; off_m: from the nearest one's middle to the true one's, None where there is
-    neither; missed: said probability of one that is missed, of the smallest radius or more
-    """
+    neither; missed: said probability of one that is missed, of the smallest radius or more"""
 
     touches: int
     found: int
@@ -72,8 +71,7 @@ class LumpOutcome:
     """Outcome of a search. truth: x, y, radius, depth of the lump [m], None where there is none; stop: why it ended
     foam_sd: by which the foam truly scatters, in log stiffness; scatter: as it was found; radius_m, interval_m: radius
     and interval of the found lump nearest to the true one, within_m: stated accuracy of its middle; depth: its class
-    xy_m: (t) places that were touched
-    """
+    xy_m: (t) places that were touched"""
 
     case: LumpCase
     truth: tuple[float, float, float, float] | None

@@ -20,8 +20,7 @@ class TrueMap:
 
     labels: (rows, columns) region of each cell, None where stiffness changes gradually
     level: (k,) log apparent stiffness [N/mm] of each label; rigid: (k,) labels with only a lower bound
-    log_stiffness: (rows, columns) that of the material of each cell, without the averaging of a contact
-    """
+    log_stiffness: (rows, columns) that of the material of each cell, without the averaging of a contact"""
 
     labels: IntArray | None
     level: FloatArray
@@ -51,8 +50,7 @@ class MapScore:
     levels_covered: share of the true levels (rigid ones left out) in the 90 % intervals of the regions they are matched
     to; None with a wrong number of regions; wrong, wrong_claimed: share of the surface whose label is not that of its
     matched region, and the map's expectation of it; field_rms: root mean square of log stiffness; field_covered: share
-    of cells whose truth lies in the field's 90 % interval; both without rigid parts
-    """
+    of cells whose truth lies in the field's 90 % interval; both without rigid parts"""
 
     region_count: int
     verdict: str

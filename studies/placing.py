@@ -101,8 +101,7 @@ class PlacedRun:
     """Outcome of a case. stop: kind and reason of what ended it, also on the way back, empty = nothing; drawn: grasps,
     and of those that were refused why; changes: changes of the container's place in the looks after the first
     struck: how the container was disturbed, empty = not, as it did not come so far; closed: the fingers closed
-    off_mm: offset of the container in the end, from where it stood first
-    """
+    off_mm: offset of the container in the end, from where it stood first"""
 
     case: PlacingCase
     container: str

@@ -1,8 +1,7 @@
 """Planners for comparison, as `ds.TouchPlanner`: the place of maximum variance, and any place above a threshold of it.
 
 Both look at the variance of a field of log stiffness, which depends on where was touched and never on what was found
-there. `python -m studies reproduce table41 --planners regions,max-variance,random-above` compares their maps.
-"""
+there. `python -m studies reproduce table41 --planners regions,max-variance,random-above` compares their maps."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 Uncertain are the parameter (its posterior), the model (the misfit of the fit, scaled with the size of the deformation),
 and the noise of the prescribed positions through its effect on the simulation. For particles that will be measured as
-those of the fit, the noise of that measurement is added.
-"""
+those of the fit, the noise of that measurement is added."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def predict(
 
     seen, model: what `found` was fitted to, and how; poke: poke of the same body, or of one of its material: its rest
     shape, `held` particles and their deformed positions are used, nothing else
-    measured: whether the positions that the intervals are for will carry noise of measurement, as those fitted did
-    """
+    measured: whether the positions that the intervals are for will carry noise of measurement, as those fitted did"""
     posterior = found.inferred.posterior
     value = posterior.quantile((np.arange(VALUES) + 0.5) / VALUES)
     beta, theta = (value, model.theta) if model.parameter == "beta" else (model.beta, value)

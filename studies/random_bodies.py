@@ -3,8 +3,7 @@ information, through the same calibration as a user's.
 
 A body is a lattice in the plane or in space whose first layer is fixed while a patch of its last one is moved. Its
 truth is the engine's static state for a random beta, in float64; what is "measured" has noise on top. The ranks of the
-truths in their posteriors are even if these are right (simulation-based calibration, Talts et al. 2018).
-"""
+truths in their posteriors are even if these are right (simulation-based calibration, Talts et al. 2018)."""
 
 from __future__ import annotations
 

@@ -16,8 +16,7 @@ class Reach:
     """Whether the arm reaches places.
 
     reached: (n,) inverse kinematics converged there, every joint PLAN_MARGIN_DEG inside its range; least_singular: (n,)
-    smallest singular value of the Jacobian, 0 where not reached
-    """
+    smallest singular value of the Jacobian, 0 where not reached"""
 
     reached: npt.NDArray[np.bool_]
     least_singular: FloatArray
@@ -34,8 +33,7 @@ def reach(
 ) -> Reach:
     """Which tip centres (n, 3) [m, surface frame] the arm reaches with the stick along -normal, one or (n, 3).
 
-    start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)
-    """
+    start_deg: (m,) joint angles that the search begins with for each place: where the arm comes from (default: home)"""
     directions = np.broadcast_to(np.asarray(normals, dtype=float), (len(centers_m), 3))
     least: list[float | None] = []
     for T_base_ee in placement.T_base_ee(centers_m, directions):

@@ -69,8 +69,7 @@ class RegionCondition:
 
     errors: None draws scatter, gain and arm from the estimator's own prior; gain_at, arm_at: fixed at this number of
     their standard deviations, with the sign by the seed, instead of random; materials: on maps of an independent
-    generator (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change
-    """
+    generator (`studies.independent.random_maps`), which has its own errors, 0 = a gradual change"""
 
     name: str
     truth: Truth
@@ -123,8 +122,7 @@ class RegionOutcome:
     the number is right and above 1; scatter: as learned; touches: made
     cells_held: share of the surface whose true log stiffness lies in the 90 % interval; at_least: reported as `count`
     or more
-    met: true regions in which a touch was made: no other can be counted
-    """
+    met: true regions in which a touch was made: no other can be counted"""
 
     condition: str
     seed: int
@@ -161,8 +159,7 @@ class KnownSurface:
 
     true: labels and levels; places_m: (p, 2) that can be touched; felt: (p,) log stiffness [N/mm] of a contact there,
     scatter in it; gain: log of the force's; arm: deviations by which its compliance is off; own_sd: deviation of each
-    touch alone
-    """
+    touch alone"""
 
     true: TrueMap
     places_m: FloatArray

@@ -75,8 +75,7 @@ class RobotPicture:
 
     depth_m: (H, W) measured; exact: without the sensor's errors; pose: pose of the arm, as it reports; center_m: (3,)
     centre of the tip; foam: (H, W) pixels that fell on foam and have its depth; robot: pixels on the robot, or within
-    BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher
-    """
+    BLEEDING_PX of it, that do not have the depth of what is behind it; above_m: nothing of the sample is higher"""
 
     depth_m: FloatArray
     exact: Rendered
@@ -106,8 +105,7 @@ class RemovalCount:
 
     foam, foam_kept: points of foam, and number of them not classified as robot; foam_outliers: how many of these the
     filter of outliers takes afterwards, as it does without a robot
-    robot, robot_left: points of the robot, and how many stay after both; seconds: that telling them apart took
-    """
+    robot, robot_left: points of the robot, and how many stay after both; seconds: that telling them apart took"""
 
     sensor: Sensor
     about: About
@@ -326,11 +324,7 @@ TITLES: dict[Where, str] = {
     "sample": "In the sample's box, as explorations crop it: foam left (worst picture) / robot left (worst picture)",
     "around a touch": "Within 8 cm of the tip during a press: foam left (worst picture) / robot left (worst picture)",
 }
-ABOUT = {
-    "nothing": "exact",
-    "surface": "5 mm, 1 deg about the surface",
-    "camera": "5 mm, 1 deg about the camera",
-}
+ABOUT = {"nothing": "exact", "surface": "5 mm, 1 deg about the surface", "camera": "5 mm, 1 deg about the camera"}
 
 
 def _pooled(part: str, whole: str) -> Callable[[Sequence[RemovalCount]], float]:

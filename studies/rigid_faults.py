@@ -82,8 +82,7 @@ the fault says."""
 @dataclass(frozen=True, slots=True)
 class RigidRun:
     """arm, fault, stiffness_n_m, phase: one of CASES; refused: by which checks, and why; ended: how the touch did
-    max_force_n: greatest true force; unavoidable_n: what nothing could show, see `_unavoidable_n`
-    """
+    max_force_n: greatest true force; unavoidable_n: what nothing could show, see `_unavoidable_n`"""
 
     seed: int
     arm: str

@@ -123,8 +123,7 @@ def tried(
     """The outcome of each case in their order, from a number of workers of the executor, each on one core, with a
     progress bar. A case that fails does not end the others: its error is raised once they are done.
 
-    known: outcomes that exist already, by the index of their case; keep: called with each new one
-    """
+    known: outcomes that exist already, by the index of their case; keep: called with each new one"""
     from threadpoolctl import threadpool_limits
 
     found = dict(known or {})

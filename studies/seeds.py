@@ -1,8 +1,7 @@
 """Seeds on which constants of the estimators are chosen, and seeds that are reported: never the same.
 
 Committed before any constant was chosen on the former. A constant that is chosen on simulated scenes names this module
-in its docstring.
-"""
+in its docstring."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """A moving KUKA whose answers end: motion of its flange afterwards, by the reason and by the controller's HOLDON.
 
-On the host's clock, through the arm's own process and UDP; each run draws cycle, lag, acceleration and moment.
-"""
+On the host's clock, through the arm's own process and UDP; each run draws cycle, lag, acceleration and moment."""
 
 from __future__ import annotations
 

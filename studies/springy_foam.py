@@ -15,8 +15,7 @@ POISSON = 0.3
 
 class SpringyFoam:
     """An elastic half-space, frictionless (Johnson 1985, 3.4, 4.2): the force on a sphere is `4/3 E* sqrt(R) d^1.5`, on
-    a flat punch `2 E* a d`. Far stiffer than an arm it stands for a rigid block.
-    """
+    a flat punch `2 E* a d`. Far stiffer than an arm it stands for a rigid block."""
 
     def __init__(self, modulus_pa: float, point_m: npt.ArrayLike, normal: npt.ArrayLike, tool: Tool) -> None:
         """point_m, normal: (3,) a point of the undeformed surface and its normal, in the surface frame"""

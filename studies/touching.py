@@ -1,8 +1,7 @@
 """A controller's record of a tip that moves down on the foam and stops, for statistics over many touches.
 
 Touches without wires or a control loop: the foam's force over depth is computed once, and read at the arm's place at
-each sample.
-"""
+each sample."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ class Sensing:
     rate_hz: samples a second; speed_m_s: speed of the arm; position_sd_m, force_sd_n: noise of each axis of each sample
     arm_n_per_m: stiffness of the arm, whose joint angles do not show its bending; infinite by default; gain: ratio of
     measured to true force; the measured one determines where the arm stops; overshoot_m: overshoot after the stop
-    friction: lateral over normal force, in the direction `friction_rad` from the x axis
-    """
+    friction: lateral over normal force, in the direction `friction_rad` from the x axis"""
 
     rate_hz: float = 100.0
     speed_m_s: float = 0.01
@@ -49,8 +47,7 @@ class Approach:
     time_s: (n,) time from the start; position_m: (n, 3) the arm's position of the tip's middle (a flat tip's face)
     force_n: (n, 3) measured force on the tip; all in the surface frame; true_depth_m: (n,) how far the tip had sunk
     along the normal, negative above; true_force_n: (n,) true force along the normal
-    level_n: the last set force; reached: the set force was reached, not only the largest depth
-    """
+    level_n: the last set force; reached: the set force was reached, not only the largest depth"""
 
     time_s: FloatArray
     position_m: FloatArray
@@ -80,8 +77,7 @@ def approach(
 
     If the dent at the set force is shallower than `shallow_m`, the arm continues to the second force. It starts
     `clearance_m` above the surface, and stays `dwell_s` where it stopped. The last sample before the stay is at the
-    stop itself, less than a period after the one before.
-    """
+    stop itself, less than a period after the one before."""
     sensing = sensing or Sensing()
     if not 0.0 < set_force_n <= second_force_n:
         raise InputError("forces above 0, the second not below the first", f"{set_force_n:g} and {second_force_n:g} N")

@@ -3,8 +3,7 @@ one poke, do the 90 % predictive intervals hold the particles of a poke that was
 
 Bodies: a sheet in plane stress (a thin box, one of whose faces is a plane of symmetry) or a block. They have a random
 Poisson's ratio and a Young's modulus that varies by up to a factor of 7; a patch of the far side is pushed, pulled or
-sheared.
-"""
+sheared."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class UnseenPrediction:
     """Accuracy of one predicted unseen poke.
 
     coordinates: coordinates of its free particles; covered: covered of them within their intervals; width: median of
-    these [m]; error: root mean square of predicted - true [m]; motion: motion of true - rest [m]; both a coordinate
-    """
+    these [m]; error: root mean square of predicted - true [m]; motion: motion of true - rest [m]; both a coordinate"""
 
     dim: int
     cluster_size: int

@@ -24,11 +24,7 @@ README = ROOT / "README.md"
 EVERY = [one for page in printed.PAGES for one in printed.printed(page)]
 LONG = ("make demo", "deformscope explore", "deformscope calibrate beta sample:tension")
 """What takes longer than some seconds begins so."""
-ILLUSTRATIONS = {
-    "docs/developers/architecture.md": 2,
-    "docs/howto/watch-a-rig.md": 1,
-    "drivers/optoforce.md": 1,
-}
+ILLUSTRATIONS = {"docs/developers/architecture.md": 2, "docs/howto/watch-a-rig.md": 1, "drivers/optoforce.md": 1}
 """Blocks fenced as ```text, which nothing prints: drawings (that of the layers has its own
 test), a line of udev's, an address."""
 TYPED = [(kind, body) for kind, body in printed.FENCE.findall(README.read_text("utf-8")) if "make " not in body]

@@ -31,11 +31,7 @@ SLAB = ("calibrate", "beta", "sample:poke", "--thickness-m", "0.05", "--save", "
 SQUEEZE = ("squeeze", "lab:containers", "--content", "rice", "--container", "box-01")
 WINDOWS: dict[str, tuple[Path, tuple[tuple[str, ...], ...], dict[str, Any]]] = {
     "tension": (RECORDINGS / "tension.png", (("calibrate", "beta", "sample:tension"),), {}),
-    "predict": (
-        IMAGES / "predict.png",
-        (SLAB, ("predict", "slab.npz", "--against", "unseen.npz")),
-        {"frame": 0},
-    ),
+    "predict": (IMAGES / "predict.png", (SLAB, ("predict", "slab.npz", "--against", "unseen.npz")), {"frame": 0}),
     "explore": (RECORDINGS / "explore.png", (("demo",),), {"touch": 12}),
     "bench": (RECORDINGS / "bench.png", (("record", "lab:bench", "--seconds", "10"),), {"session_s": 9.0}),
     "squeeze": (IMAGES / "squeeze.png", (SQUEEZE,), {"session_s": 5.0}),

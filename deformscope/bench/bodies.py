@@ -21,8 +21,7 @@ PUSH = 1.5
 class BenchBody:
     """A full lattice with some particles held. Lengths are in units of its spacing.
 
-    named: its name in the table; shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)
-    """
+    named: its name in the table; shape: (d,); rest: (K, d); held: (n,) indices; held_position: (n, d)"""
 
     named: str
     shape: tuple[int, ...]
@@ -60,8 +59,7 @@ def poked(side: int) -> BenchBody:
 
     The plates hold the whole of both faces, so that every column of a cube without volume conservation is pressed
     equally. Conjugate gradients solve it in about as many iterations as there are layers: such static states are too
-    easy.
-    """
+    easy."""
     body = cube(side)
     tool = slice(side // 3, max(side - side // 3, side // 3 + 1))
     index = np.arange(body.particles).reshape(body.shape)

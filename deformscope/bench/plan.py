@@ -31,8 +31,7 @@ class BenchPlan:
 
     device: warp's name of the device; sizes: particles of the cubes, each n^3; repeats: number of rounds of every
     comparison, None = as many as fit
-    quick: short rounds and less of everything; only: the cases to measure
-    """
+    quick: short rounds and less of everything; only: the cases to measure"""
 
     device: str
     sizes: tuple[int, ...]

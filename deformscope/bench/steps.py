@@ -31,8 +31,7 @@ pools."""
 class Stepping:
     """The engine's step: many in one call on a state that stays on the device, by the device's own clock on a GPU.
 
-    Nothing is subtracted. Setting up a call is part of it; `calls` has it in a row of its own.
-    """
+    Nothing is subtracted. Setting up a call is part of it; `calls` has it in a row of its own."""
 
     def __init__(self, engine: Msm, body: BenchBody, plan: BenchPlan, candidates: int = 1) -> None:
         self._engine, self._body, self._cpu = engine, body, plan.cpu

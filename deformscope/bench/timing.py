@@ -34,8 +34,7 @@ class TimingRow:
     case: which part of the bench; what: the case that is measured; who: who ran it; unit: unit of the samples; samples:
     one sample for each round; costs: median over rounds of its cost, divided by the cost of the row that it is compared
     with, None without such a row; beside: its reference row
-    facts: other values, by name with their unit; note: a remark for readers
-    """
+    facts: other values, by name with their unit; note: a remark for readers"""
 
     case: str
     what: str
@@ -99,8 +98,7 @@ class Contestant:
     """Something that can be run once, on the clock.
 
     run: runs it once, and returns the time; amount: number of units in one run (steps, candidates)
-    beside: its reference; facts: values known before the run; found: values known after the run
-    """
+    beside: its reference; facts: values known before the run; found: values known after the run"""
 
     what: str
     who: str

@@ -38,8 +38,7 @@ class Command:
     """One command.
 
     summary: its line in `deformscope --help`; config: its class in `deformscope.config`; module: where it lives;
-    function: runs it, called with the config
-    """
+    function: runs it, called with the config"""
 
     summary: str
     config: str
@@ -107,12 +106,7 @@ COMMANDS: dict[str, Command] = {
 }
 """The commands by name; a name of two words (`calibrate beta`) makes a group."""
 
-HEADINGS = {
-    "demo": "Measure",
-    "doctor": "Rig and robot",
-    "replay": "Recordings and data sets",
-    "bench": "This machine",
-}
+HEADINGS = {"demo": "Measure", "doctor": "Rig and robot", "replay": "Recordings and data sets", "bench": "This machine"}
 """Text of `deformscope --help` above a command."""
 
 BEGIN = (
@@ -144,8 +138,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status; nothing is raised, and a traceback is shown only on request.
 
     0 done; 1 unexpected; 2 refused, in one line; 3 done with losses, which are named (`common.EXIT_LOSSES`);
-    128 + its number: ended by a signal
-    """
+    128 + its number: ended by a signal"""
     return guarded(_dispatch, list(sys.argv[1:] if args is None else args))
 
 

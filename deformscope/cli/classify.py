@@ -34,10 +34,7 @@ def run(config: ClassifyConfig) -> None:
     from deformscope.runs.classification import classify_table, options_of, table_from
 
     table = table_from(
-        config.table,
-        modalities=config.modalities,
-        merge=parse_merges(config.merge),
-        duplicates=config.duplicates,
+        config.table, modalities=config.modalities, merge=parse_merges(config.merge), duplicates=config.duplicates
     )
     if config.report is not None and config.report.suffix != ".html":
         make_folder(config.report)

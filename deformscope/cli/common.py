@@ -95,8 +95,7 @@ def recorder_of(
     """The recorder and the view of a command, by its flags; remarks on the recording's place.
 
     The flags are the recording's settings. application: None = the application for findings, with separate views for
-    each command
-    """
+    each command"""
     from deformscope.log.application import FINDINGS
 
     settings = settings_of(config)
@@ -171,8 +170,7 @@ def open_command(path: Path) -> str:
 def write_json(value: object, target: str | None) -> None:
     """Write `value` to a file, or to stdout where `target` is `-`; None writes nothing.
 
-    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; nan and infinities become null.
-    """
+    Frozen dataclasses, arrays, paths, tuples and mappings may be anywhere inside; nan and infinities become null."""
     if target is None:
         return
     text = json.dumps(plain(value), indent=2, allow_nan=False) + "\n"

@@ -48,8 +48,7 @@ class SweptCommand:
     """A command that a worker runs. options: its flags, read once; None if they contain {key}
 
     name: name of the command; words: its flags as typed; source: the field of the file
-    folder: folder to which relative paths refer
-    """
+    folder: folder to which relative paths refer"""
 
     name: str
     words: tuple[str, ...]

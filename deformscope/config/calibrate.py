@@ -287,8 +287,7 @@ def parse_frames(text: str) -> tuple[int, int]:
 
 
 ElasticFlag = Annotated[
-    flags.PositiveFlag,
-    flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}"),
+    flags.PositiveFlag, flags.Rule(lambda beta: beta <= flags.BETA_LIMIT, f"a {{flag}} of at most {flags.BETA_LIMIT:g}")
 ]
 CreepFlag = Annotated[float | str, flags.one_word("none|fit|RATE", parse_creep)]
 

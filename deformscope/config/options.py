@@ -21,8 +21,7 @@ MarkT = TypeVar("MarkT")
 class Written:
     """An output file of a command.
 
-    flag: the flag of its name; replace: whether an existing file may be replaced
-    """
+    flag: the flag of its name; replace: whether an existing file may be replaced"""
 
     flag: str
     path: Path

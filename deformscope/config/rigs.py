@@ -59,10 +59,7 @@ class StageOptions(ParticleFlags):
     images are those of `calibrate beta`; without --grid and --spacing-px, 9 particles lie along the region's longer
     side."""
 
-    stage: Annotated[
-        UseAppendAction[tuple[StageWord, ...]],
-        arg(help_behavior_hint="(repeatable)"),
-    ] = ()
+    stage: Annotated[UseAppendAction[tuple[StageWord, ...]], arg(help_behavior_hint="(repeatable)")] = ()
     """flow: optical flow between two images; particles: particles of the body at rest in the first image, tracked to
     the newest image; beta, theta: the fit of that pose with its verdict; field: relative stiffness of each place;
     surface: a depth camera's surface as a Gaussian process, with its deviation; tactile: centre of pressure, contact

@@ -29,8 +29,7 @@ class SqueezeConfig(RecordedOptions):
     at first contact and steady state: one trial of a data set, or, with --model, the name of the content. A person
     brings the hand to the drawn grasp, or the arm that carries it does (--place); a real hand closes after a question.
     lab:containers is a simulated container, squeezed through the real drivers on doubles; the doubles of a rig file
-    have one too.
-    """
+    have one too."""
 
     rig: Annotated[str, Positional, arg(metavar="RIG|lab:containers"), flags.Reads()]
     """A rig file (.toml) with [hand], [container] and [squeeze], or the laboratory."""

@@ -71,8 +71,7 @@ may be higher than that, all is as at a careful pace. Chosen."""
 class FrameData:
     """The contents of frames by their times on the host's clock [ns]; a reading of force by time and device's ticks.
 
-    depth_m: (H, W); arm: states; wrench_n: (3,) force before any tare, in the tip's frame
-    """
+    depth_m: (H, W); arm: states; wrench_n: (3,) force before any tare, in the tip's frame"""
 
     depth_m: Mapping[int, npt.NDArray[np.floating]]
     arm: Mapping[int, ArmSample]
@@ -138,8 +137,7 @@ class SetupGeometry:
     """Poses of surface, arm and camera relative to each other, and their consequences; pure.
 
     compliance_m_per_n, compliance_sd: the arm's compliance under a push and its deviation [m/N]; described: shape of
-    the robot
-    """
+    the robot"""
 
     size_m: tuple[float, float]
     placement: Placement
@@ -333,8 +331,7 @@ class SetupGeometry:
 
         over_m: greatest height of the surface on the straight path, None = unknown: then the greatest height of any
         obstacle; known_m: uncertainty of the surface's height there, None = measured, before any touch; at a quick pace
-        the motion is slow within it
-        """
+        the motion is slow within it"""
         highest, standoff_m, quick = highest_m(options), options.standoff_m, dict[str, float]()
         still_s = DWELL_S
         if options.pace == "quick":

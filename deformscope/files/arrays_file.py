@@ -1,7 +1,6 @@
 """Reading files of arrays (`.npz`): common parts of pair, motion, model and classifier files.
 
-Nothing in them is executed (no pickle).
-"""
+Nothing in them is executed (no pickle)."""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ def read_arrays(raw: bytes, expected: str, where: object = "") -> dict[str, npt.
     """All arrays in a file's bytes, by name, of any shape.
 
     expected, where: the expected kind of file, and its name, for messages. Raises InputError for bytes that are no such
-    file or damaged. No more memory is allocated than the bytes can fill.
-    """
+    file or damaged. No more memory is allocated than the bytes can fill."""
     came = "a damaged file, or one of another kind"
     if raw.startswith(np.lib.format.MAGIC_PREFIX):
         raise InputError(expected, "a single array (.npy)", "numpy.savez(FILE.npz, rest=..., ...)", where)

@@ -10,8 +10,7 @@
     classifiers m0.c0.points..., in the order of `told`; s0.3.used...: the same for step 3 of the first modality with
     steps
 
-Nothing in it is executed when it is read (no pickle).
-"""
+Nothing in it is executed when it is read (no pickle)."""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@
     rest, toward, fixed, places, stiffness, left_out, rival_stiffness; shape and cell where the particles have a lattice
     residual (2, k) outward and upward, the law's residual around a tip, common to all pokes
 
-Nothing in it is executed when it is read (no pickle).
-"""
+Nothing in it is executed when it is read (no pickle)."""
 
 from __future__ import annotations
 

@@ -20,8 +20,7 @@ def parse_motion(raw: bytes, where: object = "", *, noise_m: float | None = None
     `held`, whose positions are prescribed, is indices `(n,)` for all frames, or bool `(T, K)` for a tool that comes and
     goes. Optional: `dt` [s] between frames, or `(T - 1,)`; `shape` and `cell` as in a pair file; `noise_m`.
     noise_m: noise that replaces the file's. Raises InputError for missing arrays, for arrays that contradict each
-    other, and for values that cannot be metres.
-    """
+    other, and for values that cannot be metres."""
     return parsed(raw, "motion", where, lambda found: _motion(found, noise_m))
 
 

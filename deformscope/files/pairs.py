@@ -8,17 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope.errors import InputError
-from deformscope.files.arrays_file import (
-    NOT_KNOWN,
-    Arrays,
-    indices,
-    lattice,
-    number,
-    numbers,
-    parsed,
-    rest_of,
-    sized,
-)
+from deformscope.files.arrays_file import NOT_KNOWN, Arrays, indices, lattice, number, numbers, parsed, rest_of, sized
 from deformscope.stages.fit.model import Observation, touched_of
 from deformscope.stages.fit.plausible import check_metres, check_same_unit
 from deformscope.stages.msm.poke import TIP_SHAPES, Tip
@@ -36,8 +26,7 @@ def parse_pair(raw: bytes, where: object = "", *, noise_m: float | None = None) 
     `tip` (flat, disc, sphere) with `tip_size_m`: the tip on `contact`, if particles do not show its size, and `tip_at_m
     (d,)`, the place of its axis: particles show that only within their spacing. Without `shape`, a rest shape that is
     regular within 1 % is taken as a lattice. noise_m: noise that replaces the file's. Raises InputError for missing
-    arrays, for arrays that contradict each other, and for values that are not finite, or cannot be metres.
-    """
+    arrays, for arrays that contradict each other, and for values that are not finite, or cannot be metres."""
     return parsed(raw, "pair", where, lambda found: _observation(found, noise_m))
 
 

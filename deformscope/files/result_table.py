@@ -98,8 +98,7 @@ def select_rows(table: pa.Table, where: str = "", sort: str = "") -> pa.Table:
 
     where: columns compared with values, with `and`, `or`, `not`, `in` and brackets, as in Python. `"word" in column`
     looks within texts; a column may be named by the end of its name, if that is unique
-    sort: a column, the largest first with a `-` before it
-    """
+    sort: a column, the largest first with a `-` before it"""
     if where:
         try:
             table = table.filter(_condition(ast.parse(where.strip(), mode="eval").body, table.schema.names))

@@ -35,8 +35,7 @@ class Source:
     """A stream of frames, read once and lazily: `with open_source(...) as source: for frame in source: ...`.
 
     name: the source's name, for a progress line; count: expected number of frames, None if only reading shows it (the
-    count of a video is that of its container); problems: after reading, its missing or damaged parts
-    """
+    count of a video is that of its container); problems: after reading, its missing or damaged parts"""
 
     def __init__(
         self,
@@ -117,8 +116,7 @@ def open_source(
     stride: use every n-th frame; a frame's index counts the used ones
     fps: frames a second of the source before `stride`; default: the video's rate, else 30; a recording has stamps
     mask: an image that is not used as a frame if it is among them
-    camera: the camera to use, if a recording has several
-    """
+    camera: the camera to use, if a recording has several"""
     if stride < 1:
         raise InputError("a stride of 1 or more", str(stride))
     if fps is not None and not (math.isfinite(fps) and fps > 0):

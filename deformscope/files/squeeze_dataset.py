@@ -6,8 +6,7 @@
                         modality is missing; `series` and `series_vision_small`: tactile features and small changes of
                         depth every 0.1 s since first contact, flat
 
-Both files carry `deformscope` in their metadata: format, and the settings that the features were computed with.
-"""
+Both files carry `deformscope` in their metadata: format, and the settings that the features were computed with."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ class TrialEntry:
     planned pose of the hand; seed: seed of its random errors
     software: versions; recorded_at: ISO 8601, UTC; recording: path from the folder, or empty
     first_s, steady_s: the events, since the recording's start [s], nan = none
-    discarded: why it is left out, None = it is used
-    """
+    discarded: why it is left out, None = it is used"""
 
     trial: str
     content: str
@@ -74,8 +72,7 @@ class TrialEntry:
 class TrialRow:
     """A squeeze and its features by modality; a missing modality was not measured, as in a discarded trial.
 
-    series: by modality (k, p) features every 0.1 s since first contact
-    """
+    series: by modality (k, p) features every 0.1 s since first contact"""
 
     entry: TrialEntry
     features: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -85,8 +82,7 @@ class TrialRow:
 class SqueezeDataset:
     """`dataset = SqueezeDataset(folder)`, read again by each call; `add` makes the folder if it is missing.
 
-    settings: settings of the features; None = those of the folder
-    """
+    settings: settings of the features; None = those of the folder"""
 
     def __init__(self, folder: Path, settings: Mapping[str, Any] | None = None) -> None:
         self.folder = Path(folder)

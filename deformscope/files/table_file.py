@@ -4,8 +4,7 @@
              `series.NAME` (N, T, p) over the squeeze with `step_s`
     columns  label, optional group, kind, trial, and MODALITY.0, MODALITY.1...
 
-Nothing in them is executed (no pickle).
-"""
+Nothing in them is executed (no pickle)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Checks whether a video gave all its frames: compares the container's list with the readable frames and their times.
 
-A damaged video is read without an error, because a decoder conceals or omits undecodable parts.
-"""
+A damaged video is read without an error, because a decoder conceals or omits undecodable parts."""
 
 from __future__ import annotations
 
@@ -78,8 +77,7 @@ class _Layout:
     """Structure of a container file, by its own tables.
 
     listed: it has a table of its frames; shown_s: how long it is to be shown, None = all of it; cut_off: it says that
-    it is longer than the file; silent: without sound, so that its duration is the picture's
-    """
+    it is longer than the file; silent: without sound, so that its duration is the picture's"""
 
     def __init__(self) -> None:
         self.listed = self.cut_off = self.silent = False

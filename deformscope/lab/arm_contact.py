@@ -42,8 +42,7 @@ class ArmContact:
     """The tip of a simulated arm in a world that can be touched.
 
     world: the touched world; force_n: (3,) present force on the tip, surface frame [N]; max_force_n: the greatest
-    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]
-    """
+    magnitude of that force so far; finger_n: (3,) additional force of a finger on the tip, surface frame [N]"""
 
     def __init__(
         self,
@@ -58,8 +57,7 @@ class ArmContact:
         """arm_stiffness_n_m: stiffness of the arm against a push, which its joints' sensors do not see (inf = rigid)
 
         goes_on: between two evaluations of the world the force is extrapolated rather than constant: half a cycle less
-        behind the place, which an energy lost in a touch would show
-        """
+        behind the place, which an energy lost in a touch would show"""
         self.force_n: FloatArray = np.zeros(3)
         self.max_force_n = 0.0
         self.finger_n: FloatArray = np.zeros(3)
@@ -122,8 +120,7 @@ class ArmContact:
 
         The deflection s along the force's direction solves |press(center + s e)| * compliance = s, whose left side
         falls with s. The secant method starts from the end of the last cycle and takes one or two evaluations of the
-        world. It is bracketed for contacts so stiff that it diverges.
-        """
+        world. It is bracketed for contacts so stiff that it diverges."""
         at_m = self._deflection_m
         force_n = self.world.press(center_m + at_m * self._direction)
         size_n = float(np.linalg.norm(force_n))

@@ -45,8 +45,7 @@ class ArmBody(PushedArm, Protocol):
 class ArmInLab:
     """arm: the driver's device, not opened; body: the moving arm; person: the person who places it; None = an arm with
     motors
-    wire: connection of driver and double, to be entered before the arm is opened, None = no thread or process runs
-    """
+    wire: connection of driver and double, to be entered before the arm is opened, None = no thread or process runs"""
 
     arm: Arm[Any]
     body: ArmBody

@@ -6,8 +6,7 @@ they enter by about a five hundredth of the radius at the highest pressure. Newt
 `deformscope.lab.finite_strain`.
 
 Forces scale with the law's moduli. So the effect of large strain is one number at each depth: the force over that of
-linear foam of the same modulus (`deformscope.lab.plateau_world`).
-"""
+linear foam of the same modulus (`deformscope.lab.plateau_world`)."""
 
 from __future__ import annotations
 

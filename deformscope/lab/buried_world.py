@@ -67,8 +67,7 @@ class BallCompliance:
     """How much more compliant a ball makes the surface of a slab: below 0 for a stiff ball.
 
     x_m, y_m: (n,), (m,) x and y of the mesh; change: (n m, n m) additional displacement down of each of its nodes for a
-    unit push down on each, y fastest [m/N]
-    """
+    unit push down on each, y fastest [m/N]"""
 
     def __init__(self, scene: Scene, ball: BuriedBall) -> None:
         half = AROUND * ball.radius_m

@@ -1,8 +1,7 @@
 """The laboratory of squeezes with an arm that carries the hand, and a container on a table at an unknown
 place: measured by the camera; a hit slides or topples it.
 
-Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's.
-"""
+Frames: the table's (z = 0 on it, y away from the arm) is the world's here; `ContainerWorld` squeezes in the hand's."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ ARM_POLL_NS, ALL_POLL_NS = 2_000_000, 10_000_000
 class StandingContainer(SqueezedContainer):
     """body: the arm; T_table_container: (4, 4) present pose of the container; toppled
 
-    blind: the camera gives no depth; injected_n: (3,) additional force on the pads of each finger [N]
-    """
+    blind: the camera gives no depth; injected_n: (3,) additional force on the pads of each finger [N]"""
 
     def __init__(self, arm: ArmInLab, T_base_table: FloatArray, case: ContainerCase, clock: Clock) -> None:
         super().__init__(case, clock, Port.TCP)
@@ -199,8 +197,7 @@ def _aligned(T_hand_container: FloatArray, shape: ContainerShape) -> FloatArray:
 class _Wire(MemoryTransport):
     """A wire whose reader lets the other devices' time pass while it waits, as it does when an arm is opened.
 
-    passes: until a moment [ns]
-    """
+    passes: until a moment [ns]"""
 
     passes: Callable[[int], None]
 

@@ -20,8 +20,7 @@ Sources:
             devices/hands/SchunkHandV2/SchunkHandTactile6.dwc.xml. It is a simulated SDH with force limits of 2.1 Nm in
             the proximal joints and 1.4 Nm in the distal ones, and pads to 250 kPa; Schunk's own catalogue was not
             available
-  KHOSH     Khoshelham and Oude Elberink 2012, Sensors 12: depth noise of a first Kinect
-"""
+  KHOSH     Khoshelham and Oude Elberink 2012, Sensors 12: depth noise of a first Kinect"""
 
 from __future__ import annotations
 
@@ -44,8 +43,7 @@ class Content:
     friction_deg, cohesion_pa: friction and cohesion of Coulomb's law, for granular contents
     load_modulus, unload_modulus: confined modulus over stress, on first loading and after, for granular contents
     shear_modulus_pa, yield_pa, consistency_pa_sn, flow_index: elasticity below yield, and stress = yield + consistency
-    rate^index above it (Herschel-Bulkley), for fluids; a Newtonian liquid has index 1 and no yield
-    """
+    rate^index above it (Herschel-Bulkley), for fluids; a Newtonian liquid has index 1 and no yield"""
 
     density_kg_m3: float
     solid_share: float
@@ -118,8 +116,7 @@ class Wall:
     """An orthotropic elastic wall, 1 along the perimeter, 2 along the height.
 
     thickness_m; young_pa: (1, 2); poisson: strain along 2 over strain along 1 under stress along 1; shear_pa
-    density_kg_m3; thickness_cv, young_cv: coefficients of variation between instances
-    """
+    density_kg_m3; thickness_cv, young_cv: coefficients of variation between instances"""
 
     thickness_m: float
     young_pa: tuple[float, float]

@@ -26,12 +26,7 @@ from deformscope.robot.placement import Placement
 from deformscope.robot.placing import PlacingSetup, hand_tool
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_plan import GripShape, draw_grasp
-from deformscope.robot.squeeze_setup import (
-    SimulatedContainer,
-    SqueezeNames,
-    SqueezeParts,
-    SqueezeSetup,
-)
+from deformscope.robot.squeeze_setup import SimulatedContainer, SqueezeNames, SqueezeParts, SqueezeSetup
 from deformscope_drivers.arm.kinematics import transform
 
 KINDS = {"box": "cardboard box", "cylinder": "plastic cylinder"}
@@ -66,8 +61,7 @@ def container_lab(
     """content, container: their names, empty = drawn; session: its number is that of the room's temperature
 
     camera_hz, alike: as for `SqueezeLab`, `ContainerCase`; arm: `jaco` or `kuka`, which places the hand; empty = none.
-    Raises InputError for a content or a container that is not known.
-    """
+    Raises InputError for a content or a container that is not known."""
     content, container = _drawn(content, container, "box", seed)
     shape, _ = container_of(container)
     section = ContainerSection(shape.kind, _size_m(shape), shape.wall.thickness_m, KINDS[shape.kind])
@@ -147,8 +141,7 @@ class RigContainer:
 def rig_container(parts: SqueezeParts, content: str, container: str, session: str, seed: int) -> RigContainer:
     """The container that the doubles of a rig file squeeze, on the host's clock; arguments as in `container_lab`.
 
-    Raises InputError for an unknown content, and for a container other than that of `[container]`.
-    """
+    Raises InputError for an unknown content, and for a container other than that of `[container]`."""
     from deformscope.lab.live_squeeze_lab import PICTURES_HZ, LiveSqueezeLab
 
     section = parts.rig.container

@@ -17,8 +17,7 @@ keep their rim round or square, and hinge there.
 
 Not modelled: stiffening by large dents (von Karman), buckling, creases of a carton, creep; bottom and lid do not bend.
 Instances of a kind differ by one factor on the whole stiffness (modulus times thickness cubed), so that one
-factorisation serves them all.
-"""
+factorisation serves them all."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ PATCH_HALF_M = 0.048
 class ContainerShape:
     """A container's undeformed outer form, in its frame.
 
-    kind; half_m: half its size along x, y, z [m] (a cylinder's radius twice); wall
-    """
+    kind; half_m: half its size along x, y, z [m] (a cylinder's radius twice); wall"""
 
     kind: Literal["box", "cylinder"]
     half_m: tuple[float, float, float]
@@ -129,8 +127,7 @@ class Shell:
     """The elastic wall of a shape. Displacements and loads are positive inwards.
 
     s_m, z_m: nodes of its mesh; patch_area_m2: (p,) and patch_z_m: (p,) of the patches that a filling acts on, those of
-    the side at +x first
-    """
+    the side at +x first"""
 
     def __init__(self, shape: ContainerShape) -> None:
         self.shape = shape

@@ -3,8 +3,7 @@
 The world is the hand's frame. The wall is the mesh of the shell's nodes, displaced along its normals; links of the
 fingers are capsules with the surface of their pads. The camera sees the side at +x, with the pressing finger, from a
 metre away (thesis 5.1), from above and from beyond the fingertips. Not modelled: shadows of the camera's projector
-around the fingers, a pixel wide on the wall.
-"""
+around the fingers, a pixel wide on the wall."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def camera_pose(config: DepthViewConfig = CAMERA) -> FloatArray:
 class ContainerView(RayCamera):
     """A camera in front of a container in the hand.
 
-    shape: shape of the container
-    """
+    shape: shape of the container"""
 
     def __init__(
         self,
@@ -65,8 +63,7 @@ class ContainerView(RayCamera):
         before, on its table; the camera is at its `camera_pose` for any container
 
         T_world_camera: (4, 4) pose of a camera in another frame, in which hand and container then are: an arm moves
-        them
-        """
+        them"""
         super().__init__(config, camera_pose(config) if T_world_camera is None else T_world_camera)
         self.shape = shape
         around_m = np.append(nodes_m[0], nodes_m[0][0] + shape.perimeter_m)

@@ -11,8 +11,7 @@ A few Newton steps on some 60 active unknowns solve it. A joint of a finger move
 about it (virtual work: sum of forces x d depth / d angle) is within its motor's torque; gears hold the reached angle.
 
 Texels keep the place on the wall where they were when their finger came near. Not modelled: friction of the pads,
-rotation of the container under the squeeze, the shape of the dent under a single texel.
-"""
+rotation of the container under the squeeze, the shape of the dent under a single texel."""
 
 from __future__ import annotations
 
@@ -72,8 +71,7 @@ class ContainerDraw:
 
     T_hand_container: (4, 4) first pose of the container [m]; fill: share of the height; softness: softness of the wall
     over nominal; warming_k: warming since it was closed; room_k: temperature of hand and pads over their calibration
-    gear_loss: (7,) share of each axis's torque
-    """
+    gear_loss: (7,) share of each axis's torque"""
 
     T_hand_container: FloatArray
     fill: float
@@ -208,8 +206,7 @@ class _Tangent:
 class ContainerWorld:
     """A container with a content, and its response to the fingers.
 
-    shape, content, trial: as given; mass_kg: mass of all of it
-    """
+    shape, content, trial: as given; mass_kg: mass of all of it"""
 
     def __init__(self, shape: ContainerShape, content: Content, trial: ContainerDraw) -> None:
         self.shape, self.content, self.trial = shape, content, trial

@@ -49,8 +49,7 @@ TABLE_M = 0.6
 class DepthView(RayCamera):
     """A camera in front of a scene.
 
-    places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]
-    """
+    places_m: (n, 2) vertices of the slab's surface at rest, for which `render` takes displacements [m]"""
 
     def __init__(
         self, scene: Scene, config: DepthViewConfig | None = None, surface_from_camera: FloatArray | None = None
@@ -74,10 +73,7 @@ class DepthView(RayCamera):
         return self.T_world_camera
 
     def render(
-        self,
-        displaced_m: FloatArray | None = None,
-        capsules: Sequence[Capsule] = (),
-        solids: Sequence[PosedSolid] = (),
+        self, displaced_m: FloatArray | None = None, capsules: Sequence[Capsule] = (), solids: Sequence[PosedSolid] = ()
     ) -> Rendered:
         """The exact picture. displaced_m: (n, 3) displacement of the surface at `places_m` [m], None at rest; capsules,
         solids: the robot, surface frame"""

@@ -46,8 +46,7 @@ def double_device(driver: str, config: object) -> Iterator[Device[Any]]:
     """A device of this driver, not opened, whose other end is a double that runs until the end of the context.
 
     config: as for the real device; the double has the address in it, and needs neither hardware nor a CAN interface of
-    the kernel
-    """
+    the kernel"""
     if driver in WIRED and config_bus(config):  # python-can's virtual buses are within a process
         with wire_of(driver, config, f"virtual:double-{next(_numbers)}") as wire:
             yield DRIVERS[driver].make(reaching(config, wire.port, is_bus=wire.is_bus))
@@ -64,8 +63,7 @@ def wire_of(driver: str, config: Any, bus: str) -> Iterator[Wire]:
     """A running double of a byte-stream device, connected by a CAN bus or a socket if the configuration names one, else
     by a pseudo terminal.
 
-    bus: replacement of the CAN bus that the configuration names
-    """
+    bus: replacement of the CAN bus that the configuration names"""
     double = WIRED[driver](config)
     wire: Wire
     if config_bus(config):

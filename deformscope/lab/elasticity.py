@@ -63,8 +63,7 @@ class ElasticBox:
 
     nodes: (N, 3) positions at rest of corners, and of the middles of edges, faces and elements where the element has
     nodes there [m]; corners: (nx ny nz,) nodes at corners, without those between them, last axis fastest; centres: (E,
-    3) centres of the elements
-    """
+    3) centres of the elements"""
 
     def __init__(
         self,
@@ -237,8 +236,7 @@ def dissected(nodes: FloatArray, axes: tuple[FloatArray, ...]) -> IntArray:
     """An order of unknowns with little fill-in: nested dissection by planes of the mesh (George 1973).
 
     nodes: (n, 3) node of each unknown. Elements do not cross a plane of corners, so that both sides of a plane depend
-    on each other only through its nodes.
-    """
+    on each other only through its nodes."""
     spacing = np.array([float(np.diff(axis).mean()) for axis in axes])
     tolerance = 1e-6 * min(float(np.diff(axis).min()) for axis in axes)
 

@@ -127,8 +127,7 @@ class FaultsToCome:
     """Injects faults during touches: each at a moment drawn from the seed, within its touch.
 
     A fault of force sensor or arm strikes in any phase; one of the camera while it dwells, when its pictures matter.
-    struck: faults that have occurred, and when on the laboratory's clock [ns]
-    """
+    struck: faults that have occurred, and when on the laboratory's clock [ns]"""
 
     def __init__(self, lab: TouchLab, faults: Sequence[FaultAt], seed: int) -> None:
         self._lab = lab

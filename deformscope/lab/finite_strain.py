@@ -3,8 +3,7 @@
 Nine-node quadrilaterals (quadratic: they do not lock), plane strain, Newton's method with a line search on the energy,
 and load steps that are halved if it fails. The block is bonded to the ground; the clamp moves straight down and the
 foam under it does not slip; the rest of the surface and both sides are free. Left and right mirror each other, so the
-right half is computed.
-"""
+right half is computed."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ class PressedBlock:
 
     force_n: force with which the clamp pushes down [N]; ground_n: force with which the ground pushes up
     nodes: (n, 2) rest positions [m] of the right half's nodes, x from the middle, y from the ground;
-    displacement: (n, 2) [m]
-    """
+    displacement: (n, 2) [m]"""
 
     depth_m: float
     force_n: float
@@ -63,11 +61,7 @@ class PressedBlock:
 
 
 def press(
-    law: OgdenFoam,
-    block: Block,
-    clamp_m: float,
-    depths_m: Sequence[float],
-    element_m: float = 0.005,
+    law: OgdenFoam, block: Block, clamp_m: float, depths_m: Sequence[float], element_m: float = 0.005
 ) -> list[PressedBlock]:
     """Press the block to each of the rising depths of a clamp that is `clamp_m` wide and on its middle. element_m: size
     of the elements below the clamp; far from it they are twice as large"""
@@ -86,8 +80,7 @@ def press(
 class LargeStrain(ABC):
     """Equilibrium of a body at large strain while something is pushed into it, by Newton's method.
 
-    prescribed, free: (n,) degrees of freedom that are held, and all others
-    """
+    prescribed, free: (n,) degrees of freedom that are held, and all others"""
 
     prescribed: IntArray
     free: IntArray

@@ -41,8 +41,7 @@ class Foam:
     """Parameters of one foam.
 
     density [kg/m3]; hardness: force at 40 % indentation [N]; plateau: exponent of the yielding term;
-    poisson: Poisson's ratio of small strains
-    """
+    poisson: Poisson's ratio of small strains"""
 
     density: float
     hardness: float

@@ -28,8 +28,7 @@ class LayerWorld:
     the depth of the table, which does not move, is subtracted (Steinbrenner 1934; on the axis of a point load, Johnson
     1985, eq. 3.18).
 
-    pressed: (3,) place and depth of the ball: x, y, depth [m]
-    """
+    pressed: (3,) place and depth of the ball: x, y, depth [m]"""
 
     def __init__(self, scene: Scene, radius_m: float) -> None:
         if any(piece.relaxes or piece.keeps or piece.plateau_exponent for piece in scene.pieces):

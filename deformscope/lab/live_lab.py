@@ -2,8 +2,7 @@
 
 It is the table of a rig file with `double = true` and `[surface] scene`: the code that moves a real arm then moves a
 simulated one. The table is simulated in separate processes, because a real one does not wait for this program's
-threads. `touch_lab` is the laboratory for studies: its clock is simulated, and its runs are repeatable.
-"""
+threads. `touch_lab` is the laboratory for studies: its clock is simulated, and its runs are repeatable."""
 
 from __future__ import annotations
 
@@ -68,8 +67,7 @@ class _Shared:
     """Values that the processes share, each with one writer.
 
     wrench: (6,) on the arm's end; center_m: (3,) centre of the tip; pressed: x, y, depth [m] of the dent; max_force_n
-    finger_n: (3,) force of a person's finger on the tip, surface frame; board: a person has fixed it to the arm
-    """
+    finger_n: (3,) force of a person's finger on the tip, surface frame; board: a person has fixed it to the arm"""
 
     def __init__(self, T_base_links: FloatArray) -> None:
         self._shape = T_base_links.shape
@@ -112,8 +110,7 @@ class _Shared:
 class LiveLab:
     """The table, the arm over it, and their state (`robot.setup.SimulatedTable`).
 
-    view: the camera; arm: the simulated arm, and the person who places it
-    """
+    view: the camera; arm: the simulated arm, and the person who places it"""
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 

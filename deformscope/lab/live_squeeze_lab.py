@@ -1,8 +1,7 @@
 """A simulated container for devices on the host's clock, each with its own thread.
 
 The same doubles as in `squeeze_lab`, behind pseudo terminals, in a child process: a real hand does not wait for this
-program's threads either. That process also draws the pictures. Here a call may wait for a motion.
-"""
+program's threads either. That process also draws the pictures. Here a call may wait for a motion."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ class LiveSqueezeLab:
     """`with LiveSqueezeLab(case) as lab:` makes its devices, which are not opened; `lab.source()` opens them.
 
     hand, pads, camera: the real drivers' devices; clock, wait_until: those of the host. `devices` makes the devices of
-    a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)
-    """
+    a rig file (`deformscope.robot.squeeze_setup.SimulatedContainer`)"""
 
     runs_itself, opener, clock, wait_until = True, None, staticmethod(monotonic_ns), staticmethod(sleep_until)
 

@@ -28,8 +28,7 @@ from deformscope.errors import InputError
 class OgdenFoam:
     """One foam.
 
-    shear: mu_i [Pa], > 0; exponent: a_i, not 0, one for each; poisson: nu of small strains, 0 to below 1/2
-    """
+    shear: mu_i [Pa], > 0; exponent: a_i, not 0, one for each; poisson: nu of small strains, 0 to below 1/2"""
 
     shear: tuple[float, ...]
     exponent: tuple[float, ...]
@@ -67,8 +66,7 @@ class OgdenFoam:
     def derivatives(self, stretch: FloatArray) -> tuple[FloatArray, FloatArray]:
         """First and second derivatives of the energy by the principal stretches (d, ...): (d, ...) and (d, d, ...).
 
-        The first are the principal nominal stresses [Pa].
-        """
+        The first are the principal nominal stresses [Pa]."""
         log = np.log(stretch)
         log_j = log.sum(axis=0)
         b, d = self.volume_share, len(stretch)
@@ -99,8 +97,7 @@ def stress_and_tangent(law: OgdenFoam, gradient: FloatArray) -> tuple[FloatArray
     """First Piola-Kirchhoff stress (n, d, d) and its derivative (n, d, d, d, d) [Pa] at gradients (n, d, d).
 
     With d = 2 the strain is plane. From principal stretches: a change of the gradient that is symmetric, or skew, in
-    the axes of two of them has its own stiffness (Bonet and Wood 2008, section 6.6).
-    """
+    the axes of two of them has its own stiffness (Bonet and Wood 2008, section 6.6)."""
     left, stretch, right_t = np.linalg.svd(gradient)
     right = np.swapaxes(right_t, 1, 2)
     first, second = (np.moveaxis(x, -1, 0) for x in law.derivatives(stretch.T))

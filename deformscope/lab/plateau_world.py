@@ -6,8 +6,7 @@ relative to the same ball on linear foam. At each depth a touch's force is the l
 one kind, far from its edges, force over depth is therefore that of the large-strain solution.
 
 Not modelled: near a border or an edge, the share is that of the foam below the tip's middle on a level layer of the
-same thickness. The dent around the tip is that of linear foam at the same depth, while on a plateau it is narrower.
-"""
+same thickness. The dent around the tip is that of linear foam at the same depth, while on a plateau it is narrower."""
 
 from __future__ import annotations
 

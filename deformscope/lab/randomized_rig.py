@@ -44,8 +44,7 @@ class RandomizedRig:
 
     placement: surface, arm and tip; R_tip_force: (3, 3) forces in the sensor's axes to the tip's; force_gain: the
     sensor's forces over the true forces
-    T_surface_camera, T_ee_board: (4, 4) camera to surface frame, board to the arm's end
-    """
+    T_surface_camera, T_ee_board: (4, 4) camera to surface frame, board to the arm's end"""
 
     placement: Placement
     R_tip_force: FloatArray
@@ -138,8 +137,7 @@ class HandledTable(Protocol):
 class SimulatedHand:
     """Carries out requests at a table, by their kind (`experiments.rig.rig_calibration`), with small errors.
 
-    Raises InputError if the arm does not reach the requested pose.
-    """
+    Raises InputError if the arm does not reach the requested pose."""
 
     def __init__(self, rig: RandomizedRig, table: HandledTable, size_m: tuple[float, float], seed: int = 0) -> None:
         self._rig, self._table, self._size_m = rig, table, size_m

@@ -1,7 +1,6 @@
 """A simulated depth camera: rays cast into triangles and capsules, and the errors of a real camera.
 
-It has the figures of a PrimeSense: 640x480 pixels, 570 px of focal length.
-"""
+It has the figures of a PrimeSense: 640x480 pixels, 570 px of focal length."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ class DepthViewConfig:
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's, which
     has the same sensor (1.4 mm at 1 m: Khoshelham and Oude Elberink 2012)
     missing: share of pixels without depth; grazing_deg: surfaces seen at a smaller angle than this have no depth
-    unit_m: step of depth; far_m: farthest depth that is measured
-    """
+    unit_m: step of depth; far_m: farthest depth that is measured"""
 
     width: int = 640
     height: int = 480
@@ -72,8 +70,7 @@ class Rendered:
 class RayCamera:
     """A camera at a pose in a world.
 
-    config; intrinsics: its projection; T_world_camera: (4, 4) its pose: x right, y down, z along the view
-    """
+    config; intrinsics: its projection; T_world_camera: (4, 4) its pose: x right, y down, z along the view"""
 
     def __init__(self, config: DepthViewConfig, T_world_camera: FloatArray) -> None:
         self.config = config

@@ -17,8 +17,7 @@ from deformscope_drivers.device import Device
 def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
     """The rig's devices, not opened; doubles run for those with double = true, until the end of the context.
 
-    Members of a rig; in lab:containers a container is between the doubles.
-    """
+    Members of a rig; in lab:containers a container is between the doubles."""
     with contextlib.ExitStack() as stack:
         around: dict[str, Device[Any]] = {}
         if rig.name == "lab:containers":
@@ -38,8 +37,7 @@ def members_of(rig: Rig) -> Iterator[tuple[RigMember, ...]]:
 def member_of(entry: RigDevice) -> Iterator[RigMember]:
     """One device of a rig, not yet opened; its double, if requested, runs until the end of the context.
 
-    Raises InputError if there is no such double.
-    """
+    Raises InputError if there is no such double."""
     stands_in = double_device(entry.driver.name, entry.config) if entry.double else contextlib.nullcontext(entry.make())
     with stands_in as device:
         yield RigMember(entry.name, entry.driver, device, simulated=entry.double, late_ns=entry.late_ns)

@@ -1,8 +1,7 @@
 """The robot that the laboratory's camera sees: a URDF of meshes, with a gripper, a stick and a cable.
 
 Like a real robot it differs from its description: its fingers are closed by a few degrees more or less. Its cable hangs
-and sways, while the description has lines with a radius.
-"""
+and sways, while the description has lines with a radius."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class RobotBody:
         """What a camera sees of the robot, surface frame: first stick, ball and cable, then all other parts.
 
         T_base_links: (k, 4, 4) poses of joints and end; center_m: (3,) measured centre of the tip, which a push moves
-        away from that of the chain
-        """
+        away from that of the chain"""
         stick = arm_shape(placement, T_base_links, center_m, description=self._truth)
         return (*stick, *self._cable(placement, T_base_links)), self._truth.solids(placement, T_base_links)
 

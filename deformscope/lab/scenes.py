@@ -107,11 +107,7 @@ DRAWN: dict[str, tuple[Range, ...]] = {
     "two": _BORDER,
     "three": _STRIPES_OR_T,
     "disc": (*_metres(centre_x=(0.17, 0.43), centre_y=(0.14, 0.26), radius=(0.08, 0.10)), _INSIDE_OUT),
-    "gradient": (
-        _degrees("direction", 360.0),
-        Range("softest", 45.0, 65.0, "N"),
-        Range("firmest", 140.0, 180.0, "N"),
-    ),
+    "gradient": (_degrees("direction", 360.0), Range("softest", 45.0, 65.0, "N"), Range("firmest", 140.0, 180.0, "N")),
     "bumpy": (
         *_BORDER,
         *(Range(f"wave {i} height", 0.002, 0.004, "m") for i in (1, 2, 3)),
@@ -202,8 +198,7 @@ class Scene:
 
     pieces: the materials, by label; empty where the modulus varies everywhere (`gradient`)
     size_m: (x, y) [m]; thickness_m: before any bumps [m]; poisson: Poisson's ratio; drawn: the seed's values, by name;
-    buried: the ball inside the foam. The places above it have its label; the modulus of a place is without it
-    """
+    buried: the ball inside the foam. The places above it have its label; the modulus of a place is without it"""
 
     name: str
     seed: int
@@ -476,11 +471,7 @@ def _three(drawn: dict[str, float]) -> Labels:
 
 
 def _border(
-    x_m: float,
-    y_m: float,
-    tilt_deg: float,
-    wave: tuple[float, float, float] = (0.0, 1.0, 0.0),
-    pointed: bool = False,
+    x_m: float, y_m: float, tilt_deg: float, wave: tuple[float, float, float] = (0.0, 1.0, 0.0), pointed: bool = False
 ) -> Places:
     """Distance of places to the right of a line through (x, y), tilted from the y axis; or of a wave along it, which
     may be pointed."""

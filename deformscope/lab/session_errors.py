@@ -37,8 +37,7 @@ class LabErrors:
     scatter: range of the deviation of log stiffness within one material, drawn evenly in logarithms;
     scatter_length_m: length over which it changes
     thickness: deviation of the true thickness as a share of the stated one; overshoot_m: overshoot of the arm after the
-    stop, uniform from 0; friction: friction of the tip on the surface, evenly from 0
-    """
+    stop, uniform from 0; friction: friction of the tip on the surface, evenly from 0"""
 
     arm: float = ARM_DOUBT
     gain: float = 0.03
@@ -85,8 +84,7 @@ class SessionErrors:
     arm_n_per_m: the arm's true stiffness; gain: initial ratio of measured to true force, drift: its change in
     TOUCHES_S; scatter_sd: deviation of log stiffness within a material; thickness: true over stated; overshoot_m;
     friction: sideways over normal force, towards `friction_rad`; wave_rad_m, phase_rad: (w, 2), (w,) wave and phase of
-    the scatter's field
-    """
+    the scatter's field"""
 
     arm_n_per_m: float
     gain: float

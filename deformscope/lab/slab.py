@@ -1,8 +1,7 @@
 """A foam slab glued to the ground and pressed from above by a rigid tip, in finite elements: truth for pokes.
 
 Linear elastic, any field of Young's modulus. The mesh covers the slab around the tip and is finest at its edge, where
-the pressure of a flat tip is infinite; the surface farther away hardly moves.
-"""
+the pressure of a flat tip is infinite; the surface farther away hardly moves."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ class Slab:
     """A slab with its corner at the origin, up is +z.
 
     size: (x, y, thickness) [m]; young: Young's modulus [Pa], a number or a function of places (n, 3); poisson:
-    Poisson's ratio
-    """
+    Poisson's ratio"""
 
     size: tuple[float, float, float]
     young: float | Callable[[FloatArray], FloatArray]
@@ -81,8 +79,7 @@ def press(
     """Press a tip into a slab at a place (x, y) [m], to a depth [m] or with a force [N].
 
     points: (n, 3) points of the upper face at rest; those beyond the mesh do not move
-    finest: size of the elements at the tip [m], default a third of its half width
-    """
+    finest: size of the elements at the tip [m], default a third of its half width"""
     if (depth is None) == (force is None):
         raise InputError("a depth or a force", "both or neither")
     half = tip.half or (float(tip.radius or 0.0),) * 2

@@ -79,8 +79,7 @@ class Contact:
     place_m: (n, 3) nodes in contact, at rest [m]; node_force_n: (n,) force on each node along the normal [N]: the
     contact force on foam without a memory
     tip: which; mesh_m: (2,) place of the mesh [m], None if the tip is far from the foam;
-    node: (n,) numbers of the nodes in contact
-    """
+    node: (n,) numbers of the nodes in contact"""
 
     center_m: FloatArray
     normal: FloatArray
@@ -105,8 +104,7 @@ class Patch:
     xy_m: (2,) the place [m]; reach_m: (2,) largest distance along x and y at which a tip's edge may be [m]
     fine_m: (2,) size of the elements there [m]
     normal: (3,) normal of the rest surface at the place; candidate_m: (n, 3) nodes that a tip may touch, at rest [m]
-    compliance: (n, n) displacement of each node against the normal for a unit push on each in that direction [m/N]
-    """
+    compliance: (n, n) displacement of each node against the normal for a unit push on each in that direction [m/N]"""
 
     def __init__(self, scene: Scene, xy_m: FloatArray, reach_m: FloatArray, fine_m: FloatArray) -> None:
         self.xy_m, self.reach_m, self.normal = np.array(xy_m, dtype=np.float64), reach_m, scene.normal(xy_m)
@@ -274,8 +272,7 @@ def _without_pull(compliance: FloatArray, overlap: FloatArray) -> FloatArray:
     """(n,) forces f >= 0 that leave gaps C f - overlap >= 0, one of the two zero at each node.
 
     A primal-dual active set (Hintermueller, Ito and Kunisch 2002); should it run in circles, non-negative least
-    squares.
-    """
+    squares."""
     possible = np.isfinite(overlap)
     wanted = np.where(possible, overlap, 0.0)
     under = wanted > 0.0

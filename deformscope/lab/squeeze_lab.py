@@ -79,8 +79,7 @@ class ContainerTruth:
     `STILL_DEG_S` until they were opened again, or until now; None without such a time
     T_hand_container, T_hand_camera: (4, 4); force_n, dent_m: (2,) force of finger 0 and finger 2, and the largest
     inward displacement of the wall below each; inward_m: (nodes along s, along z) depth of the wall within the
-    undeformed container; its content bulges it even before contact
-    """
+    undeformed container; its content bulges it even before contact"""
 
     content: str
     container: str
@@ -102,8 +101,7 @@ class ContainerCase:
     container: its name begins with its kind, `box` or `cylinder`; others of a kind have other walls
     seed: seed of grasp, fill, temperatures and noise; session: seed of the room's temperature
     grasp: (4, 4) container to hand as planned, from which the true pose differs a little; None = a random one
-    alike: every content has the physics of water, whatever its name
-    """
+    alike: every content has the physics of water, whatever its name"""
 
     content: str
     container: str = "box-01"
@@ -117,8 +115,7 @@ class ContainerCase:
 class SqueezedContainer:
     """The world of the doubles: a container between the fingers of a simulated hand, in a camera's view.
 
-    hand, pads: the doubles; shape, world, view: the container's form, the pressed body, the camera
-    """
+    hand, pads: the doubles; shape, world, view: the container's form, the pressed body, the camera"""
 
     def __init__(self, case: ContainerCase, clock: Clock, port: Port) -> None:
         """clock: that the hand's double runs on; port: the hand's port"""
@@ -203,8 +200,7 @@ class SqueezedContainer:
 class SqueezeLab:
     """The laboratory with one container in it, closed.
 
-    hand, pads, camera: the real drivers' devices, which `open` opens; simulated: the world behind them
-    """
+    hand, pads, camera: the real drivers' devices, which `open` opens; simulated: the world behind them"""
 
     def __init__(self, case: ContainerCase, camera_hz: float = 30.0) -> None:
         self.clock = SimulatedClock(1_000_000_000)

@@ -1,8 +1,7 @@
 """The laboratory's touch: an arm, a force sensor and a camera around one world, on one clock.
 
 The doubles use the real drivers: the arm's pose presses the world, the world's force goes into the force sensor's scene
-and onto the arm. There are no threads: `wait_until` lets time pass, so every run is the same.
-"""
+and onto the arm. There are no threads: `wait_until` lets time pass, so every run is the same."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ class TouchLab:
 
     arm, force, camera: the real drivers' devices, which `open` opens; body: body of the simulated arm; contact: its
     tip in the world; on_cycle: called once in each of the arm's cycles; call_s: how long a call to the arm takes;
-    arm_late_s: time between two runs of the arm's driver, long on a busy host
-    """
+    arm_late_s: time between two runs of the arm's driver, long on a busy host"""
 
     def __init__(
         self,
@@ -75,8 +73,7 @@ class TouchLab:
 
         start_deg: (n,) first angles of the Jaco; default: the six-joint arm ready above the middle of the table
 
-        view: the camera's view at a time since its opening [s]; None = no camera
-        """
+        view: the camera's view at a time since its opening [s]; None = no camera"""
         self.clock = clock if clock is not None else SimulatedClock()
         self.placement = Placement(np.asarray(T_base_surface, dtype=float), tool if tool is not None else Tool())
         self._jaco: tuple[JacoDouble, Spoiled] | None = None
@@ -213,8 +210,7 @@ class SpoiledWire(MemoryTransport):
     """A wire from the force sensor that can be spoiled: a share of its bytes, or everything repeated or held back.
 
     spoiled: probability that a byte is changed; frozen: counts are repeated, in complete frames whose counter advances,
-    for all axes or for those that are `stuck`
-    """
+    for all axes or for those that are `stuck`"""
 
     def __init__(self, double: OptoforceDouble, clock: SimulatedClock, seed: int = 0) -> None:
         super().__init__(double, clock, "simulated force sensor")
@@ -256,8 +252,7 @@ class Spoiled:
 
     invalid: poses and joint angles are NaN; frozen: every reading is the one before; waits: called before each call,
     which takes its time; turning_rad_s: (3,) rotation of the arm's end in addition to each point of joint rates, about
-    the tip's centre, in the base frame
-    """
+    the tip's centre, in the base frame"""
 
     def __init__(self, arm: JacoDouble, T_ee_center: FloatArray) -> None:
         """T_ee_center: (4, 4) the tip's centre in the frame of the arm's end [m]"""

@@ -30,8 +30,7 @@ class Canvas:
     spacing: distance between neighbouring particles, in the same unit; 0 = not yet known; particles: (K, 2) present
     places of the particles [px], so that nothing is drawn outside of the body; None = draw anywhere
     image: the path of the image under the results; empty = none; origin, scale: (d,) positions are drawn at (position -
-    origin) * scale; empty = unchanged. Corners are of the drawing
-    """
+    origin) * scale; empty = unchanged. Corners are of the drawing"""
 
     low: tuple[float, ...] = (0.0, 0.0)
     high: tuple[float, ...] = (1.0, 1.0)

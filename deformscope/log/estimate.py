@@ -228,8 +228,7 @@ def _heights(canvas: Canvas) -> str:
 def log_estimate(rec: rr.RecordingStream, estimate: Estimate, canvas: Canvas) -> None:
     """Log the error curve as a chart and as numbers, the verdict as text, and every field of the estimate.
 
-    An estimate over a sequence is logged without a time; that of a pair is at the pair's frame.
-    """
+    An estimate over a sequence is logged without a time; that of a pair is at the pair's frame."""
     whole = bool(canvas.image)
     curve = estimate.curve
     chart = rr.EncodedImage(contents=evidence_png(estimate), media_type="image/png")

@@ -58,8 +58,7 @@ def _sparse(flow_px: FloatArray, canvas: Canvas) -> tuple[FloatArray, FloatArray
 def _stretch(length_px: FloatArray, step_px: float) -> float:
     """How many times longer arrows are drawn, to fill the grid without touching.
 
-    A power of two, so that it stays put from frame to frame and a reader can divide by it.
-    """
+    A power of two, so that it stays put from frame to frame and a reader can divide by it."""
     typical = float(np.quantile(length_px, 0.95)) if length_px.size else 0.0
     if typical < STILL_PX:
         return 1.0

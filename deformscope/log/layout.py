@@ -21,8 +21,7 @@ class RecordingLayout(ABC):
     """How a session with devices is recorded and shown. Creating a layout does not import rerun.
 
     streams: streams of the devices; by_touch: whether device items are on the timelines of an exploration
-    (`deformscope.log.rig.Place`)
-    """
+    (`deformscope.log.rig.Place`)"""
 
     streams: tuple[Stream, ...]
 
@@ -46,8 +45,7 @@ class RecordingLayout(ABC):
         """Prepare results of one time: items of a robot that touches, unless a layout accepts others.
 
         session_ns: time since the recording's start [ns]; place: place on the timelines of an exploration
-        cell_m: cell size of maps that do not say it themselves [m]; failed: receives errors of views
-        """
+        cell_m: cell size of maps that do not say it themselves [m]; failed: receives errors of views"""
         from deformscope.log.exploration.results import prepare_results
 
         return prepare_results(results, session_ns, place, cell_m=cell_m, failed=failed)

@@ -19,8 +19,7 @@ class LiveStream:
     flush.
 
     check: raises TimeoutError if the viewer does not answer within a time [s], another error if it is gone
-    passing: receives items that a later viewer does not need, None = `rec` receives them
-    """
+    passing: receives items that a later viewer does not need, None = `rec` receives them"""
 
     def __init__(
         self, rec: rr.RecordingStream, check: Callable[[float], None], passing: rr.RecordingStream | None = None

@@ -23,8 +23,7 @@ class ShownStage:
     field: field of the result, without which a row holds nothing of the stage, "" = each does
     costs: names of other stages that are computed for it; when: the setting of a recording that requests it, such as
     `explore.hold_s`, or a setting with one of its values, such as `stages.names=beta`. Several, separated by spaces,
-    are all needed; "" = it is always present, `SOMETIMES` = it may be absent
-    """
+    are all needed; "" = it is always present, `SOMETIMES` = it may be absent"""
 
     name: str
     chapter: int

@@ -30,8 +30,7 @@ def align_on_page(first: Replay, second: Replay) -> tuple[PageServer, tuple[floa
     """Serve the measurements of the devices of two recordings on a page that plays them; its address is printed. Also
     returns when each recording's first contact was, from its start [s].
 
-    Raises InputError for a recording without a contact in a force sensor or a tactile array.
-    """
+    Raises InputError for a recording without a contact in a force sensor or a tactile array."""
     names = _names(first.path, second.path)
     series, contacts_s = aligned_series(first, second, names)
     page = PageServer(f"{names[0]} and {names[1]}", first.path)

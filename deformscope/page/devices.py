@@ -22,8 +22,7 @@ UNTOUCHED = ("look", "plan", "travel", "tare", "done")
 class ShownDevices:
     """Shows on a page the health of devices, computed from all their items, and the robot's use of them.
 
-    touching: whether something may touch a force sensor, whose drift is then unknown
-    """
+    touching: whether something may touch a force sensor, whose drift is then unknown"""
 
     def __init__(self, session: PageSession, streams: Sequence[Stream]) -> None:
         self.touching = False

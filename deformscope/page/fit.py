@@ -49,8 +49,7 @@ class PageFit:
     """One thread computes, in `run`; another may `handle` requests of pages.
 
     config: config of the command, with which it begins; subject: source of the fit
-    send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)
-    """
+    send: takes ("fit", state, commands that are possible) and ("file", as `PageServer.offer`)"""
 
     def __init__(self, config: BetaConfig | ThetaConfig, subject: FitSubject, send: Callable[..., None]) -> None:
         self._subject, self._send = subject, send
@@ -278,8 +277,7 @@ def run_fit(config: BetaConfig | ThetaConfig, pipe: Connection) -> None:
     """Run the fit until a `StopRun` comes, or the pipe ends.
 
     The pipe gives commands of a page. It is given the messages of a `PageFit`, ("note", a step before it), and ("end",
-    the last options, or an error).
-    """
+    the last options, or an error)."""
     quiet_warp()
 
     def send(*message: object) -> None:

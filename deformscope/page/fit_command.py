@@ -26,8 +26,7 @@ def set_on_page(
 ) -> Iterator[tuple[BetaConfig | ThetaConfig, Callable[[Estimate, Result], None]]]:
     """Set a fit on a page, until it is stopped there. Yields the chosen options, and the view of the result.
 
-    The page is served until the process ends. Raises InputError for unreadable sources.
-    """
+    The page is served until the process ends. Raises InputError for unreadable sources."""
     if (reason := not_on_a_page(config)) is not None:
         raise InputError("images, or one pair file, for the settings of a page", reason, "leave out --adjust")
     config = dataclasses.replace(config, adjust=False, output=dataclasses.replace(config.output, viewer="none"))

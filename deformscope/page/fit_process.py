@@ -27,15 +27,10 @@ class FitProcess:
 
     config: the command's options, with which it begins; state: the state that was shown last; commands: commands that
     are possible then; changed: called with the state after every change, in the thread that receives from the process
-    drawn_ms: time from a change on the page until the page has drawn it [ms]
-    """
+    drawn_ms: time from a change on the page until the page has drawn it [ms]"""
 
     def __init__(
-        self,
-        config: BetaConfig | ThetaConfig,
-        state: FitState,
-        page: PageServer,
-        changed: Callable[[FitProcess], None],
+        self, config: BetaConfig | ThetaConfig, state: FitState, page: PageServer, changed: Callable[[FitProcess], None]
     ) -> None:
         self._target = partial(_fit, config)
         self._page, self._changed = page, changed

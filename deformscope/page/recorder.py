@@ -153,8 +153,7 @@ class PageRecorder:
 
     file: the first file, None = none yet; next_file: gives a name for each further file
     ended: set if the page requests a stop; recent: the last seconds, which can still be recorded
-    at_end: file for items that are in memory at the end
-    """
+    at_end: file for items that are in memory at the end"""
 
     def __init__(
         self,

@@ -15,8 +15,7 @@ from deformscope.page.server.page_session import PageSession
 class RobotPage(ABC):
     """`PageRun` of a robot's page.
 
-    robot: the moving part, as text; button: text of the page's button for a motion
-    """
+    robot: the moving part, as text; button: text of the page's button for a motion"""
 
     robot = button = ""
 

@@ -1,8 +1,7 @@
 """A squeeze that is begun, watched and stopped from a page.
 
 The page starts no motion: the experiment queries it before the hand moves. Its watch checks in each control period
-whether the page that confirmed the motion is still present.
-"""
+whether the page that confirmed the motion is still present."""
 
 from __future__ import annotations
 

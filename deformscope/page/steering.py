@@ -1,8 +1,7 @@
 """An exploration that a page steers: paused and continued, and with touches at places that a person picks.
 
 The page starts no motion: the loop of `experiments.explore.explore` queries it before each touch. Its robot checks in
-each control period whether the page that confirmed the touch is still present.
-"""
+each control period whether the page that confirmed the touch is still present."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ class PageSteering(RobotPage):
     """`Steering` of an exploration, and `PageRun` of its page.
 
     arm: its name; set_force_n: set force of a touch; budget: most touches of the exploration; paused: begin paused, and
-    touch only on a request of the page
-    """
+    touch only on a request of the page"""
 
     robot, button = "arm", "Explore"
 

@@ -29,8 +29,7 @@ magnified."""
 class CloseUp:
     """The part of a body that is shown.
 
-    low, high: (3,) its corners [unit]; heights: how many times z is drawn out; surface: a layer seen from above
-    """
+    low, high: (3,) its corners [unit]; heights: how many times z is drawn out; surface: a layer seen from above"""
 
     low: FloatArray
     high: FloatArray

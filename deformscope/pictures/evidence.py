@@ -1,7 +1,6 @@
 """Pictures of a calibration's results, as PNG: particles, the model's error, the error curve, the posterior.
 
-The same drawings go into recordings, the `--picture` of a command and its report.
-"""
+The same drawings go into recordings, the `--picture` of a command and its report."""
 
 from __future__ import annotations
 

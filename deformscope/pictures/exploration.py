@@ -1,8 +1,7 @@
 """Pictures of an exploration, as PNG: the maps, the gain of each next place, and a touch's measurement.
 
 The same drawings go into recordings and into the picture of a result. Lengths on the axes are in cm, in the surface
-frame; touches are numbered from 1, in their order.
-"""
+frame; touches are numbered from 1, in their order."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Pictures drawn in a separate process while a robot is held.
 
-Drawing needs Python's lock for a tenth of a second per picture, and the robot's control waits for that lock.
-"""
+Drawing needs Python's lock for a tenth of a second per picture, and the robot's control waits for that lock."""
 
 from __future__ import annotations
 

@@ -24,8 +24,7 @@ class DeviceEncoder:
 
     layout: layout of the recording; start_ns: host time at which `session` is 0 [ns]; lossless: devices whose colour
     images are stored without loss; at_frames: number of frames, for inputs and for results without a time
-    failed: receives results that could not be shown; gather_s: time over which items are gathered [s]
-    """
+    failed: receives results that could not be shown; gather_s: time over which items are gathered [s]"""
 
     def __init__(
         self,

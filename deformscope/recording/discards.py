@@ -1,7 +1,6 @@
 """Discarded parts of a recording, with reasons: nothing is deleted, and every reader reports them.
 
-Discards during the recording are notes in the recording; later ones are in its ledger.
-"""
+Discards during the recording are notes in the recording; later ones are in its ledger."""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ def discards_of(recording: Path, notes: Iterable[SessionNote]) -> list[Discard]:
 def discard(recording: Path, reason: str, episode: int, notes: Iterable[SessionNote]) -> Discard:
     """Mark a finished recording, or one of its episodes (0 = all), in its ledger; the recording is unchanged.
 
-    Raises InputError if it has no such episode, or no valid ledger.
-    """
+    Raises InputError if it has no such episode, or no valid ledger."""
     labels = [note.text for note in notes if note.about == "episode-begin"]
     if not 0 <= episode <= len(labels):
         listed = ", ".join(f"{at} = {label}" for at, label in enumerate(labels, 1)) or "none"

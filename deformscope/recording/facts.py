@@ -34,8 +34,7 @@ class Facts:
     losses: numbers of losses by device and kind (`deformscope.recording.losses`); counts: frames by device, and inputs
     until_s: session time of the last row [s], None without one; damage: reason for the end of reading, empty = none
     discarded: its discarded parts (`deformscope.recording.discards`)
-    absent: devices that the recording names and of which no frame was read
-    """
+    absent: devices that the recording names and of which no frame was read"""
 
     application: str = ""
     recording: str = ""

@@ -68,8 +68,7 @@ def read_rows(
     Then a row waits only until no earlier one can follow, so that memory never holds a long recording. JPEG images are
     decoded as in a viewer; all others are equal to the recorded ones. A row that lacks a part is left out, with a
     warning. read_image: replacement of an encoded image, which the second argument identifies
-    device: read only items of this device
-    """
+    device: read only items of this device"""
     starts = Starts((min(_times(chunk), default=0), str(chunk.id)) for chunk, _, _ in portions(replay, kinds, device))
     parts: dict[bytes, _Part] = {}
     waiting: list[tuple[int, bytes]] = []

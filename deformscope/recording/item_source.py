@@ -16,8 +16,7 @@ class ItemSource:
     """`session.run(ItemSource(items, streams), ...)`: `take` gives about a fifth of a second at a time.
 
     streams: streams of the devices; start_ns: start of the session, None = time of the first item; now_ns: time of the
-    newest item that was taken; ended: no item is left; until_ns: no later item is given
-    """
+    newest item that was taken; ended: no item is left; until_ns: no later item is given"""
 
     failures: Mapping[str, str] = {}
 

@@ -85,8 +85,7 @@ def _waits(task: Path) -> bool:
 class Lateness:
     """Checks with every job, while more than `late_bytes` wait, why the recording is late.
 
-    thread_id: the system's number of the thread that encodes
-    """
+    thread_id: the system's number of the thread that encodes"""
 
     def __init__(self, late_bytes: int, thread_id: int | None) -> None:
         self._late_bytes, self._task = late_bytes, TASKS / str(thread_id)

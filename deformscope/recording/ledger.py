@@ -5,8 +5,7 @@ text: a line with its format, then a line per block. A line is JSON (bytes, thei
 time in them) and a SHA-256 of that JSON and of the line before, which chains the lines. The ledger grows with the file:
 a line at each flush. Lines that mark the recording as discarded follow. The line `ended` is the last, so that a
 truncation before it is detected: size and SHA-256 of the whole, recorded and lost items, and what a recovered recording
-inherits: how its original differed from its own ledger. Without that line, the run was interrupted.
-"""
+inherits: how its original differed from its own ledger. Without that line, the run was interrupted."""
 
 from __future__ import annotations
 
@@ -150,8 +149,7 @@ def write_ledger(
     grew with it.
 
     counts: what was recorded, by kind; losses: numbers of losses; discarded: see `add_discard`
-    source_problems: see `LedgerCheck`
-    """
+    source_problems: see `LedgerCheck`"""
     path, size = ledger_path(recording), recording.stat().st_size
     grown = [one for one in read_ledger(recording).blocks if one.end <= size] if path.exists() else []
     new = path.with_name(path.name + ".part")

@@ -58,8 +58,7 @@ _logger = logging.getLogger(__name__)
 class Viewer:
     """A window that was started.
 
-    pid: its process; messages: descriptor of a file with its standard error
-    """
+    pid: its process; messages: descriptor of a file with its standard error"""
 
     pid: int
     messages: int
@@ -75,8 +74,7 @@ class Viewer:
     def url(self) -> str:
         """The address to which recordings stream, empty before the viewer listens.
 
-        The viewer chooses the port and reports it: on a port chosen here, another user could listen first.
-        """
+        The viewer chooses the port and reports it: on a port chosen here, another user could listen first."""
         found = re.search(rf"rerun\+http://{LOOPBACK}:\d+/proxy", self.output)
         return found[0] if found else ""
 
@@ -84,8 +82,7 @@ class Viewer:
 def start_viewer() -> Viewer:
     """Start rerun's window on loopback and return without waiting for it; the window stays open after this process.
 
-    Raises InputError without a display.
-    """
+    Raises InputError without a display."""
     if sys.platform.startswith("linux") and not _has_display():
         raise InputError("a display for the viewer's window", "none (DISPLAY is unset)", "--viewer page or none")
     command = [str(viewer_executable()), "--bind", LOOPBACK, "--port", "0"]
@@ -184,8 +181,7 @@ def check_running(viewer: Viewer) -> None:
 def check_answers(viewer: Viewer, timeout_s: float) -> None:
     """Return once the viewer's server answers. Raises TimeoutError if it does not, ConnectionError if it is gone.
 
-    A connection is not sufficient: the system accepts it, and a hundred kilobytes, even for a stopped process.
-    """
+    A connection is not sufficient: the system accepts it, and a hundred kilobytes, even for a stopped process."""
     with socket.create_connection((LOOPBACK, _port(viewer)), timeout=timeout_s) as connection:
         connection.sendall(f"GET / HTTP/1.1\r\nHost: {LOOPBACK}\r\nConnection: close\r\n\r\n".encode())
         if not connection.recv(1):  # any answer will do: it is no page, and says so
@@ -211,8 +207,7 @@ class LiveFeed(Generic[StreamT]):
     """Passes jobs to a live stream from a separate thread; drops the oldest when the viewer is too slow.
 
     connect: opens the stream, in the feed's thread; gives up when its event is set
-    period_s: shortest period of passing jobs on together; a function is polled until it has passed
-    """
+    period_s: shortest period of passing jobs on together; a function is polled until it has passed"""
 
     def __init__(
         self,
@@ -266,8 +261,7 @@ class LiveFeed(Generic[StreamT]):
 
         It does not wait for a viewer that has not answered for a while. Jobs without its confirmation are counted as
         dropped. A stream without a normal end is never released: releasing it would wait for the viewer, and so would
-        the end of the process, unless rerun's part in it is cancelled.
-        """
+        the end of the process, unless rerun's part in it is cancelled."""
         with self._ready:
             self._closing.set()
             self._ready.notify()

@@ -54,8 +54,7 @@ class Outputs:
         """Gather a stage's cost for the file: many are written in one portion, as a portion takes a kilobyte.
 
         session_ns, frame: session time and frame of its result; behind_ns: time from there to the newest frame; None if
-        frames wait, or continue
-        """
+        frames wait, or continue"""
         if self.file is not None:
             behind_ms = None if behind_ns is None else behind_ns / 1e6
             self._costs.append((session_ns, frame, dataclasses.replace(cost, behind_ms=behind_ms)))

@@ -61,8 +61,7 @@ class Replay:
     """Content of a recording, read on demand.
 
     trust: skip the comparison with the ledger; has_ledger: there is a ledger, with which its bytes can be compared
-    source_problems: what was damaged before it was recovered, by its compared ledger
-    """
+    source_problems: what was damaged before it was recovered, by its compared ledger"""
 
     def __init__(self, path: Path, *, trust: bool = False) -> None:
         self.path = Path(path)
@@ -167,8 +166,7 @@ class Replay:
         """The recorded colour images in their order, with their recorded stamps.
 
         pace: "fast" = as fast as possible; "real" = at the recorded times; "step" = each after `wait` (called with the
-        next frame) returns; camera: name of the camera, needed if several were recorded
-        """
+        next frame) returns; camera: name of the camera, needed if several were recorded"""
         if pace == "step" and wait is None:
             raise ValueError('a pace of "step" needs something to wait for')
         started_ns: int | None = None
@@ -266,8 +264,5 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 def _unreadable(path: Path) -> InputError:
     return InputError(
-        "a readable recording",
-        "one that is truncated or damaged",
-        f"deformscope recover {path.name}",
-        path,
+        "a readable recording", "one that is truncated or damaged", f"deformscope recover {path.name}", path
     )

@@ -1,8 +1,7 @@
 """The newest seconds of a rig, held in memory, so that recent events can still be recorded.
 
 Its recording is like any other. Such a recording begins with the devices' health, and counts their losses from then: it
-has neither readings nor losses of an earlier time.
-"""
+has neither readings nor losses of an earlier time."""
 
 from __future__ import annotations
 
@@ -89,8 +88,7 @@ class RecentItems:
 class WatchedRecorder:
     """A session's recorder whose view continues after an error of its file; the error is raised at the end.
 
-    watch: the view of the session; kept: records
-    """
+    watch: the view of the session; kept: records"""
 
     def __init__(self, watch: Recorder, kept: Recorder) -> None:
         self._watch, self._kept = watch, kept
@@ -144,8 +142,7 @@ class WatchedRecorder:
 class LastRecorder(WatchedRecorder):
     """A session's recorder that shows the whole session and records its last seconds.
 
-    kept: recorder of the last seconds; it may wait, as all of them are written at once
-    """
+    kept: recorder of the last seconds; it may wait, as all of them are written at once"""
 
     def __init__(self, watch: Recorder, kept: Recorder, recent: RecentItems) -> None:
         super().__init__(watch, kept)

@@ -3,8 +3,7 @@
 A recording in progress is `NAME.part.rrd`, a file like any other recording. It becomes `NAME.rrd` after a normal end,
 or when its subject was stopped and the recording holds that (`stopped_because`). A run that crashes or ends in an error
 leaves this file with all its data (after a crash without the last moments). An existing `NAME.rrd` is not changed. An
-unfinished recording is never overwritten.
-"""
+unfinished recording is never overwritten."""
 
 from __future__ import annotations
 
@@ -60,8 +59,7 @@ class RecordingSummary:
 
     path: the finished file, or the unfinished one after an error; None if no file was written
     dropped: portions (a frame, a step, an input, device items of a tenth of a second) without the viewer's
-    confirmation; bytes: size of the file
-    """
+    confirmation; bytes: size of the file"""
 
     path: Path | None
     frames: int
@@ -83,8 +81,7 @@ class Recorder:
     whole_or_nothing: an error leaves no unfinished file, as its source can be read again
 
     The thread that calls `write` neither encodes nor waits for a disk. A thread of the recorder does that in order, so
-    items must not be changed after the call. An error in that thread is raised by the next call, or at the end.
-    """
+    items must not be changed after the call. An error in that thread is raised by the next call, or at the end."""
 
     def __init__(
         self,
@@ -183,8 +180,7 @@ class Recorder:
 
         Items of devices, files and cameras (`deformscope.frames.Item`) have the time of their stamp, an `InputFile`
         that of the frame before it. The results of a `Step` have its time, or that of their frame, which a
-        `StageResult` names.
-        """
+        `StageResult` names."""
         given = tuple(items) if isinstance(items, Sequence) else (items,)
         if not given and self._writer is not None:
             self._writer.check()

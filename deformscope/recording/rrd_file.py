@@ -4,8 +4,7 @@ A recording goes to two files. `NAME.part.rrd` has all data after each flush, in
 footer. With one, rerun keeps some kilobytes of memory for each portion until the file is closed (1 MB for each second
 of a rig's recording), and a viewer reads a file of many portions slowly. `NAME.part.rrd.merged` gets the same rows in a
 hundredth of the portions, with a footer: it becomes the recording at the end. It is optional: if it fails, or the disk
-is short, it is left out, and the recording is the first file.
-"""
+is short, it is left out, and the recording is the first file."""
 
 from __future__ import annotations
 
@@ -59,8 +58,7 @@ class RecordingFile:
 
     part: an empty file for the recording; properties: properties of the whole; name: name of the recording in a viewer
     deterministic: content and portions depend only on the recorded items Raises RecordingError once the disk has too
-    little room, with enough left to end the file, or takes no more; `broken` then, and only `close` is left.
-    """
+    little room, with enough left to end the file, or takes no more; `broken` then, and only `close` is left."""
 
     def __init__(
         self,
@@ -160,8 +158,7 @@ class RecordingFile:
     def close(self) -> Path:
         """Complete both files, within a time limit; returns where the recording is: in a separate file, or at `path`.
 
-        Raises no error; `broken` is set if neither file could be completed.
-        """
+        Raises no error; `broken` is set if neither file could be completed."""
         if self._merged_stream is not None and not self.broken:
             self._merged_stream.send_chunks(list(self._merged.rest()))
             self._flush_merged(self._merged_stream)

@@ -2,8 +2,7 @@
 
 The last 32 bytes are offset and length of the footer (uint64), its checksum (uint32), `RRF2FOOT` and a count. The
 footer is a protobuf message of manifests (field 1), one for each store. Field 4 of each holds its table of portions
-(length of the plain bytes in field 4, an Arrow IPC stream, compressed by LZ4, in field 2).
-"""
+(length of the plain bytes in field 4, an Arrow IPC stream, compressed by LZ4, in field 2)."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ class Portion:
     """Bytes of a recording that belong together. end: place after the last byte; entity: its path without the leading
     slash
 
-    from_s, to_s: first and last session time of its rows [s]; None without times
-    """
+    from_s, to_s: first and last session time of its rows [s]; None without times"""
 
     end: int
     entity: str

@@ -38,8 +38,7 @@ class RecordedStage:
     timelines: timelines of its rows; computed: how often it was; wall_ms, cpu_ms: each time, in the mean; behind_ms:
     median delay of its results behind the newest frame; live: whether the results come soon; None if that was not
     recorded
-    missing: the recording's settings require rows, and there are none; when: the case in which rows are expected
-    """
+    missing: the recording's settings require rows, and there are none; when: the case in which rows are expected"""
 
     name: str
     chapter: int

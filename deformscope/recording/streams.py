@@ -119,8 +119,7 @@ class RecordedStream:
     """One stream. entity: its place in the recording; kinds: kinds of what each row holds; about: the device, or None
     schema: schema of its batches; rows: how many there are, those that were recorded in part included
     until_ns: time of the last row since the recording's start [ns]; paths: paths of the entities, in rerun's spelling
-    words: columns that an anonymous export leaves out
-    """
+    words: columns that an anonymous export leaves out"""
 
     entity: str
     kinds: tuple[type, ...] = ()

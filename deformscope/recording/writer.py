@@ -15,8 +15,7 @@ class Writer:
     tick: called after each job and at the least every `tick_s`; the first job or tick that fails ends the thread, and
     every later `put` raises its error; capacity_jobs, capacity_bytes: largest number and size of jobs that wait
     overrun: makes the error, from the number of waiting bytes, if too many wait; None = the caller waits instead, as
-    for a file or a simulation
-    """
+    for a file or a simulation"""
 
     def __init__(
         self,

@@ -5,8 +5,7 @@ stuck: an axis of a force sensor, or texels that are pressed, give exactly the s
 of readings so far that were equal to the one before. Drivers find complete readings and pictures that do not change
 (`Health.stuck`), which are passed on here.
 saturated: an axis or a texel at its largest count, an overload that the sensor itself reports, most of an image at its
-brightest or at black, a depth camera without any depth. The range of an arm is checked by its supervisor.
-"""
+brightest or at black, a depth camera without any depth. The range of an arm is checked by its supervisor."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ class _Stretches:
     """How long each of a sensor's values has been the same.
 
     last: (n,) newest; since_ns, run: when the present stretch began, and its number of readings after the first
-    equal, seen: readings before it that were equal to the one before, and all that were compared
-    """
+    equal, seen: readings before it that were equal to the one before, and all that were compared"""
 
     last: Values
     since_ns: Values
@@ -104,8 +102,7 @@ class _Watched:
 class SensorAlarms:
     """Alarms of sensors: `look` receives all items of devices in order, and returns notes on alarms that begin and end.
 
-    stuck_after_s: times by device, as in the rig; None = its readings may stay the same for ever
-    """
+    stuck_after_s: times by device, as in the rig; None = its readings may stay the same for ever"""
 
     def __init__(self, streams: Sequence[Stream], stuck_after_s: Mapping[str, float | None]) -> None:
         self._streams = {stream.device: stream for stream in streams}

@@ -24,8 +24,7 @@ class CalibrationEntry:
     [m] and of a turn about them [deg], in the transform's target frame; half_size_m: half widths of the intervals of a
     surface's sides [m]; half_gain: half width of the interval of the force sensor's gain
     offset_s, half_s: delay of `device` relative to the force sensor `beside`, below 0 a lead
-    oldest_days: age at which it is measured again, None = the usual one of its kind
-    """
+    oldest_days: age at which it is measured again, None = the usual one of its kind"""
 
     date: datetime.date
     half_m: tuple[float, ...] = ()

@@ -35,8 +35,7 @@ class DeviceComparison:
     """How a device's recorded frames compare with its bytes.
 
     frames: recorded; compared: how many frames were decoded again; left_out: parts without a comparison, and why;
-    difference: the first difference, in words; empty = none
-    """
+    difference: the first difference, in words; empty = none"""
 
     device: str
     driver: str
@@ -51,8 +50,7 @@ class Redecoder(ABC):
 
     left_out: parts of a frame that its bytes do not determine; compares: the fields that the bytes determine, besides
     the stamp; listening: whether new items are for the decoder; late_answers: answers that were too late for the driver
-    give no frame
-    """
+    give no frame"""
 
     left_out = ""
     listening = True
@@ -157,8 +155,7 @@ def compare_with_bytes(rig: Rig | None, streams: Sequence[Stream], items: Iterab
     """Decode every device's recorded bytes again and compare with its recorded frames, to the last bit.
 
     rig: the rig, None if no driver of deformscope gave the frames; items: items of the recording, in order of time.
-    Raises InputError where the rig lacks a device that was recorded
-    """
+    Raises InputError where the rig lacks a device that was recorded"""
     configs = {} if rig is None else {entry.name: entry.config for entry in rig.devices}
     if missing := [one.device for one in streams if one.driver in DRIVERS and one.device not in configs]:
         raise InputError(f"a rig with {missing[0]}, which was recorded", "one without")

@@ -1,8 +1,7 @@
 """The drift of a force sensor since its tare, while nothing touches it.
 
 A point of the line is the mean of a second, less that of the first second after the tare. A second in which the force
-changes faster than a sensor drifts is a load: it gives no point.
-"""
+changes faster than a sensor drifts is a load: it gives no point."""
 
 from __future__ import annotations
 

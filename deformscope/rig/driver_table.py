@@ -15,8 +15,7 @@ class Driver:
 
     package, device, config: place of its class (or of its factory) and its configuration
     kind: kind of its frames; doubled: whether there is a double
-    probed: whether it can be opened with only its port or bus, and without a motion
-    """
+    probed: whether it can be opened with only its port or bus, and without a motion"""
 
     name: str
     package: str

@@ -1,8 +1,7 @@
 """Writes values into a rig file, whose comments and order do not change.
 
 The text is changed line by line, then read again: all values that were not edited must be unchanged.
-Otherwise no file is written, and the user has to insert the lines.
-"""
+Otherwise no file is written, and the user has to insert the lines."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The rig file: the devices, their ports, and the robot's limits.
 
 TOML, read strictly: an unknown key is an error, because a limit with a typing mistake would be no limit. `lab:NAME`
-names a simulated rig that came with the installation.
-"""
+names a simulated rig that came with the installation."""
 
 from __future__ import annotations
 
@@ -47,8 +46,7 @@ class RigDevice:
     name: its name in frames and recordings; config: its driver's own configuration
     double: run a simulated device in its place
     trusted: whether a vendor's library that the configuration names is loaded from any folder
-    late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps
-    """
+    late_ns: its delay, by `calibrate time` [ns]: it is subtracted from its stamps"""
 
     name: str
     driver: Driver
@@ -75,8 +73,7 @@ class Camera:
 
     device: name of the device; focal_px: (fx, fy); center_px: (cx, cy) [px]
     distortion: OpenCV's k1, k2, p1, p2, k3; T_arm_camera: 4x4, camera to arm base [m]
-    doubt_m: uncertainty of T_arm_camera at the surface: points within this distance of the stick are left out
-    """
+    doubt_m: uncertainty of T_arm_camera at the surface: points within this distance of the stick are left out"""
 
     device: str = ""
     focal_px: tuple[float, float] | None = None
@@ -149,8 +146,7 @@ class SurfaceSection:
     T_arm_surface: 4x4, surface frame to arm base [m]: x and y along the edges, z up
     scene: a simulated table (`deformscope explore --list-scenarios`), where arm, force sensor and camera are doubles
     hidden: seed from which the true places of these doubles are drawn, to be found by `deformscope calibrate`; None =
-    they are at the places in this file
-    """
+    they are at the places in this file"""
 
     size_m: tuple[float, float] = (0.6, 0.4)
     thickness_m: float | None = None
@@ -244,8 +240,7 @@ class Record:
 
     folder: where recordings go that are not named; raw: record the bytes of every wire in addition to their values
     lossless: cameras whose colour images are recorded as PNG, because results are computed from them (ten times the
-    bytes of JPEG)
-    """
+    bytes of JPEG)"""
 
     folder: str = "runs"
     raw: bool = True
@@ -273,8 +268,7 @@ class Rig:
     """A rig, read from its file.
 
     name: name of the file, for titles; text: the file, for recordings; folder: folder of the file, to which its paths
-    are relative
-    """
+    are relative"""
 
     name: str
     text: str

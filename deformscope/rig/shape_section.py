@@ -15,8 +15,7 @@ class CableSection:
     """A cable: lines from point to point, with the distance around them within which it may hang or sway.
 
     points_m: points in the frame of the arm's end, or with `joints` in the frames of the links behind these joints,
-    counted from 1 (0 = the arm's base, -1 = its end); radius_m: its radius
-    """
+    counted from 1 (0 = the arm's base, -1 = its end); radius_m: its radius"""
 
     points_m: tuple[tuple[float, float, float], ...]
     radius_m: float = 0.01
@@ -41,8 +40,7 @@ class ShapeSection:
     at its end, if the arm's URDF does not have it; paths relative to the rig file
     T_ee_gripper: 4x4, the gripper's root to the arm's end [m]; closed: joints whose angle is not reported, such as
     those of fingers: position as a share of the way from the lower limit to the upper one
-    margin_m: margin of meshes and hulls, in addition to [camera] doubt_m; cables: cables, for any kind of removal
-    """
+    margin_m: margin of meshes and hulls, in addition to [camera] doubt_m; cables: cables, for any kind of removal"""
 
     removal: Literal["capsules", "hull", "mesh"] | None = None
     urdf: str = ""

@@ -55,8 +55,7 @@ class RigSource:
     wait_until: waits until a time of that clock [ns]; None = of the host's clock
     opener: opens the devices; None = they open in parallel, each with a thread (a laboratory does not)
     latest_ns: correction of the stamps of the device with the largest delay; start_ns: start of the session, earlier by
-    that; open: no frame is older
-    """
+    that; open: no frame is older"""
 
     def __init__(
         self,

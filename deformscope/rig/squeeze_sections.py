@@ -18,8 +18,7 @@ class HandSection:
     carries it (with `[camera] T_arm_camera`). The hand's frame is that of `deformscope_drivers.sdh`
     fingers: the two fingers that squeeze; tactile_end: which 36 cells of the fingertip arrays are the feature: the
     first ones that the controller sends (the thesis), or the last
-    tactile: name of the tactile device, if the rig has several
-    """
+    tactile: name of the tactile device, if the rig has several"""
 
     T_camera_hand: Rows | None = None
     T_arm_hand: Rows | None = None
@@ -42,8 +41,7 @@ class ContainerSection:
     shape: box (size_m along x, y, z), cylinder (size_m: diameter, diameter, height) or mesh (file, in metres); the
     fingers close along x. wall_m: thickness of its wall; kind: kind in words (cardboard box, plastic cylinder)
     T_hand_container: 4x4, container to hand for the middle grasp [m]; None = from the side: the container's middle
-    between the fingertips, its z along the hand's y
-    """
+    between the fingertips, its z along the hand's y"""
 
     shape: Literal["box", "cylinder", "mesh"] = "box"
     size_m: tuple[float, float, float] = (0.06, 0.09, 0.16)
@@ -80,8 +78,7 @@ class SqueezeSection:
     hand_silent_s, tactile_silent_s: limits on silence that stop the hand. The limits are five periods of the hand's 25
     Hz, and nearly four of pads with at least 11 frames a second; set longer ones on a busy machine
     saturation_counts: a texel that reaches it ends the squeeze; spread_m, tilt_deg: standard deviation of a random
-    grasp along the container's longest edge, about its middle, and of its tilt
-    """
+    grasp along the container's longest edge, about its middle, and of its tilt"""
 
     current_a: float = 0.3
     speed_deg_s: float = 6.0

@@ -21,8 +21,7 @@ TRY = (
 def system_library(path: Path) -> Path:
     """The path of a library without links.
 
-    Raises InputError unless it is in one of the system's folders that only the administrator can change.
-    """
+    Raises InputError unless it is in one of the system's folders that only the administrator can change."""
     try:
         real = path.resolve()
         folder = next((one for one in map(Path.resolve, SYSTEM_FOLDERS) if real.is_relative_to(one)), None)

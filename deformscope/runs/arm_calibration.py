@@ -57,11 +57,7 @@ def calibrate_arm(
         raise InputError(f"--at on the surface: between 0,0 and {width:g},{height:g} m", came)
     made: list[ComplianceTouch] = []
     stop: ExplorationStop | None = None
-    with (
-        until_interrupted() as asked,
-        recording as recorder,
-        open_rig_run(setup.open_source(), recorder) as opened,
-    ):
+    with until_interrupted() as asked, recording as recorder, open_rig_run(setup.open_source(), recorder) as opened:
         watch = opened.watch(asked)
 
         def found_one(one: ComplianceTouch) -> None:

@@ -181,14 +181,9 @@ def _moved(
 ) -> FloatArray:
     """Open the devices, run the checks, ask, and carry out the motion of a robot, which is halted in the end.
 
-    For devices with threads, the robot has one too: their items are recorded in this one.
-    """
+    For devices with threads, the robot has one too: their items are recorded in this one."""
     setup = setup_of(config.rig, ExploreOptions(), None, trusted=config.trust_rig).setup
-    with (
-        until_interrupted() as asked,
-        recording as recorder,
-        open_rig_run(setup.open_source(), recorder) as opened,
-    ):
+    with until_interrupted() as asked, recording as recorder, open_rig_run(setup.open_source(), recorder) as opened:
         watch = opened.watch(asked)
         robot = setup.robot(opened.source, lambda seen, verdict: watch())
         with watch.halts(_Moved(robot)), ThreadPoolExecutor(1, "robot") as beside:

@@ -95,9 +95,7 @@ def _verdict(result: Result, *, named: bool) -> list[Part]:
     name = f"{_name(result)}: " if named else ""
     reasons = [f"{words}." for _, words in reason_rows(found.reasons, besides=found.verdict_text())]
     words = (f"Stiffness: {found.stiffness_text()}.", *reasons, *([] if named else [_explained(found)]))
-    return [
-        ReportVerdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found)),
-    ]
+    return [ReportVerdict(f"{name}{found.verdict_text()}", (f"{headline(found)}.", *words), verdict_color(found))]
 
 
 def _explained(found: Estimate) -> str:

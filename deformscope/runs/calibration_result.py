@@ -27,8 +27,7 @@ class CalibrationResult(SourceResult):
 
     estimate: value, interval, verdicts, error curve; shown: observed and simulated particles
     pokes: pokes of a surface, where layers below it were fitted
-    pair: the observation and the model's settings, from which `model` is made, if there was one pair
-    """
+    pair: the observation and the model's settings, from which `model` is made, if there was one pair"""
 
     estimate: Estimate
     shown: Result

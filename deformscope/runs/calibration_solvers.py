@@ -150,10 +150,7 @@ def solve_place(rig: Rig, touched: TouchedCorners) -> RigCalibrationResult:
         (
             ("surface", "in the arm's base frame"),
             *_format_transform(made.T_arm_surface),
-            (
-                "sides",
-                f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm +- {1e3 * made.size_half_m.max():.1f} mm",
-            ),
+            ("sides", f"{1e3 * size[0]:.1f} x {1e3 * size[1]:.1f} mm +- {1e3 * made.size_half_m.max():.1f} mm"),
             ("corners", f"touched within {1e3 * made.touch_sd_m:.2f} mm"),
         ),
         off_figure(
@@ -324,10 +321,7 @@ def solve_force(rig: Rig, made: MeasuredPushes | PushedTip) -> RigCalibrationRes
         rows.append(("gain", f"{off}: the sensor under {pushes.load_n:g} N"))
     return RigCalibrationResult(
         "force",
-        {
-            "tool": tool,
-            "calibrated.force": dated,
-        },
+        {"tool": tool, "calibrated.force": dated},
         tuple(rows),
         off_figure(
             np.degrees(np.abs(found.off_rad)),
@@ -412,8 +406,7 @@ RECORDED_AT_MOST_S = 120.0
 def recorded_taps(path: Path, wrench: str, device: str, kind: type[ArmFrame | DepthFrame | ColorFrame]) -> Taps:
     """Taps in a recording of a force sensor and another device, by their names in it.
 
-    Raises InputError if a device is missing, or the recording is too long.
-    """
+    Raises InputError if a device is missing, or the recording is too long."""
     from deformscope.recording.items import read_items
 
     frames: dict[str, list[Frame]] = {wrench: [], device: []}

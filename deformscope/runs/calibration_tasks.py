@@ -9,13 +9,7 @@ import numpy as np
 
 from deformscope.config import CameraConfig, ForceConfig, PlaceConfig, TimeConfig, TipConfig
 from deformscope.errors import InputError
-from deformscope.experiments.rig.rig_calibration import (
-    push_tip,
-    tap_tip,
-    tilt_about_tip,
-    touch_corners,
-    view_board,
-)
+from deformscope.experiments.rig.rig_calibration import push_tip, tap_tip, tilt_about_tip, touch_corners, view_board
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame
 from deformscope.rig.rig_file import load_rig
 from deformscope.robot.setup import only_device

@@ -90,8 +90,7 @@ def catalogue(
     """The recordings of a folder for which a condition holds (`select_rows`); the index is made or updated.
 
     names: names of columns to show. Raises InputError for unusable arguments; a damaged recording is a row with that
-    status.
-    """
+    status."""
     if not folder.is_dir():
         came, hint = ("a file", "its folder") if folder.exists() else ("nothing there", nearest_file(folder))
         raise InputError("a folder of recordings", came, hint, folder)

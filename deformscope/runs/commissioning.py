@@ -15,8 +15,7 @@ RigStepState = Literal["done", "by hand", "old", "to do", "optional"]
 class RigStep:
     """what: the step in a word; state: `by hand` = the value exists without a date, `optional` = not needed to explore;
     words: its state; command: command of the step; minutes: estimated time at an arm, from a person's tasks, or with
-    doubles; 0 = depends on its findings
-    """
+    doubles; 0 = depends on its findings"""
 
     what: str
     state: RigStepState

@@ -64,8 +64,7 @@ class TouchOutcome:
     """A touch, and its effect on the exploration.
 
     ended_s: time since the session began; iou: IoU of the map after it; failed: failures on it, as text; asked_for:
-    requested by a person on the page, or by an own planner
-    """
+    requested by a person on the page, or by an own planner"""
 
     touch: TouchEstimate = field(metadata=reported(flat=True))
     ended_s: float = field(metadata=reported())

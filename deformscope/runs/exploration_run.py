@@ -55,8 +55,7 @@ class ExplorationEnd:
     arm_stopped: whether the arm could be stopped; began_s: when it could first move, 0 = never [s]
     session_s: duration by the robot's clock [s]; gaps_s: (n,) times from each check of its supervisor to the next [s]
     largest_force_n: largest force that the sensor measured in a touch [N]
-    losses: losses of each device that lost something (`deformscope.recording.losses`)
-    """
+    losses: losses of each device that lost something (`deformscope.recording.losses`)"""
 
     error: BaseException | None = None
     start_ns: int = 0
@@ -77,8 +76,7 @@ def explore_on(
     """Explore a simulated scene, or with the devices of a rig file; None if it ended before the arm could move.
 
     planner: planner that replaces the built-in one; scene: scene of the rig's name, if that is not built in. In any
-    case the arm is halted, and the results are reported before the recording is closed.
-    """
+    case the arm is halted, and the results are reported before the recording is closed."""
     from deformscope.config.explore import ExploreFlags
     from deformscope.experiments.explore.explore import DRY_RUN, Exploration
     from deformscope.experiments.explore.options import DRY_RUN_M, ExploreOptions

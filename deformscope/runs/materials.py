@@ -84,8 +84,7 @@ class MaterialJob:
     find: the quantity of a material; noise: noise of a position [m of files, px of images]; particles: number of
     particles of images; frame: frame of images to which axes or a field are fitted; force_n: force on the moved
     particles;
-    at, released: see `UnloadingOptions`
-    """
+    at, released: see `UnloadingOptions`"""
 
     find: Literal["axes", "field", "yield", "viscous"]
     level: float = 0.9
@@ -125,8 +124,7 @@ class MaterialJob:
 class MaterialResult(SourceResult):
     """Result of `calibrate axes`, `field`, `yield` or `viscous`.
 
-    estimate: the numbers; found: the compared motion
-    """
+    estimate: the numbers; found: the compared motion"""
 
     found: MaterialFit
 
@@ -315,8 +313,7 @@ def recorded_force(path: Path, sensor: str | None, began_ns: int) -> PressForce 
     """The force in a recording of images, None without one.
 
     sensor: name of the sensor, needed if several were recorded; began_ns: time of the first frame. The first readings
-    give the sensor's zero, as nothing touches it at the start.
-    """
+    give the sensor's zero, as nothing touches it at the start."""
     found: dict[str, list[WrenchFrame]] = {}
     for row in read_rows(Replay(path, trust=True), (WrenchFrame,)):
         if row.item.usable and np.isfinite(row.item.force_n).all():

@@ -32,8 +32,7 @@ class Opening:
     """A setup, and its parts.
 
     options: how to explore it; settings: for its recording; lab: source of faults, None on a rig; recorded: items of
-    another robot, None = a robot is commanded
-    """
+    another robot, None = a robot is commanded"""
 
     setup: Setup
     options: ExploreOptions
@@ -68,8 +67,7 @@ def setup_of(
     clean: no hidden errors in the laboratory; camera: error model of its camera; robot: the robot's model in the
     images;
     removal: how that is taken out of its pictures; tangential: motion of the tip across the normal, None = what the rig
-    file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in
-    """
+    file has, in the laboratory free where `options` are the thesis's; scene: scene of a name that is not built in"""
     if name.startswith(LAB):
         from deformscope.experiments.explore.options import TRAVEL_M_S
         from deformscope.experiments.measured import highest_m

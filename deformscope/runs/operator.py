@@ -28,8 +28,7 @@ Keys = Callable[[], str]
 class RunOperator:
     """The person who permits motion.
 
-    asked: set when a person requests the end of the run; agreed: a person has agreed at the page, None without one
-    """
+    asked: set when a person requests the end of the run; agreed: a person has agreed at the page, None without one"""
 
     asked: Interruption
     agreed: Callable[[], bool] | None = None

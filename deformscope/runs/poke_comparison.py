@@ -1,8 +1,7 @@
 """Pokes that were not fitted: predicted by the model, and by its alternatives, compared with the measurement.
 
 The others have the model's information, the force at its first poke. The other methods are a rigid body, an elastic
-half-space in closed form, and linear finite elements of the same slab.
-"""
+half-space in closed form, and linear finite elements of the same slab."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ def compare(
 ) -> list[PokeComparison]:
     """Predict measured pokes of a model of layers from their place, tip and depth.
 
-    Raises InputError for a model of particles.
-    """
+    Raises InputError for a model of particles."""
     if model.body != "layers" or model.thickness is None:
         raise InputError("a model of layers below a surface", "one of particles", "fit it with --thickness-m")
     found = []

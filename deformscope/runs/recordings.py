@@ -25,8 +25,7 @@ from deformscope.runs.result import LibraryResult
 class OpenRecording(LibraryResult):
     """A recording of deformscope: settings, frames and results, read on demand.
 
-    path: path of the file; its bytes were compared with its ledger when it was opened
-    """
+    path: path of the file; its bytes were compared with its ledger when it was opened"""
 
     def __init__(self, path: Path) -> None:
         """Raises InputError if it is no recording of ours, or has changed since it was recorded."""

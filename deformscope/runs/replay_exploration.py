@@ -27,8 +27,7 @@ elsewhere."""
 def replay_exploration(recording: Replay, config: ReplayConfig, page: PageServer | None = None) -> ReplayResult:
     """Compute and compare; raises Different. A stage that failed when it was recorded is reported, not computed again:
     whether it fails may depend on the machine. page: page that plays it, and shows results with other settings next to
-    the recorded ones
-    """
+    the recorded ones"""
     import msgspec
 
     from deformscope.experiments.explore.explore import (

@@ -31,8 +31,7 @@ class ReplayResult(LibraryResult):
 
     found: the JSON of `deformscope replay`, a list where several pairs were fitted; shown: results with their tables
     verdict: comparison with the recorded result; notes: failures and stops during the recording
-    different: the differences, if the results are known nevertheless, else None
-    """
+    different: the differences, if the results are known nevertheless, else None"""
 
     found: Json | list[Json]
     shown: tuple[LibraryResult | Table, ...] = ()
@@ -80,8 +79,7 @@ def compare(
 
     leave_out: fields of a result that may differ; cut_short: more may have been computed than was recorded
     distance: compares two results that may differ by less than `CLOSE`, returns their largest difference; None = no
-    difference is allowed
-    """
+    difference is allowed"""
     if len(recorded) > len(computed) or (len(recorded) < len(computed) and not cut_short):
         raise Different(f"{len(recorded)} {what} as recorded", str(len(computed)), where=path)
     found: list[float] = []

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 class SqueezeAgain:
     """Results of a recorded squeeze, computed again. features: None without features; `failure` states why
 
-    results: results of every kind, in the order in which they are computed
-    """
+    results: results of every kind, in the order in which they are computed"""
 
     results: list[object] = dataclasses.field(default_factory=list)
     features: TrialFeatures | None = None

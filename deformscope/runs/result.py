@@ -78,8 +78,7 @@ class SourceResult(LibraryResult):
     """Results of a source.
 
     name: name of the source; recording: recording of the run; problems: damage of the source; settings, seed: inputs
-    that determine the result
-    """
+    that determine the result"""
 
     name: str = ""
     recording: RecordingSummary | None = None

@@ -47,8 +47,7 @@ class RigCalibrationResult:
     """Result of a rig calibration.
 
     kind: place, tip, camera, force or time; values: values for the rig file; rows: names and values of the table;
-    figure: how far each measurement is off; found: results for JSON
-    """
+    figure: how far each measurement is off; found: results for JSON"""
 
     kind: str
     values: Values
@@ -88,8 +87,7 @@ class SetupTask(Generic[M]):
     """One of the commands that calibrate a set-up.
 
     kind: its kind; needs: kinds of devices; measure: the experiment; arrays: measurements from a file of arrays; solve:
-    its solution; recorded: measurements from a recording
-    """
+    its solution; recorded: measurements from a recording"""
 
     kind: str
     needs: tuple[str, ...]

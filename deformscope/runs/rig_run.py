@@ -52,8 +52,7 @@ class RigRun:
     """Outcome of a rig's run.
 
     result: result of the recording; failures: reason of each device that failed, by name; why: why it ended; early_by:
-    signal that ended it early, 0 = none
-    """
+    signal that ended it early, 0 = none"""
 
     result: RecordResult
     failures: Mapping[str, str]

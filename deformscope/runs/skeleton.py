@@ -47,8 +47,7 @@ class OpenRun:
     """A run whose devices are open and recorded.
 
     line: shows one line, which the next replaces; recorded: the recorder of the session; last: the devices when they
-    were closed, None before
-    """
+    were closed, None before"""
 
     source: RigSource
     line: Callable[[str], None]
@@ -179,8 +178,7 @@ def permitted(
     calibrated: the required calibrations, by name, and whether they are done; yes: do not ask
     places_m: (n, 2) places that will be touched, None = any that can be reached; page: where the question can be
     answered too The checks are repeated after the question, which may have waited for long. Raises InputError if a
-    check fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C.
-    """
+    check fails, or no person says yes, and ExplorationStopped if the answer is Ctrl-C."""
     from deformscope.experiments.explore.touching_robot import CheckFirst
     from deformscope.session import ask
 
@@ -218,8 +216,7 @@ def agree(
     """Within an experiment: wait until a person permits the motion, at the page if there is one, or at the terminal.
 
     what: the motion; enter_when: condition, as text, after which Enter at the terminal is sufficient. Otherwise it
-    raises InputError unless a person answers yes. or_ended: nor if a person ends the run
-    """
+    raises InputError unless a person answers yes. or_ended: nor if a person ends the run"""
     operator = RunOperator(asked, None if page is None else page.is_agreed)
     first = ""
     if page is not None:

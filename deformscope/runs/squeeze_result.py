@@ -34,8 +34,7 @@ class SqueezeResult(LibraryResult):
     withdrawal: why the arm stopped on its way back
     hand_stands, arm_stands, limits_restored: hand and arm could be stopped, the hand's current limits are restored
     truth: true times of the contact with the laboratory's container and of the hold [s]; untracked: why tracking of the
-    container ended, or empty
-    """
+    container ended, or empty"""
 
     rig: str = field(metadata=reported())
     simulated: bool = field(metadata=reported())
@@ -180,10 +179,7 @@ class SqueezeResult(LibraryResult):
             rows += [
                 ("first contact", f"{began_s:.2f} s after the start, within \u00b1{first_ms:.0f} ms"),
                 ("steady state", f"{took_s:.2f} s after first contact, within \u00b1{steady_ms:.0f} ms"),
-                (
-                    "force of a finger",
-                    f"{force_n:.2f} N; stiffness {stiffness:.0f} N/m",
-                ),
+                ("force of a finger", f"{force_n:.2f} N; stiffness {stiffness:.0f} N/m"),
                 ("depth change", change),
             ]
         if (tracking := self.tracking) is not None:

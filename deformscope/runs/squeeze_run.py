@@ -298,9 +298,7 @@ def step_posterior(model: ContentModel) -> Predict | None:
     return predict
 
 
-def final_posterior(
-    model: ContentModel,
-) -> Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]:
+def final_posterior(model: ContentModel) -> Callable[[dict[str, FloatArray]], tuple[str, tuple[str, ...], FloatArray]]:
     """The model's posterior from all its features: (modalities, labels, probabilities)."""
 
     def predict(features: dict[str, FloatArray]) -> tuple[str, tuple[str, ...], FloatArray]:

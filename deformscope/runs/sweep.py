@@ -1,8 +1,7 @@
 """A sweep: one function on many files and settings, each result stored when it is done.
 
 A task is identified by content: the bytes of its file and of the file's ledger, the function with its settings, and the
-code of this package. A finished task is not computed again, under any name of the file.
-"""
+code of this package. A finished task is not computed again, under any name of the file."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class Variation:
     """One way to compute a file. settings: the varied ones, by name; argument: argument of the function, besides the
     file
 
-    identity: text of everything that determines the result except the file
-    """
+    identity: text of everything that determines the result except the file"""
 
     settings: Mapping[str, object]
     argument: Any
@@ -148,8 +146,7 @@ def sweep_on(
     """Compute each source with each variation that was not computed before, and write the outcome of all.
 
     function: function of a module; returns values of JSON's types Raises InputError without a worker, or for an
-    unusable folder; a task that fails is a row with its reason.
-    """
+    unusable folder; a task that fails is a row with its reason."""
     make_folder(out)
     began, computed, skipped = time.monotonic(), 0, 0
     code = contents_of([Path(__file__).parents[1], Path(deformscope_drivers.__file__).parent])
@@ -357,8 +354,7 @@ def files_in(folder: Path, out: Path, match: str = "") -> list[Path]:
 def in_order(paths: Iterable[Path], out: Path, match: str, where: Path) -> list[Path]:
     """The sources in natural order, folder by folder, without the files in OUT. match: names like this alone.
 
-    Raises InputError if there are none.
-    """
+    Raises InputError if there are none."""
     own = out.resolve()
     found = [one for one in paths if (not match or one.match(match)) and own not in one.resolve().parents]
     if not found:

@@ -158,13 +158,7 @@ def _bytes(check: LedgerCheck) -> str:
 
 
 def _rows(
-    facts: Facts,
-    check: LedgerCheck | None,
-    structure: str,
-    reached: str,
-    counts: dict[str, int],
-    *,
-    unfinished: bool,
+    facts: Facts, check: LedgerCheck | None, structure: str, reached: str, counts: dict[str, int], *, unfinished: bool
 ) -> list[tuple[str, str]]:
     ended = "unfinished: cut short" if unfinished else "complete" if facts.outcome.get("complete") else "NOT complete"
     if "recovered" in facts.outcome:

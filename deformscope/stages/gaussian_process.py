@@ -1,8 +1,7 @@
 """Kernels of all Gaussian processes: over a surface, between touches, between particles.
 
 The thesis's is `sigma_e^2 exp(-|u - u'|^2 / sigma_w^2)` (eq. 4.5), without the usual half: its length scale, in the
-field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`.
-"""
+field's common sense `exp(-|u - u'|^2 / (2 l^2))`, is `l = sigma_w / sqrt(2)`."""
 
 from __future__ import annotations
 

@@ -23,8 +23,7 @@ class Stamp:
 
     host_ns: monotonic host clock [ns]; for media without a clock (a video file), the media time since its start [ns]
     device_ticks: the device's own counter or clock, in its own unit; None where it has none
-    late_ns: calibrated delay of the device, which was subtracted from host_ns [ns]; None = host_ns is the arrival
-    """
+    late_ns: calibrated delay of the device, which was subtracted from host_ns [ns]; None = host_ns is the arrival"""
 
     host_ns: int
     device_ticks: int | None = None
@@ -76,8 +75,7 @@ class ClockRelation:
 
     tick_ns: host time of a device tick [ns]; drift_ppm: its deviation from the nominal tick, None where none is known
     offset_ns: host time at tick 0, as seen through the shortest delay; residual_ns: root mean square of the anchors'
-    distances from the straight line [ns]; anchors: stretches of time that it rests on
-    """
+    distances from the straight line [ns]; anchors: stretches of time that it rests on"""
 
     tick_ns: float
     offset_ns: float
@@ -95,8 +93,7 @@ class ClockFit:
 
     A reading arrives late by a delay that is never negative and often small. Therefore the reading with the least delay
     in each stretch of time becomes an anchor, and a straight line is fitted to the anchors.
-    tick_ns: nominal host time of a tick, where the device's documents name one
-    """
+    tick_ns: nominal host time of a tick, where the device's documents name one"""
 
     def __init__(self, tick_ns: float | None = None) -> None:
         self._nominal_ns = tick_ns

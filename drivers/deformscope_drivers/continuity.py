@@ -1,8 +1,7 @@
 """Readings that are missing by time: a device that should send and did not, whatever its own counter says.
 
 A counter restarts after a lost link, wraps in a long pause, or is absent; the host's clock continues. Therefore a pause
-between readings is compared with the rate at which the device sent before it.
-"""
+between readings is compared with the rate at which the device sent before it."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class _Pause:
     """A pause in the readings, from the last one before it until it is settled how many are missing.
 
     got: readings that had come, or were counted as lost, when it began; unlinked: the link was lost meanwhile
-    resumed_ns: when readings came again, None = not yet; fewest: the smallest number missing at any time since then
-    """
+    resumed_ns: when readings came again, None = not yet; fewest: the smallest number missing at any time since then"""
 
     start_ns: int
     got: int
@@ -62,8 +60,7 @@ class _Pause:
 class Continuity:
     """Follows when a device's readings arrive, on the host's clock [ns].
 
-    Readings that the device's own counter says are lost (`count_lost`) are not counted here again.
-    """
+    Readings that the device's own counter says are lost (`count_lost`) are not counted here again."""
 
     def __init__(self) -> None:
         self._set_hz: float | None = 0.0

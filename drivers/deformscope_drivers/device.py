@@ -3,8 +3,7 @@ health.
 
 One thread owns the link, from opening to closing: only this thread reads and writes. Calls from other threads are
 handed to it (`_do`). Therefore no lock guards a port, no reading is split, and a cable that was pulled out is noticed
-in one place.
-"""
+in one place."""
 
 from __future__ import annotations
 
@@ -89,8 +88,7 @@ class Device(ABC, Generic[MeasurementT]):
     late_ns: set before opening, the device's calibrated delay [ns]: the stamps in all queues are earlier by it A
     subclass gives `_connect`, `_receive` and `_disconnect`, all run by the device's own thread. A device with large
     readings sets `queue_readings` too, the default queue length of a slow reader; a device in a robot's control loop
-    sets `prompt`.
-    """
+    sets `prompt`."""
 
     queue_readings: ClassVar[int] = QUEUE_READINGS
     prompt: ClassVar[bool] = False
@@ -653,8 +651,7 @@ class StreamDevice(Device[MeasurementT]):
     ) -> ResultT:
         """Send a command and wait for the event that `accept` makes something of; readings are published meanwhile.
 
-        Runs in the device's thread: a public method wraps it into `_do`. Raises NoReply after the last try.
-        """
+        Runs in the device's thread: a public method wraps it into `_do`. Raises NoReply after the last try."""
         for _ in range(tries):
             self._send(data)
             until_ns = self._clock() + round(timeout_s * 1e9)

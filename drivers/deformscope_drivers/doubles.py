@@ -1,8 +1,7 @@
 """Parts of simulated devices: a state machine that receives bytes and time, and a line that sends at its pace.
 
 A double is pure: it opens no port, starts no thread and reads no clock. `deformscope_drivers.wires` puts it behind a
-pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its own clock.
-"""
+pseudo terminal, a CAN bus or a socket; a simulated laboratory drives it by its own clock."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ class Double(Protocol):
 class Line:
     """A transmitter that sends whole messages, one after the other, at a line's rate.
 
-    bytes_per_s: 11 520 for 115 200 baud 8N1; None = unlimited (USB and TCP, for 1 kHz of 16 bytes)
-    """
+    bytes_per_s: 11 520 for 115 200 baud 8N1; None = unlimited (USB and TCP, for 1 kHz of 16 bytes)"""
 
     def __init__(self, bytes_per_s: float | None = None) -> None:
         self._ns_per_byte = 0.0 if bytes_per_s is None else 1e9 / bytes_per_s

@@ -1,7 +1,6 @@
 """Errors of a device. Each message has the expectation, the actual value, and what to try; the port comes last.
 
-DeviceError
- +- NotConnected       it is not there, or cannot be opened
+DeviceError +- NotConnected       it is not there, or cannot be opened
  |   +- Busy           another program, or another session, has it
  +- LinkLost           it was there, and is gone (a reconnect may follow)
  +- NoReply            it is there, and did not answer in time
@@ -10,8 +9,7 @@ DeviceError
  +- SettingsRefused it runs with other settings than the requested ones
  +- OutOfLimits        a command that would leave the limits; nothing was sent
  +- Stale there is no reading of the requested age
- +- LibraryMissing     software of the vendor's, or an optional package, is not installed
-"""
+ +- LibraryMissing     software of the vendor's, or an optional package, is not installed"""
 
 from __future__ import annotations
 
@@ -65,8 +63,7 @@ class ProtocolViolation(DeviceError):
 class CommandRefused(DeviceError):
     """The device answered with an error code.
 
-    code: the device's number; name: its name in the device's documents
-    """
+    code: the device's number; name: its name in the device's documents"""
 
     def __init__(self, code: int, name: str, doing: str, try_this: str = "", where: object = "") -> None:
         super().__init__(f"success of {doing}", f"error {code} ({name})", try_this, where)

@@ -14,8 +14,7 @@ INDEX_MASK = 0xFFFFFFFF
 class FrameMessage:
     """host_ns: arrival on the host's monotonic clock, which all processes share [ns]; timestamp_us: time on the
     camera's clock [us]; index: the camera's count of frames, 32 bits; sizes [px], 0 = no colour
-    depth: little endian, 2 bytes a pixel; color: RGB, 3 bytes a pixel; both row by row without padding
-    """
+    depth: little endian, 2 bytes a pixel; color: RGB, 3 bytes a pixel; both row by row without padding"""
 
     host_ns: int
     timestamp_us: int

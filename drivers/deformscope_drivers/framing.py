@@ -1,8 +1,7 @@
 """Finding frames in a byte stream that may hold anything: what every byte-stream decoder is made of.
 
 This module uses no port, clock or thread. Bad bytes are events, never exceptions: they are counted and recorded like
-good ones.
-"""
+good ones."""
 
 from __future__ import annotations
 
@@ -49,8 +48,7 @@ class FrameDecoder(ABC, Generic[EventT]):
     """Decodes any slice of a stream into whole frames, and the bytes that belong to none.
 
     After a refused frame the search continues one byte after its start, so that a good frame inside a bad one is found.
-    The buffer between calls is shorter than the longest frame.
-    """
+    The buffer between calls is shorter than the longest frame."""
 
     def __init__(self) -> None:
         self._kept = b""

@@ -51,8 +51,7 @@ class Health:
     silence, where its counter does not show them; silent_s: how long that was [s]
     jitter_s: standard deviation of the time from one reading to the next, lately, as the host stamps them [s]
     alarms: alarms of its readings, each as text that begins with `stuck` or `saturated`; set by the code that checks
-    the readings
-    """
+    the readings"""
 
     link: Link
     reason: str = ""

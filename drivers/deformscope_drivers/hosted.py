@@ -39,8 +39,7 @@ class HostedProcess:
     """The program's end of a process that hosts a driver. Messages may be sent from any thread.
 
     expected, where: words of the error that reports that the process has ended; status_s: time to wait for its
-    exit status then [s], None = not at all, for urgent calls
-    """
+    exit status then [s], None = not at all, for urgent calls"""
 
     def __init__(self, expected: str, where: str, status_s: float | None) -> None:
         self._expected, self._where, self._status_s = expected, where, status_s

@@ -11,8 +11,7 @@ from deformscope_drivers.memory import SimulatedClock
 class Pacer:
     """Times for devices that produce readings at a rate.
 
-    clock: the device's; a simulated one advances during the wait
-    """
+    clock: the device's; a simulated one advances during the wait"""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock

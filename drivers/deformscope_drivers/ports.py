@@ -23,8 +23,7 @@ class FoundDevice:
     """Something that is plugged in.
 
     driver: name of the package with its driver; empty if only a query would determine it
-    port: what a configuration names; serial: its serial number, or that of the USB adapter
-    """
+    port: what a configuration names; serial: its serial number, or that of the USB adapter"""
 
     driver: str
     port: str

@@ -15,8 +15,7 @@ def be_prompt(priority: int) -> bool:
     """Have the calling thread run as soon as it is ready, under any load of the machine (SCHED_RR). Returns whether the
     system allows this user to. Elsewhere the thread is unchanged. Its child processes are ordinary, at nice 0.
 
-    Such a thread should mostly wait. Another thread of the same program that holds Python's lock still holds it up.
-    """
+    Such a thread should mostly wait. Another thread of the same program that holds Python's lock still holds it up."""
     with contextlib.suppress(AttributeError, OSError):  # no Linux; not allowed
         os.sched_setscheduler(0, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
         return True

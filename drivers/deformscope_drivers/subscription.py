@@ -16,8 +16,7 @@ class Subscription(Generic[T]):
 
     It ends when the device is closed, or with the error that ended the device; waiting items are still given.
     received: items that were put in; dropped: items lost because the reader was slow.
-    Always: received = taken + dropped + waiting.
-    """
+    Always: received = taken + dropped + waiting."""
 
     def __init__(self, capacity: int, leave: Callable[[Subscription[T]], None]) -> None:
         self.capacity = capacity

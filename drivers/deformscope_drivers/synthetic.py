@@ -30,8 +30,7 @@ ViewT = TypeVar("ViewT")
 class SyntheticConfig:
     """rate_hz: pictures a second of a scene; seed: seed of everything that is random
     silence_s: time without a picture after which the link counts as lost; stuck_after_s: time of the same picture,
-    after which it counts as stuck; None = never
-    """
+    after which it counts as stuck; None = never"""
 
     name: str
     rate_hz: float = 30.0
@@ -45,8 +44,7 @@ class SyntheticSource(Device[MeasurementT], Generic[MeasurementT, ViewT]):
 
     scene: the visible scene at a time since opening [s]; None = only pushed pictures A picture's device_ticks are the
     camera's own time since opening [us]. Everything that is random comes from `seed`. It runs in real time with a
-    thread, or on a simulated clock with open(own_thread=False) and poll().
-    """
+    thread, or on a simulated clock with open(own_thread=False) and poll()."""
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
 

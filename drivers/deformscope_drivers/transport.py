@@ -1,9 +1,8 @@
 """Transports to a device: serial ports, sockets and CAN buses.
 
-A transport carries bytes. A transport decodes nothing; it reports immediately when the link is lost.
-Rig files, which may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted
-here, some of which write files (`spy://`) or load classes (`alt://`).
-"""
+A transport carries bytes. A transport decodes nothing; it reports immediately when the link is lost. Rig files, which
+may come from anywhere, name ports and buses. pyserial and python-can have more kinds than are accepted here, some of
+which write files (`spy://`) or load classes (`alt://`)."""
 
 from __future__ import annotations
 
@@ -46,8 +45,7 @@ T = TypeVar("T")
 class Transport(ABC):
     """Bytes to and from one device. One thread at a time uses it; only `wake` may be called from others.
 
-    name: the port or bus, for messages
-    """
+    name: the port or bus, for messages"""
 
     name: str
 
@@ -187,8 +185,7 @@ class CanTransport(Transport):
 
     bus: `interface:channel`, both as python-can calls them (`socketcan:can0`, `virtual:lab`), and options behind a
     question mark (`udp_multicast:239.74.163.2?port=43113`, which stays within this host); as `parse_bus` accepts it
-    receive_id, send_id: the device's and the host's 11-bit identifiers; bitrate: bits a second
-    """
+    receive_id, send_id: the device's and the host's 11-bit identifiers; bitrate: bits a second"""
 
     def __init__(self, bus: str, receive_id: int, send_id: int, bitrate: int) -> None:
         self.name = bus
@@ -243,8 +240,7 @@ class CanTransport(Transport):
 def parse_bus(bus: str) -> tuple[str, str, dict[str, Any]]:
     """Interface, channel and options of `interface:channel?option=value&...`; opens nothing.
 
-    Raises NotConnected if a part is missing or not accepted.
-    """
+    Raises NotConnected if a part is missing or not accepted."""
     interface, colon, rest = bus.partition(":")
     channel, _, query = rest.partition("?")
     if not colon or not interface or not channel:

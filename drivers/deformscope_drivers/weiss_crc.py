@@ -4,8 +4,7 @@ The checksum is no named standard: the table is that of CRC-16/CCITT (polynomial
 and the update shifts the other way, as in reflected CRCs. For the ASCII digits "123456789" it is 0x6EB4, while
 CRC-16/CCITT-FALSE is 0x29B1 and CRC-16/MCRF4XX 0x6F91; CRC libraries do not have it. The code is not truly cyclic:
 every flipped bit changes it, but some pairs of flipped bits do not. Source: ipab-slmc/SDHLibrary-CPP, sdh/crc.h (facts,
-not code).
-"""
+not code)."""
 
 from __future__ import annotations
 

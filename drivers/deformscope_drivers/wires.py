@@ -1,8 +1,7 @@
 """Doubles behind real transports: a pseudo terminal, a CAN bus, a socket.
 
 A wire has one thread, which feeds the double with bytes and time and sends what is due, at the pace of the double.
-Cables can be pulled out and put back.
-"""
+Cables can be pulled out and put back."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ class Wire(ABC):
     """`with PtyWire(OptoforceDouble()) as wire: Optoforce(port=wire.port)`.
 
     port: what a device's configuration names to come to the other end
-    lost_bytes: bytes that the double sent without a reader on the wire
-    """
+    lost_bytes: bytes that the double sent without a reader on the wire"""
 
     port: str
     is_bus = False
@@ -104,8 +102,7 @@ class PtyWire(Wire):
 
     The port is a descriptor of this process under /proc, which other processes of the same user can open. The kernel
     removes it with the process in any case, while a link in a folder would remain. A pseudo-terminal has no baud rate:
-    a double that should be slow limits its rate (`doubles.Line`).
-    """
+    a double that should be slow limits its rate (`doubles.Line`)."""
 
     def __init__(self, double: Double) -> None:
         super().__init__(double)
@@ -203,8 +200,7 @@ class TcpWire(Wire):
 class CanWire(Wire):
     """A CAN bus, over which the double's bytes go in frames of up to 8. Ids as the host's `CanTransport` has them.
 
-    bus: as in `CanTransport`; `port` is the same. padded: fill the last frame of a piece up with zeros
-    """
+    bus: as in `CanTransport`; `port` is the same. padded: fill the last frame of a piece up with zeros"""
 
     is_bus = True
 

@@ -2,8 +2,7 @@
 
 It takes a step to the goals (eq. 3.15) of a full lattice of unit masses with a linear basis and theta = 0, in fast
 plain NumPy. Sums over windows go axis by axis, so that a window of w particles per side costs about 3 w additions per
-channel instead of w^3. One `np.linalg.svd` call turns all clusters.
-"""
+channel instead of w^3. One `np.linalg.svd` call turns all clusters."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ class NumpyLattice:
     """A full lattice in clusters of all its windows, ready to be stepped. Lengths are in units of the spacing.
 
     rest: (d, *shape); size: particles along a cluster's side; held: (*shape,) particles whose position is prescribed;
-    count: (*shape,) number of clusters to which each particle belongs
-    """
+    count: (*shape,) number of clusters to which each particle belongs"""
 
     rest: FloatArray
     size: int

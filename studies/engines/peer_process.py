@@ -4,8 +4,7 @@ A child process, because pypbd is one global simulation and takes its number of 
 because these libraries print, change warp's settings and may crash. Lines on stdout: one JSON object about the body
 that was built. Then, for every number of steps on stdin, the seconds of wall clock and of processor time.
 
-Every body is a lattice of SIDE^3 particles whose bottom layer is held.
-"""
+Every body is a lattice of SIDE^3 particles whose bottom layer is held."""
 
 from __future__ import annotations
 

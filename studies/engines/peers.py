@@ -31,8 +31,7 @@ def require_peers() -> None:
 class Peer:
     """One engine with a cube of side^3 particles, on one thread. `with Peer("pypbd", 11) as peer: peer.steps(100)`.
 
-    facts: its description of the body that it built
-    """
+    facts: its description of the body that it built"""
 
     def __init__(self, engine: str, side: int) -> None:
         self.engine, self.side = engine, side

@@ -1,7 +1,6 @@
 """A camera's view of bodies of other solvers: lattices that are pushed, and errors of tool, camera and noise.
 
-Lengths in metres, a spacing of 1 cm.
-"""
+Lengths in metres, a spacing of 1 cm."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class Errors:
     camera: what is wrong with all deformed positions: scale off by a share `camera_size`, of both axes or one; drift,
     largest at one end [m]; lens: radial, or a wave as long as the body, at most this [m]
     cells: over how many spacings neighbours share noise, 0 for none; smooth: nu of the Matern kernel, inf for Gaussian
-    held: whether held positions have noise too; told: whether that is stated
-    """
+    held: whether held positions have noise too; told: whether that is stated"""
 
     tool: ToolError = "none"
     tool_size: float = 0.0

@@ -1,7 +1,6 @@
 """Plates in plane stress, clamped at both ends and stretched or sheared. Their material may be stiffer along a
 direction, and their stiffness may differ from place to place: bilinear elements on their own mesh, and their own
-errors.
-"""
+errors."""
 
 from __future__ import annotations
 

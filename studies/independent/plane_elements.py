@@ -18,8 +18,7 @@ def stiffness(ratio: float, nu: float, shear: float | None = None, *, strain: bo
     """(3, 3) stress of strain (xx, yy, 2 xy), for modulus 1 along x and 1 / ratio along y.
 
     nu: contraction along y of a pull along x; shear: modulus, default that of an even material of the mean modulus
-    strain: plane strain, with the same modulus and Poisson's ratio across the plane as along y
-    """
+    strain: plane strain, with the same modulus and Poisson's ratio across the plane as along y"""
     along, across = 1.0, 1.0 / ratio
     bend = np.array([[1.0 / along, -nu / along], [-nu / along, 1.0 / across]])
     if strain:

@@ -1,8 +1,7 @@
 """Surfaces of one to five materials, or of a gradual change, and the stiffness of contacts on them.
 
 Borders are straight or wavy stripes, Voronoi cells, crossed lines or patches of any smooth outline. A contact averages
-stiffness over a disc; foam scatters as a sum of random waves.
-"""
+stiffness over a disc; foam scatters as a sum of random waves."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Static states of overlapping shape matching clusters, by NumPy and SciPy alone (Thesis eq. 3.4 to 3.13).
 
 Given the rotation of each cluster, the fixed point of the goal positions is linear in the particles and the same in
-each coordinate. So rotations and positions are found in turn, with one factorisation.
-"""
+each coordinate. So rotations and positions are found in turn, with one factorisation."""
 
 from __future__ import annotations
 

@@ -91,8 +91,7 @@ class Recorded:
 def touched(modulus: Modulus, left: float, hold_s: float, kept_s: FloatArray, random: np.random.Generator) -> Recorded:
     """Press a foam of this law until SET_N and keep the force for a while, as an arm and an OptoForce record it.
 
-    left: share of the modulus that is left when all has relaxed, 0 where that never happens; kept_s: (T,) [s]
-    """
+    left: share of the modulus that is left when all has relaxed, 0 where that never happens; kept_s: (T,) [s]"""
     layer = _Layer(float(random.uniform(*THICKNESS_M)), float(random.uniform(*POISSON)))
     stiff = float(np.exp(random.uniform(*np.log(FOAM_N_PER_M))))
     scale = SET_N / float(layer.force(np.array([SET_N / stiff]))[0])

@@ -18,8 +18,7 @@ class FitBoth:
     """beta, theta; position: (K, d) static state at these values [m]; aee: mean distance to the observed positions [m]
     (eq. 3.18)
 
-    evaluations: static states that were followed; converged: no step is left that promises to lower the error
-    """
+    evaluations: static states that were followed; converged: no step is left that promises to lower the error"""
 
     beta: float
     theta: float
@@ -47,8 +46,7 @@ def fit_beta_theta(
     valleys: less beta needs more theta). The search goes downhill from `start`, as in `fit_beta`.
 
     held_position: (n, d); observed: (K, d), nan where a particle was not seen [m]
-    start: beta, theta; tolerance: smallest decrease of the error worth a step, as a share of it
-    """
+    start: beta, theta; tolerance: smallest decrease of the error worth a step, as a share of it"""
     seen: BoolArray = np.asarray(np.isfinite(observed).all(axis=1))
     highest = np.array([-np.log1p(-largest_beta), 1.0])
     at = np.clip([-np.log1p(-start[0]), start[1]], 0.0, highest)

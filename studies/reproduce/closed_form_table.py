@@ -2,8 +2,7 @@
 
 A touch is the scene's stiffness (Hertz: the power 2/3 of its modulus), its mean over the contact, plus a fit's error
 and the laboratory's hidden errors (`LabErrors`: scatter, gain and arm). A stiffness above the arm's resolution is a
-lower bound. Posterior, planner and stop rule are those of `explore`.
-"""
+lower bound. Posterior, planner and stop rule are those of `explore`."""
 
 from __future__ import annotations
 

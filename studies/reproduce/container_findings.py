@@ -1,7 +1,6 @@
 """The thesis's results of squeezed containers (5.3 and 5.4), compared with those of the laboratory's squeezes.
 
-The laboratory was not tuned for these findings: a different result is reported as such.
-"""
+The laboratory was not tuned for these findings: a different result is reported as such."""
 
 from __future__ import annotations
 

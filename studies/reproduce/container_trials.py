@@ -125,11 +125,7 @@ def run_squeeze(job: SqueezeJob) -> TrialRow:
 def squeeze_trial(job: SqueezeJob, on_cycle: Callable[[ContainerLab], None] = lambda made: None) -> SqueezedTrial:
     """One trial with its features, recording and truth. on_cycle: called in each control period"""
     made = container_lab(
-        job.content,
-        job.container,
-        job.session,
-        job.seed,
-        camera_hz=CAMERA_HZ if job.whole else FAST_CAMERA_HZ,
+        job.content, job.container, job.session, job.seed, camera_hz=CAMERA_HZ if job.whole else FAST_CAMERA_HZ
     )
     setup = made.setup
     entry = entry_of(setup, made.content, made.container, job.session, job.seed)

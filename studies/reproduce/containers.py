@@ -61,10 +61,7 @@ def report(options: ContainersConfig, seconds: float, squeezed: Sequence[TrialRo
     """Evaluate, draw the figures, and compare the thesis's statements with the laboratory's."""
     dataset = dataset_of(options.out, squeezed)
     table = dataset.table()
-    results = {
-        "five": _evaluated(table, options, "five"),
-        "three": _evaluated(table.merged(THREE), options, "three"),
-    }
+    results = {"five": _evaluated(table, options, "five"), "three": _evaluated(table.merged(THREE), options, "three")}
     beside = compare_findings(*(one.evaluation for one in results.values()))
     for name, result in results.items():
         _report(result, options, name, beside)

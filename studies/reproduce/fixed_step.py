@@ -1,8 +1,7 @@
 """Algorithm 2 of the thesis as it is printed: fixed steps down a numerical slope, with its early stops.
 
 Choices that the thesis does not state: the error is in centimetres, as in Thesis figure 3.11, and the slope is a
-central difference. The search stops when the slope's size is below epsilon, and stays in the range.
-"""
+central difference. The search stops when the slope's size is below epsilon, and stays in the range."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 A flat clamp pushes five virtual foams (`deformscope.lab.foam`) by the same distance. A camera sees speckles move; dense
 flow carries 7 x 15 particles; the last pose is fitted at cluster sizes 2, 4 and 5. Each fit is made four times: from
 the flow and from the true positions, which shows the flow's error. Held particles are either the one below the clamp's
-middle, as in the thesis, or all below the clamp. The force of the push gives the model's k.
-"""
+middle, as in the thesis, or all below the clamp. The force of the push gives the model's k."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ class FoamSetup:
     """The push and its images.
 
     depth_m: depth of the clamp at the end; images: number of images, including that at rest; noise: noise of the camera
-    [grey values]
-    """
+    [grey values]"""
 
     foams: tuple[Foam, ...] = FOAMS
     block: Block = BLOCK
@@ -100,8 +98,7 @@ class FoamResult:
 
     depth_m, force_n: depth and force of every pose; lost: particles; error_px: (K,) distance of each particle from its
     true place in the last image, NaN if lost; noise_px: (K,) the flow's noise, standard deviation of a coordinate
-    image: the last image; mask: (H, W) the foam in the first image
-    """
+    image: the last image; mask: (H, W) the foam in the first image"""
 
     foam: Foam
     depth_m: tuple[float, ...]
@@ -223,8 +220,7 @@ class Trend:
     drop: beta of the softest less that of the firmest foam (Thesis: .04, .16, .21 at cluster sizes 2, 4, 5)
     rank_correlation: rank correlation of beta with hardness (Spearman), None if all are equal or there are only two
     foams; common: betas in every foam's interval; None = there are none, so that beta differs between foams
-    told: the trend in words (a key of the JSON)
-    """
+    told: the trend in words (a key of the JSON)"""
 
     source: Source
     held: Held
@@ -288,8 +284,7 @@ CHANGES: dict[str, tuple[float, float]] = {
 class Control:
     """The middle foam with one property changed: effect of the change on its true positions, and on beta from these.
 
-    true_px: (K, 2) places of its particles
-    """
+    true_px: (K, 2) places of its particles"""
 
     changed: str
     foam: Foam

@@ -121,10 +121,7 @@ def _foam_table(result: FoamResult) -> Table:
 
 def _trend_table(trends: Sequence[Trend]) -> Table:
     rows = [
-        (
-            name(one),
-            f"softest - firmest {one.drop:+.2f}; rank correlation {_signed(one.rank_correlation)}; {one.told}",
-        )
+        (name(one), f"softest - firmest {one.drop:+.2f}; rank correlation {_signed(one.rank_correlation)}; {one.told}")
         for one in trends
     ]
     return Table(rows, caption="Beta against hardness")

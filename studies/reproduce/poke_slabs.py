@@ -36,8 +36,7 @@ class PokedSlab:
 
     normal, middle: (2,) normal and middle of the border of halves, or the direction of a gradual change; middle,
     radius: middle and radius of a disc; modulus: (2,) [Pa] where `inside` is negative and positive; places: (24, 2)
-    [m]; fitted: (24,) whether each poke is fitted; the others are unseen
-    """
+    [m]; fitted: (24,) whether each poke is fitted; the others are unseen"""
 
     kind: SlabKind
     seed: int

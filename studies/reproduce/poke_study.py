@@ -1,8 +1,7 @@
 """Predictions of a model fitted to a few pokes of a slab: slabs of finite elements, whose truth is known.
 
 A slab of one modulus is fitted to a single poke, halves and a disc in a softer slab to 12 of 24. The predicted pokes
-have other tips, forces and places, some near the border.
-"""
+have other tips, forces and places, some near the border."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 The thesis's cubes are made here with finite elements, or any others come from pair files. Each cube has this project's
 calibration of theta for one quadratic cluster (as in the thesis). For comparison it has the lowest error of a dense
-grid. It also has the lowest errors of one cluster and of overlapping clusters if beta is fitted too.
-"""
+grid. It also has the lowest errors of one cluster and of overlapping clusters if beta is fitted too."""
 
 from __future__ import annotations
 
@@ -109,8 +108,7 @@ class CubeResult:
     one_cluster, overlapping: lowest error with beta fitted too; None without this comparison
     searches: the thesis's searches and that of deformscope on the same errors
     equal_share_theta: theta of the lowest error if the held particles have `HELD_SHARE` of the body's mass
-    simulated: (K, d) positions at theta; seconds: duration of the calibration [s]
-    """
+    simulated: (K, d) positions at theta; seconds: duration of the calibration [s]"""
 
     cube: Cube
     theta: Estimate
@@ -139,14 +137,11 @@ class CubeResult:
 
 
 def thesis_cubes(
-    poisson: Sequence[float] = POISSON,
-    sides: Sequence[int] = SIDES,
-    depths: Sequence[float] = DEPTHS_M,
+    poisson: Sequence[float] = POISSON, sides: Sequence[int] = SIDES, depths: Sequence[float] = DEPTHS_M
 ) -> tuple[list[Cube], list[ElementTime]]:
     """The thesis's cubes: 10 cm, 750 kPa, bottom fixed, top pressed down without motion sideways, linear elastic.
 
-    Particles are the corners of the elements. The equations are linear, so one solution serves every depth (m).
-    """
+    Particles are the corners of the elements. The equations are linear, so one solution serves every depth (m)."""
     made: list[Cube] = []
     times: list[ElementTime] = []
     for side in sides:
@@ -200,8 +195,7 @@ _RATIO_IN_NAME = re.compile(r"nu_?(0?\.\d+|0(?![\d.]))", re.IGNORECASE)
 def cube_from_pair(raw: bytes, name: str) -> Cube:
     """A pair file's bytes as a cube; Poisson's ratio is its `nu`, or in its name (`..._nu0.25...`).
 
-    Raises InputError for another kind of file, or without the ratio.
-    """
+    Raises InputError for another kind of file, or without the ratio."""
     seen = parse_pair(raw, name)
     given = read_arrays(raw, "a pair file (.npz of arrays)", name).get("nu", np.empty(0)).reshape(-1)
     if given.size == 1 and given.dtype.kind in "fiu":
@@ -284,8 +278,7 @@ def equal_share(seen: Observation, beta: float) -> float:
     """theta of the lowest error if the held particles have `HELD_SHARE` of the body's mass.
 
     With equal masses the share of held particles falls when a lattice is finer (6^3: a third, 11^3: 18 %), and so does
-    their effect on the cluster's fit. A smaller theta then has the same effect, and theta drifts with resolution.
-    """
+    their effect on the cluster's fit. A smaller theta then has the same effect, and theta drifts with resolution."""
     count, held = len(seen.rest), len(seen.held)
     mass = np.ones(count)
     mass[seen.held] = HELD_SHARE / (1.0 - HELD_SHARE) * (count - held) / held
@@ -320,8 +313,7 @@ class Spread:
     """theta over cubes of one Poisson's ratio.
 
     of: other properties that they share, "" without any; count: number of cubes; sem: standard error of the mean;
-    equal_share_sem: that of `Found.equal_share_theta`
-    """
+    equal_share_sem: that of `Found.equal_share_theta`"""
 
     poisson: float
     of: str

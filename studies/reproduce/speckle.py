@@ -7,8 +7,7 @@ Therefore the rendering adds no displacement, which would appear as motion.
 Foam that bulges around the clamp would overlap the clamp's side by about a millimetre, as the finite elements have no
 contact there. The clamp is drawn in front.
 
-Image axes: x to the right, y down; whole numbers are pixels' middles [px].
-"""
+Image axes: x to the right, y down; whole numbers are pixels' middles [px]."""
 
 from __future__ import annotations
 
@@ -110,8 +109,7 @@ class Film:
     """A push as a camera records it.
 
     mask: (H, W) True where the foam is in the first image; motions: the true motion at each image; images: functions
-    that make each (H, W) uint8 image on demand
-    """
+    that make each (H, W) uint8 image on demand"""
 
     mask: BoolArray
     motions: tuple[SpeckleMotion, ...]

@@ -87,8 +87,7 @@ def squeeze_errors(job: SqueezeJob) -> tuple[TrialRow, Numbers]:
     change of depth less the true one over the patch; noise_mm, depth_stated_mm: noise of one pixel of the camera,
     simulated and stated; depth_off: number of the depth_known values, measured or filled in, with an error of more than
     OFF times the stated noise; wrong_..., hidden_...: tracked, refused and used_off for a model 15 % larger than the
-    container, and for a hidden lower half
-    """
+    container, and for a hidden lower half"""
     simulated = SimulatedSqueeze()
     trial = squeeze_trial(job, simulated.note)
     row, numbers = row_of(trial.entry, trial.found.features), _numbers(trial, simulated, job.seed)
@@ -221,10 +220,7 @@ def _depth_errors(trial: SqueezedTrial, found: TrialFeatures, simulated: Simulat
     pixels = np.stack([column, row], axis=-1)
     wall, rigid = (
         ModelRenderer(model, camera).render(T_camera_container, pixels).depth_m
-        for model in (
-            ContainerModel(*view.mesh(simulated.inward_m[at])),
-            container_model(trial.geometry.container),
-        )
+        for model in (ContainerModel(*view.mesh(simulated.inward_m[at])), container_model(trial.geometry.container))
     )
     numbers = depth_errors(features, wall - rigid)
     noise_m = view.config.noise_m + view.config.noise_per_m * float(np.nanmedian(wall)) ** 2
@@ -235,8 +231,7 @@ def depth_errors(features: SqueezeFeatures, change_m: FloatArray) -> Numbers:
     """Errors of the measured depths, and of all depths with those that were filled in, which add no noise.
 
     change_m: (61, 61) change of the simulated wall, also behind the finger; NaN outside the container: a measured value
-    there is an error
-    """
+    there is an error"""
     assert features.vision is not None
     assert features.noise_m is not None
     measured, known = np.isfinite(features.vision), np.isfinite(change_m)

@@ -52,8 +52,7 @@ def true_map(scene: Scene, options: ExploreOptions) -> TrueMap:
     """A scene's apparent stiffness, region by region and cell by cell.
 
     The stiffness of a place is that of a slab with this modulus everywhere and the scene's thickness, pressed in the
-    same finite elements without noise. Touches far from every border and bump approach it.
-    """
+    same finite elements without noise. Touches far from every border and bump approach it."""
     modulus = scene.modulus_pa(scene.cells_m())
     pieces = np.array([piece.modulus_pa for piece in scene.pieces])
     pressed = (options.set_force_n, options.max_depth_m, options.tip_radius_m, scene.thickness_m, scene.poisson)

@@ -1,8 +1,7 @@
 """Thesis table 4.1 and other scenes in the laboratory: the quality of the map over the number of touches, for several
 seeds.
 
-Touches are pressed into finite elements and estimated like those of a robot, without wires (`explore_lab`).
-"""
+Touches are pressed into finite elements and estimated like those of a robot, without wires (`explore_lab`)."""
 
 from __future__ import annotations
 
@@ -73,8 +72,7 @@ def _setup(scene: Scene, options: ExploreOptions) -> SetupGeometry:
 class _Scores:
     """Scores each map once the plan after it is there; the session's recorder.
 
-    stop_after: touches at the end of the plan, though it continued
-    """
+    stop_after: touches at the end of the plan, though it continued"""
 
     def __init__(
         self, found: Exploration, stages: ExplorationStages, robot: LabRobot, truth: TrueMap, clock: TouchClock

@@ -12,8 +12,7 @@ from studies.map_score import MapScore
 class TableJob:
     """One exploration. go_on: touch until the last touch, even after the end of the plan, so that planners compare
     closed_form: touches are contacts in closed form, instead of finite elements; clean: no hidden errors in the
-    laboratory; pace: as in `ExploreOptions`
-    """
+    laboratory; pace: as in `ExploreOptions`"""
 
     scene: str
     seed: int
@@ -38,8 +37,7 @@ class MapAfter:
     (`touch_clock`; in closed; form: the planner's estimate); compute_s: computing time from this touch to the next
     target; log_stiffness, log_sd, rigid: measurement of the last touch [N/mm], at `xy_m`; felt_log_stiffness: its
     measurement without noise; touch_covered: whether its 90 % interval holds the truth, None if it is rigid
-    unseen: probability of undetected inclusions of the searched size, None if not computed
-    """
+    unseen: probability of undetected inclusions of the searched size, None if not computed"""
 
     touches: int
     travel_m: float

@@ -104,8 +104,7 @@ def compare(runs: Sequence[TableRun], against: Sequence[TableRun], iou: float) -
     seeds.
 
     reached: share of layouts in which it was reached; touches, travel_m, robot_s: mean first passages, with their
-    ratio, and 5 and 95 % of its bootstrap over layouts
-    """
+    ratio, and 5 and 95 % of its bootstrap over layouts"""
     other = {(run.job.scene, run.job.seed): run for run in against}
     pairs = [(run, other[run.job.scene, run.job.seed]) for run in runs if (run.job.scene, run.job.seed) in other]
     passed = [[first_passage(one, iou) for one in pair] for pair in pairs]

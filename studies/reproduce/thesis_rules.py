@@ -3,8 +3,7 @@ rules.
 
 Figure 4.5: one touch of 3 N at the same place of each foam, and its beta with several held sets and cluster sizes of
 the model. Figures 4.4, 4.6, 4.7 and table 4.1: the input of the sweep, the dents, and the fields of beta of the six
-scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires.
-"""
+scenarios. Touches are pressed into finite elements and seen by the laboratory's camera, without wires."""
 
 from __future__ import annotations
 
@@ -164,8 +163,7 @@ class Scenario:
 
     contacts_m: (n, 2) touches in their order; rigid: (n,); stop_reason: why no touch follows
     truth: (rows, columns) labels; hardness: hardness of each label, in words
-    variance: (rows, columns) variance of the field, for any beta; fields: fields of each beta model
-    """
+    variance: (rows, columns) variance of the field, for any beta; fields: fields of each beta model"""
 
     scene: str
     seed: int

@@ -1,8 +1,7 @@
 """How long touches take a robot: their real plans, step by step, on an arm that follows every velocity at once.
 
 A clock for studies without wires. Not included: the arm's and the sensor's delays, turning the stick, and pictures in
-which the dent still moves.
-"""
+which the dent still moves."""
 
 from __future__ import annotations
 

@@ -19,8 +19,7 @@ from deformscope_drivers.device import Device
 class SimulatedSqueezeRig:
     """In place of `LiveSqueezeLab`: the same container, in this thread and on a clock of its own.
 
-    at_contact: called once the wall is pressed
-    """
+    at_contact: called once the wall is pressed"""
 
     runs_itself = False
 
@@ -66,8 +65,7 @@ def use_simulated_squeeze_rigs(
 ) -> list[SimulatedSqueezeRig]:
     """From now on the container between a rig's doubles is in this thread, on a clock of its own; those made, in order.
 
-    change: called with each before it is opened
-    """
+    change: called with each before it is opened"""
     made: list[SimulatedSqueezeRig] = []
 
     def make(case: ContainerCase, camera_hz: float) -> SimulatedSqueezeRig:

@@ -71,7 +71,7 @@ def test_a_table_and_all_of_it_as_json(capsys: pytest.CaptureFixture[str]) -> No
         *(
             pytest.param(case, marks=pytest.mark.slow)
             for case in ("cold", "call", "sweep", "relax", "gradient", "fit", "cold, compiling")
-        ),
+        )
     ],
 )
 def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> None:

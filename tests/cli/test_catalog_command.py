@@ -104,7 +104,7 @@ def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, A
 def test_columns_have_units(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["catalog", str(folder), "--columns", "path,duration_s,stiffness_low,touches"]) == 0
     assert capsys.readouterr().out.splitlines()[1].split() == [
-        *("path", "duration_s", "[s]", "stiffness_low", "[N/mm]", "touches"),
+        *("path", "duration_s", "[s]", "stiffness_low", "[N/mm]", "touches")
     ]
 
 

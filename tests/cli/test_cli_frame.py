@@ -328,10 +328,7 @@ def fail(
 
 
 def test_an_input_error_is_status_2(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
-    assert fail(InputError("a", "b\nc", "d", "e.png"), command, capsys) == (
-        2,
-        "expected a; got b c | try: d | e.png",
-    )
+    assert fail(InputError("a", "b\nc", "d", "e.png"), command, capsys) == (2, "expected a; got b c | try: d | e.png")
 
 
 def test_an_unexpected_error_is_named(command: Callable[..., list[str]], capsys: pytest.CaptureFixture[str]) -> None:
@@ -656,11 +653,7 @@ def test_the_viewer_goes_with_the_display(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize(("compiled", "watched"), [(False, True), (True, True), (False, False)])
 def test_a_first_start_says_that_it_compiles(
-    compiled: bool,
-    watched: bool,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    compiled: bool, watched: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     warp = pytest.importorskip("warp")
     common.quiet_warp()

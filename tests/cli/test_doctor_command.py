@@ -57,11 +57,7 @@ def test_devices_that_fail_are_rows_among_the_others(
     example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "rig.toml"
-    for there, missing in (
-        ("usb-OptoForce_DAQ-if00", "none"),
-        ("ttyUSB0", "ttyNONE"),
-        ('bus = "socketcan:can0"', ""),
-    ):
+    for there, missing in (("usb-OptoForce_DAQ-if00", "none"), ("ttyUSB0", "ttyNONE"), ('bus = "socketcan:can0"', "")):
         assert there in example
         example = example.replace(there, missing)
     path.write_text(doubled(example, "tip", "pads", "hand"))

@@ -98,11 +98,7 @@ def _owner(path: str) -> Any:
     ],
 )
 def test_a_stage_that_fails_on_one_touch_does_not_end_it(
-    stage: str,
-    error: Exception,
-    bench: FakeBench,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    stage: str, error: Exception, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = {name: tmp_path / f"e.{name}" for name in ("rrd", "json", "npz", "png")}
     arguments = ["--record", str(files["rrd"]), "--json", str(files["json"]), "--map", str(files["npz"])]
@@ -141,11 +137,7 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     ],
 )
 def test_failures_without_end_end_it_in_order(
-    stage: str,
-    touches: int,
-    bench: FakeBench,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    stage: str, touches: int, bench: FakeBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan, look = (
         "deformscope.experiments.explore.search.plan_touch",

@@ -225,12 +225,7 @@ def threads_of(source: str) -> dict[str, int]:
     ],
 )
 def test_what_cannot_be_swept_is_said_in_one_line(
-    flags: list[str],
-    command: list[str],
-    words: str,
-    pairs: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    flags: list[str], command: list[str], words: str, pairs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["sweep", str(pairs), "--out", str(tmp_path / "out"), *flags, "--", *command]) == 2
     said = capsys.readouterr().err

@@ -13,8 +13,7 @@ class Faults:
     """What goes wrong on a wire. Each is a chance for every piece that the double sends, 0 to 1.
 
     noise: random bytes before it; flip: one bit turned; cut: its last bytes missing; twice: sent twice
-    stall, stall_s: nothing comes for that long, then all at once; split: it comes in two parts, 1 ms apart
-    """
+    stall, stall_s: nothing comes for that long, then all at once; split: it comes in two parts, 1 ms apart"""
 
     noise: float = 0.0
     flip: float = 0.0
@@ -28,8 +27,7 @@ class Faults:
 class FaultyDouble:
     """A double on a bad wire; the same faults every time under the same seed.
 
-    counts: how often each fault was done
-    """
+    counts: how often each fault was done"""
 
     def __init__(self, double: Double, faults: Faults, seed: int = 0) -> None:
         self.double = double

@@ -48,8 +48,7 @@ class ToyTruth:
 class ToySqueeze:
     """The devices, a box between the fingers, and what can go wrong.
 
-    gives_deg: how far the fingers go into it; stiffness_pa_deg: pressure of a texel for each degree beyond contact
-    """
+    gives_deg: how far the fingers go into it; stiffness_pa_deg: pressure of a texel for each degree beyond contact"""
 
     def __init__(
         self,

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.files.sources import (
-    images_in,
-    open_source,
-)
+from deformscope.files.sources import images_in, open_source
 from deformscope.frames import ColorFrame
 from deformscope.images import encode_png, read_image
 

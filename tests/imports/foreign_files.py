@@ -1,8 +1,7 @@
 """Well-formed files of other programs, with whatever sizes, counts and values their formats let them declare.
 
 `case(seed, folder)` writes one, and returns the command lines that read it. All are small: what they declare may be
-large, and `--largest-mb` is lowered where they are compressed.
-"""
+large, and `--largest-mb` is lowered where they are compressed."""
 
 from __future__ import annotations
 

@@ -168,10 +168,7 @@ def health(time_s: float) -> HealthReport:
                 ),
             ),
             ("front", Health(Link.CONNECTED, received=int(30 * time_s), dropped=4, rate_hz=29.9, age_s=0.02)),
-            (
-                "above",
-                Health(Link.CONNECTED, received=int(30 * min(time_s, 8.0)), age_s=0.01 + max(0.0, time_s - 8.0)),
-            ),
+            ("above", Health(Link.CONNECTED, received=int(30 * min(time_s, 8.0)), age_s=0.01 + max(0.0, time_s - 8.0))),
         ),
     )
 

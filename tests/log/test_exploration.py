@@ -25,13 +25,7 @@ from deformscope.recording.items import read_items, read_results
 from deformscope.recording.recorder import Recorder
 from deformscope.rows import FORMAT
 from deformscope.session import Moment, Step
-from deformscope.stages.map.exploration import (
-    ExplorationStop,
-    MapEstimate,
-    PhaseStart,
-    StageFailure,
-    TouchEstimate,
-)
+from deformscope.stages.map.exploration import ExplorationStop, MapEstimate, PhaseStart, StageFailure, TouchEstimate
 from tests.log import synthetic_exploration as synthetic
 from tests.log import synthetic_rig as rig
 from tests.log.test_rig import assert_same, cells, order, same

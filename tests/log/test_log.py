@@ -141,11 +141,7 @@ def test_pairs(tmp_path: Path, dimensions: int) -> None:
         made.write(InputFile("pair/0", b"some bytes"))
         made.write(Step((pair, synthetic.estimate(unit="m")), frame=0))
     kind = f"Points{dimensions}D"
-    for name, expected in (
-        ("rest", pair.rest),
-        ("observed", pair.observed[pair.seen]),
-        ("simulated", pair.simulated),
-    ):
+    for name, expected in (("rest", pair.rest), ("observed", pair.observed[pair.seen]), ("simulated", pair.simulated)):
         found = np.array(values(path, f"/particles/{name}", f"{kind}:positions", 0))
         np.testing.assert_allclose(found, expected, atol=1e-7)
     assert values(path, "/calibration/estimate", "Estimate:verdict", 0)

@@ -53,10 +53,7 @@ def strict() -> Iterator[None]:
 
 
 def record(
-    path: Path,
-    batches: Sequence[Sequence[Item]],
-    streams: Sequence[Stream] = (),
-    lossless: Collection[str] = (),
+    path: Path, batches: Sequence[Sequence[Item]], streams: Sequence[Stream] = (), lossless: Collection[str] = ()
 ) -> None:
     rec = rr.RecordingStream("deformscope-rig", recording_id="rig")
     rec.set_sinks(rr.FileSink(path))

@@ -356,11 +356,7 @@ def test_nothing_of_a_person_or_a_machine_is_in_an_anonymous_export(tmp_path: Pa
 @pytest.mark.parametrize("to", ["csv", "mcap"])
 @pytest.mark.parametrize("anonymous", [False, True])
 def test_what_a_recording_lost_and_whether_it_is_to_be_used_goes_along(
-    to: str,
-    anonymous: bool,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-    caplog: pytest.LogCaptureFixture,
+    to: str, anonymous: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "r.rrd"
     health = Health(Link.CLOSED, "", 5, lost=7)

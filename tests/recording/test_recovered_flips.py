@@ -152,11 +152,7 @@ def test_the_ledger_of_another_file(killed: Path, tmp_path: Path, capsys: pytest
 @pytest.mark.usefixtures("quicker")
 @pytest.mark.parametrize(("recordings", "flips"), [(2, 4), pytest.param(RECORDINGS, FLIPS, marks=pytest.mark.slow)])
 def test_every_flip_that_verify_sees(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    recordings: int,
-    flips: int,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, recordings: int, flips: int
 ) -> None:
     """One at a time, every fourth in the ledger. Figures: pytest -m slow -s tests/recording/test_recovered_flips.py"""
     rng, seen, refused, silent = np.random.default_rng(recordings), 0, 0, 0

@@ -119,10 +119,7 @@ def test_pictures_that_show_nothing() -> None:
     ]
     assert texts == [
         [],
-        [
-            "camera: saturated: 100 % of the picture at its brightest",
-            "above: saturated: no pixel within its range",
-        ],
+        ["camera: saturated: 100 % of the picture at its brightest", "above: saturated: no pixel within its range"],
         [],
         [],
     ]

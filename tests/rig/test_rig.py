@@ -74,10 +74,7 @@ def test_a_misspelt_key_is_an_error_that_names_the_right_one() -> None:
         (TIP + "[surface]\nthickness_m = 50", "thickness_m between"),
         (TIP + "[surface]\nT_arm_surface = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]", "4 rows of 4"),
         (TIP + "[workspace]\nforce_silent_s = 3", "force_silent_s between 0.01 and 0.5"),
-        (
-            TIP + "[touch]\ntangential = 'loose'",
-            "[touch] with valid keys; got tangential: invalid enum value 'loose'",
-        ),
+        (TIP + "[touch]\ntangential = 'loose'", "[touch] with valid keys; got tangential: invalid enum value 'loose'"),
         (TIP + "[camera]\ndevice = 'top'", "[camera] device out of tip; got 'top'"),
         (TIP + "[camera]\nT_arm_camera = [[1,0,0,0],[0,1,0,0],[0,0,1,0]]", "4 rows of 4"),
         (TIP + "[camera]\nT_arm_camera = [[1,0,0,0],[0,1,0,0],[0,0,2,0],[0,0,0,1]]", "whose rotation is one"),

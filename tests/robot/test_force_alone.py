@@ -197,8 +197,7 @@ def pressed(
     """Why the watch stopped a touch, the greatest true force [N], and the touch.
 
     A spherical tip of 1 cm behind a stiffness in series, on an elastic half-space (Johnson 1985, 4.2) that yields with
-    1 s by a share of its depth; the arm follows 40 ms late, as `ForceAlone` reckons, and the force is of now.
-    """
+    1 s by a share of its depth; the arm follows 40 ms late, as `ForceAlone` reckons, and the force is of now."""
     alone = ForceAlone(stiffness_n_m, 0.048, 15.0, 0.0, False)
     plan = TouchPlan(np.zeros(3), UP).slowed_for(alone)
     watch, machine = PressWatch(alone, plan.contact_force_n), TouchStateMachine(plan, 0.0, 0.0)

@@ -6,11 +6,7 @@ import pytest
 
 from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
 from deformscope.robot.squeeze_plan import GripShape
-from deformscope.robot.squeeze_supervisor import (
-    SqueezeFault,
-    SqueezeObservation,
-    SqueezeSupervisor,
-)
+from deformscope.robot.squeeze_supervisor import SqueezeFault, SqueezeObservation, SqueezeSupervisor
 
 PERIOD_NS = 20_000_000
 OPEN = GripShape.of(ContainerSection(), SqueezeSection()).open_deg

@@ -317,9 +317,7 @@ def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
     double = scene.lab.arm_double
     turned_deg = np.array(double.joints_deg) + np.array([0.0, 0.0, 0.0, 0.0, 90.0, 0.0])
     scene.robot._pose = dataclasses.replace(
-        scene.robot.pose,
-        joints_deg=tuple(turned_deg),
-        T_base_ee=scene.robot.arm.chain.forward(turned_deg)[-1],
+        scene.robot.pose, joints_deg=tuple(turned_deg), T_base_ee=scene.robot.arm.chain.forward(turned_deg)[-1]
     )
     (passed,) = _first_ways(scene, 0.0)
     (failed,) = _first_ways(scene, 0.3)

@@ -1,7 +1,6 @@
 """MSM in float64 NumPy, in the order of the thesis's equations: goals, forces, energy, time steps and static states.
 
-The engine's are compared to these.
-"""
+The engine's are compared to these."""
 
 from __future__ import annotations
 
@@ -47,8 +46,7 @@ def project_measure(b: FloatArray, span_count: int) -> FloatArray:
     """The matrix of measure 1 that is nearest to b (d, d), in the sum of squares: the "project" mode's answer.
 
     Only the first k = span_count columns of b may differ from 0. The measure is what they span: det b for k = d, so
-    that a cluster turned inside out comes back, and the area or length sqrt(det b^T b) of a flat one.
-    """
+    that a cluster turned inside out comes back, and the area or length sqrt(det b^T b) of a flat one."""
     d, k = len(b), span_count
     nearest = np.zeros((d, d))
     if k > 0:
@@ -65,8 +63,7 @@ def _nearest_stretches(s: FloatArray) -> FloatArray:
 
     Lagrange's condition is s'_i - mu / s'_i = s_i with one mu. With the smallest, y = s'_k, chosen, mu = y (y - s_k)
     follows, and so do the others (of their two solutions the larger: at most one of all can be the smaller); what is
-    left is one equation for y. Several y solve it only if one is below s_k / 2, and then s has a product above 2.
-    """
+    left is one equation for y. Several y solve it only if one is below s_k / 2, and then s has a product above 2."""
     others, smallest = s[:-1], s[-1]
     if not len(others):
         return np.ones(1)
@@ -142,8 +139,7 @@ def energy(x: FloatArray, rest: Rest, beta: float, theta: float = 0.0) -> float:
 
     1/2 sum_c { (1 - beta) min_R |p - R q|^2 + beta [ (1 - theta) min_A~ |p - A~ q~|^2 + theta min_{A~: measure of A is
     that at rest} |p - A~ q~|^2 ] }, each |.|^2 weighted with the masses. A goal is the mean of the three best fits with
-    these same weights, so a step to the goals never raises the energy.
-    """
+    these same weights, so a step to the goals never raises the energy."""
     total = 0.0
     for cluster in rest.clusters:
         for weight, b, th in ((1.0 - beta, 0.0, 0.0), (beta * (1.0 - theta), 1.0, 0.0), (beta * theta, 1.0, 1.0)):
@@ -189,8 +185,7 @@ def relax(
     """The static state x = goals(x), by Anderson's acceleration of that map. Returns (K, d) and the residual.
 
     Stops when no particle's goal is further from it than `tolerance` times the body's extent; the residual returned
-    is that largest distance over the extent. It does not depend on dt, alpha or the start (for theta = 0).
-    """
+    is that largest distance over the extent. It does not depend on dt, alpha or the start (for theta = 0)."""
     x = (rest.position if start is None else start).astype(np.float64).copy()
     x[rest.held] = held_position
     return fixed_point(

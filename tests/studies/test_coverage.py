@@ -11,16 +11,7 @@ from deformscope.stages.msm import clusters, reference
 from studies import random_bodies
 from studies.coverage import coverage_rows
 from studies.quantities import Rate
-from studies.random_bodies import (
-    CONDITIONS,
-    NOTHING,
-    Case,
-    NothingCase,
-    Outcome,
-    random_body,
-    rank_counts,
-    ranks_png,
-)
+from studies.random_bodies import CONDITIONS, NOTHING, Case, NothingCase, Outcome, random_body, rank_counts, ranks_png
 from studies.unseen_pokes import FoamBody, PokeCase, try_unseen_poke
 from tests.cases import slow_but
 from tests.stages import reference_states

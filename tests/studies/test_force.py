@@ -9,15 +9,7 @@ import pytest
 
 from deformscope.lab.slab import RigidTip, press
 from deformscope.stages.poke import stiffness_field
-from studies.force import (
-    ForceCase,
-    TriedSlab,
-    UnseenForce,
-    apparent,
-    force_rows,
-    slab_cases,
-    try_slab,
-)
+from studies.force import ForceCase, TriedSlab, UnseenForce, apparent, force_rows, slab_cases, try_slab
 from studies.reproduce.poke_slabs import BORDER, KINDS, SIZE, draw_slab
 from studies.reproduce.poke_study import Press, observe, plan_of
 

@@ -10,15 +10,7 @@ import pytest
 pytest.importorskip("warp")
 
 from studies.__main__ import main
-from studies.materials import (
-    HELD_S,
-    PARAMETERS,
-    RAMP_S,
-    RELAXES,
-    MotionKind,
-    recovering,
-    try_motion,
-)
+from studies.materials import HELD_S, PARAMETERS, RAMP_S, RELAXES, MotionKind, recovering, try_motion
 from studies.quantities import interval_rows
 from tests.cases import slow
 

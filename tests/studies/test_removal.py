@@ -7,16 +7,7 @@ import pytest
 
 from deformscope.lab.ray_camera import FOAM, ROBOT
 from deformscope.robot.description import Removal
-from studies.removal import (
-    DOUBT_M,
-    RemovalCount,
-    RemovalScene,
-    RobotPicture,
-    Where,
-    known_as,
-    removal_rows,
-    removed,
-)
+from studies.removal import DOUBT_M, RemovalCount, RemovalScene, RobotPicture, Where, known_as, removal_rows, removed
 
 SEED = 1900
 

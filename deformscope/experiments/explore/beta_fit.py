@@ -29,8 +29,7 @@ class BetaEstimate:
     """verdict: verdict, or why there is no value; value, interval: value and interval of beta, None if there is none;
     sd: deviation of the value, nan if unknown; simulated_m: (p, 3) particles of the fitted model
     dented_m, surface: (m, 2) places that the touch dented, and the surface under it, for the thesis's model; curve:
-    error over beta, None where nothing was fitted
-    """
+    error over beta, None where nothing was fitted"""
 
     verdict: str
     value: float | None = None

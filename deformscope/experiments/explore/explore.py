@@ -1,8 +1,7 @@
 """Thesis chapter 4: look, choose a place, touch, estimate, update the map, repeat; until the map is complete.
 
 `explore` is an experiment (`deformscope.session`): it commands a robot, has `ExplorationStages` computed, and yields
-their results. The loop is the same for simulated, recorded and real robots and stages.
-"""
+their results. The loop is the same for simulated, recorded and real robots and stages."""
 
 from __future__ import annotations
 
@@ -117,8 +116,7 @@ class TouchPlanner(Protocol):
         """The next place (x, y) on the surface [m]; None = as planned.
 
         planned: by "regions", with gain, cost [s] and exclusion of each cell; so_far: the surface, touches and maps.
-        A place that cannot be touched leaves the planned one.
-        """
+        A place that cannot be touched leaves the planned one."""
 
 
 class PlannedBy(Unsteered):
@@ -195,8 +193,7 @@ class Exploration:
     two; missed: inclusions that the touches so far may have missed, None before the first plan; lumps: newest result of
     the search for inclusions, None without a search; started: number of touches that were started; asked: numbers of
     touches that a person requested, from 1; stop, stop_ns: reason and time of a stop before the plan's end
-    compute_s, slowest_s: computing time, and that of the slowest touch [s]
-    """
+    compute_s, slowest_s: computing time, and that of the slowest touch [s]"""
 
     surface: SurfaceEstimate | None = None
     touches: list[TouchEstimate] = field(default_factory=list)
@@ -257,8 +254,7 @@ def explore(
 
     clock: the robot's clock [ns]; stage: computes a stage; permitted: steps before the robot may move; steering: may
     change the next touch. The function also returns when the robot must stop or the input is invalid: `found.stop` has
-    the reason.
-    """
+    the reason."""
     try:
         if permitted is not None:
             yield from permitted

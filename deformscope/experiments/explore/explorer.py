@@ -1,8 +1,7 @@
 """Computation of an exploration: pure stages in their order, the same every time.
 
 If a stage fails on one touch, only its result is missing. The failure is a result like the others (`StageFailure`), and
-the exploration continues with the usable touches, until too many in a row fail.
-"""
+the exploration continues with the usable touches, until too many in a row fail."""
 
 from __future__ import annotations
 
@@ -76,8 +75,7 @@ class Computed:
 
     results: results in their order; touch: the next touch, None if there is none; given_up: why further touches are
     useless; region_probability: probability of each number of regions; seconds: computing time; refused: why a place
-    cannot be touched
-    """
+    cannot be touched"""
 
     results: tuple[Result, ...]
     touch: Touch | None = None
@@ -223,8 +221,7 @@ class AfterTouch:
 class UnseenSurface:
     """An exploration before its look at the surface: only the `Explorer` that a look returns accepts touches.
 
-    failed: recorded failures by touch and stage
-    """
+    failed: recorded failures by touch and stage"""
 
     def __init__(
         self,
@@ -256,8 +253,7 @@ class Explorer:
     surface: the surface that the look measured; search: the goal, and its posterior by the usable touches
     touches, betas: estimates and betas of all touches made
     maps: the newest maps, None before the first touch; region_probability: probability of each number of regions
-    failures: every stage that failed; travel_m: travel over the surface from its corner (0, 0), from place to place
-    """
+    failures: every stage that failed; travel_m: travel over the surface from its corner (0, 0), from place to place"""
 
     def __init__(self, unseen: UnseenSurface, surface: SeenSurface) -> None:
         self.options, self.grid, self.search = unseen.options, unseen.grid, unseen.search

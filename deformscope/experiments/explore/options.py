@@ -52,8 +52,7 @@ class ExploreOptions(ExploreFlags):
     lift_m: height above the surface at which all touches of a dry run are made, without contact
     tangential: while it presses the tip is "held" on the surface's normal, or "free" to follow forces across it
     thickness_stated: thickness_m was stated; otherwise it is only the height at which the surface is sought
-    perception: compute also results between frames and estimates, for a recording
-    """
+    perception: compute also results between frames and estimates, for a recording"""
 
     budget: flags.ManyFlag = None  # type: ignore[assignment]  # the flags' default follows from the goal
     beta_model: BetaModel = None  # type: ignore[assignment]  # and that from the planner too

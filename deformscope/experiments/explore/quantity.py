@@ -25,8 +25,7 @@ class ApparentStiffness:
         """The stiffness with which touches are compared; None if the touch does not determine it.
 
         felt: the stiffness of the contact; creep: the touch's creep, None if it was not fitted; speed_m_s: speed of the
-        approach in contact, None where it is not known
-        """
+        approach in contact, None where it is not known"""
         return felt
 
 

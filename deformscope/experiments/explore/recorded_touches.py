@@ -2,8 +2,7 @@
 force sensor and depth camera.
 
 It selects the frames of a recording that `touching_robot` would have used for a look and touches, so that the same
-results are computed.
-"""
+results are computed."""
 
 from __future__ import annotations
 
@@ -86,8 +85,7 @@ def find_touches(
     """The look and the touches of a recording, and why other approaches do not count as touches.
 
     items: items of its devices in order of time, images need not be decoded; names: names of arm, force sensor and
-    depth camera; model: the vendor's name of the arm. Raises InputError if nothing is found.
-    """
+    depth camera; model: the vendor's name of the arm. Raises InputError if nothing is found."""
     arm, wrench, camera = names
     chooser = _Approaches(wrench, arm)
     touches: list[TouchFrames] = []
@@ -225,8 +223,7 @@ class RecordedTouches(AtOnce):
     """Looks and touches as they were recorded; earlier device items are skipped. given: as `RecordedRobot`
 
     count: number of touches; largest_force_n: largest force measured in a touch; left_out: why other approaches do not
-    count as touches; asked: whether a person requested the end: no further touch is given
-    """
+    count as touches; asked: whether a person requested the end: no further touch is given"""
 
     def __init__(self, given: list[Looked | Touched], source: ItemSource, left_out: Sequence[str]) -> None:
         touched = [one for one in given if isinstance(one, Touched)]
@@ -296,8 +293,7 @@ def recorded_setup(path: Path, rig: Rig, options: ExploreOptions) -> tuple[Setup
 def recorded_inputs(path: Path) -> list[Any]:
     """The look and the touches of a recording, in their order, in the form of `ExplorationStages`.
 
-    Raises InputError if a named frame is not in the recording.
-    """
+    Raises InputError if a named frame is not in the recording."""
     kinds = (LookFrames, SurfaceMeasurement, TouchFrames, TouchMeasurement)
     inputs: list[Any] = [row.item for row in read_results(path, kinds, trust=True)]
     named = [one for one in inputs if isinstance(one, LookFrames | TouchFrames)]

@@ -22,8 +22,7 @@ from deformscope_drivers.arms import chain_of
 class Touch:
     """A command: touch a place (2,) [m] whose surface was seen at this height, along this normal (3,).
 
-    plan: path of the touch, for a robot that needs one
-    """
+    plan: path of the touch, for a robot that needs one"""
 
     xy_m: FloatArray
     height_m: float
@@ -47,8 +46,7 @@ class Geometry(Protocol):
         """The touch of a place (2,) [m] whose surface was seen at this height, along this normal (3,).
 
         over_m: how high the surface may be on the straight way from the touch before; known_m: how far the surface may
-        be from this height; None = unknown
-        """
+        be from this height; None = unknown"""
 
     def touch(self, touched: Any) -> TouchMeasurement: ...
 

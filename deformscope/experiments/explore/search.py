@@ -39,8 +39,7 @@ class SurfaceSearch(ABC):
 
     exponent_sd, least_share: options of `fit_approach`, which fits each contact
     on_level_layer: whether touches are always compared as on a level layer, however even the surface is
-    first_share: place of the first touch, in shares of the surface; None = the most informative one
-    """
+    first_share: place of the first touch, in shares of the surface; None = the most informative one"""
 
     posterior: RegionPosterior | InclusionPosterior
     exponent_sd: ClassVar[float] = EXPONENT_SD

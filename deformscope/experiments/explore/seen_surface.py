@@ -35,8 +35,7 @@ class SeenSurface:
     """points_m: (n, 3) points seen [m, surface frame]; process, heights: Gaussian process of the heights, and its
     values on the grid; layer: the level layer that stands for the foam; on_level_layer: whether touches compare as on
     that layer even where the surface is level; pixels: number of pixels of the points, None = not requested, or no
-    images
-    """
+    images"""
 
     grid: MapGrid
     options: ExploreOptions

@@ -29,8 +29,7 @@ def stage_executor(setup: Setup, options: ExploreOptions) -> Iterator[tuple[Exec
     """The executor, and a function that computes a stage with it; its state lasts until the end of the context.
 
     Devices on their own clock must not wait: for them it is a child process, with one thread of BLAS and a low
-    priority. On a simulated clock nothing runs in parallel, and stages are computed within the loop.
-    """
+    priority. On a simulated clock nothing runs in parallel, and stages are computed within the loop."""
     given = SetupGeometry.of(setup), options, setup.truth
     if not setup.runs_itself:
         yield Inline(), within_loop(exploration_stages(*given))

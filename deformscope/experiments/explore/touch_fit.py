@@ -71,10 +71,7 @@ def fit_contact(
         radius_m = options.tip_radius_m
         modulus = modulus_of(surface.layer, stiffness, ends, force_n=force, radius_m=radius_m, dent_m=dent_m)
     return TouchContact(
-        fit=fit,
-        law_n=fitted_law(fit, arm, _along(touched)),
-        modulus=modulus,
-        speed_m_s=_speed_m_s(touched, fit),
+        fit=fit, law_n=fitted_law(fit, arm, _along(touched)), modulus=modulus, speed_m_s=_speed_m_s(touched, fit)
     )
 
 

@@ -69,8 +69,7 @@ class CheckFirst:
 
     calibrated: the required calibrations, by name, and whether they are done; places_m: (n, 2) places that will be
     touched, None = any that can be reached; ask_finger: requests that a person presses the tip, if nothing else guards
-    the arm; None = not needed
-    """
+    the arm; None = not needed"""
 
     calibrated: Mapping[str, bool] = field(default_factory=dict)
     places_m: FloatArray | None = None
@@ -112,8 +111,7 @@ class TouchingRobot:
     on_phase: called with each phase of a touch as it begins, and the touch's number from 1
     reason_to_stand: called in each control period of a motion: a reason to stop and end it, empty = none
     stopped: fails with the reason when the robot stops without a command
-    largest_force_n: magnitude that the sensor measured in any touch so far, its tare taken off [N]
-    """
+    largest_force_n: magnitude that the sensor measured in any touch so far, its tare taken off [N]"""
 
     def __init__(
         self,
@@ -159,8 +157,7 @@ class TouchingRobot:
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
         """Begin with a `CheckFirst`, `Look`, `Touch` or `Wait`: in the robot's thread if it has one, else immediately.
 
-        Its answer is a `Preflight`, `Looked`, `Touched` or None; the reason for a stop is an ExplorationStopped.
-        """
+        Its answer is a `Preflight`, `Looked`, `Touched` or None; the reason for a stop is an ExplorationStopped."""
         if self._commands is None:
             self._keep = keep
             return Inline().submit(lambda: self._do(command)())
@@ -315,8 +312,7 @@ class TouchingRobot:
         """Go to a place (2,) [m], touch along the normal, store the pictures of the dent, and come back; returns a
         function that assembles the measurement.
 
-        Raises ExplorationStopped, and TouchHeld for a touch that was stopped: the arm is then at rest.
-        """
+        Raises ExplorationStopped, and TouchHeld for a touch that was stopped: the arm is then at rest."""
         robot = self._robot
         robot.start()
         dents: list[tuple[DepthImage, ArmSample]] = []

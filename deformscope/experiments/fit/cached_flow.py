@@ -19,8 +19,7 @@ class CachedFlow:
     """first, last: first and last image; `follow` follows particles.
 
     frames: the frames in order; note: called with the number of frames taken so far.
-    Raises InputError for a single frame, and for more frames than may be held in memory.
-    """
+    Raises InputError for a single frame, and for more frames than may be held in memory."""
 
     def __init__(self, frames: Iterable[ColorFrame], note: Callable[[int], None]) -> None:
         self._flows: list[tuple[FlowField, FlowField]] = []

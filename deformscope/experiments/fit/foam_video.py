@@ -1,8 +1,7 @@
 """A deforming thing in a sequence of images: flow, particles, and the fit of the last pose (Thesis 3, experiment 5.2).
 
 The sweep fits the last frame, as in the thesis (`whole_motion` fits every frame). The best value is then simulated at
-every frame, so that the timeline `frame` shows simulated next to observed particles.
-"""
+every frame, so that the timeline `frame` shows simulated next to observed particles."""
 
 from __future__ import annotations
 
@@ -117,8 +116,7 @@ def hold_what_is_seen(
     """Indices (n,) of the held particles whose motion is known, and the parts that were replaced by others.
 
     Lost particles are not prescribed, but free. If a held part was lost completely (the specimen's end
-    has left the image), the outermost row or column in view is held instead.
-    """
+    has left the image), the outermost row or column in view is held instead."""
     chosen: list[IntArray] = []
     moved: list[str] = []
     still = np.flatnonzero(last.seen)

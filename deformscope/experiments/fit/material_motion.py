@@ -125,8 +125,7 @@ def camera_motion(
 ) -> tuple[Motion, PressCycle]:
     """All frames, the first one at rest among them, and the time of the release.
 
-    Released parts count as held until the frame of the release. After that the particles count as not seen.
-    """
+    Released parts count as held until the frame of the release. After that the particles count as not seen."""
     released = [part for part in particles.held if part in unloading.released]
     if not released:
         came = f"--held {','.join(particles.held)}"
@@ -211,17 +210,7 @@ def yield_of_camera(
 def _beside(motion: Motion, states: FloatArray, first: int = 0) -> tuple[tuple[int, Comparison], ...]:
     """Every frame with the simulation (T, K, d). first: index of the first frame"""
     return tuple(
-        (
-            frame,
-            Comparison(
-                motion.rest,
-                seen,
-                state,
-                np.isfinite(seen).all(axis=1),
-                np.flatnonzero(held),
-                motion.unit,
-            ),
-        )
+        (frame, Comparison(motion.rest, seen, state, np.isfinite(seen).all(axis=1), np.flatnonzero(held), motion.unit))
         for frame, (seen, state, held) in enumerate(zip(motion.position, states, motion.held, strict=True), first)
     )
 
@@ -253,11 +242,7 @@ def recovery_of_motion(motion: Motion, level: float, seed: int) -> MaterialFit:
 
 
 def recovery_of_camera(
-    tracked: TrackedMotion,
-    particles: ParticleOptions,
-    unloading: UnloadingOptions,
-    level: float,
-    seed: int,
+    tracked: TrackedMotion, particles: ParticleOptions, unloading: UnloadingOptions, level: float, seed: int
 ) -> MaterialFit:
     """Recovery from a camera's images, with a force if it was recorded."""
     motion, cycle = camera_motion(tracked, particles, unloading)

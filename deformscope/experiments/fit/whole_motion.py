@@ -3,8 +3,7 @@
 Every frame has its own held positions; beta, clusters and the held set are shared. How frames count together is in
 `deformscope.stages.fit.shared_errors`, how ways of fitting are compared in `deformscope.stages.fit.held_out`. Cluster
 size and held set are selected by static states, which do not depend on alpha and dt. alpha and dt are selected
-afterwards, by time stepping through the frames.
-"""
+afterwards, by time stepping through the frames."""
 
 from __future__ import annotations
 
@@ -110,8 +109,7 @@ def whole_motion(
     """Follow particles through the frames, fit all frames, and simulate every one.
 
     asked: options that are selected by held-out error; others are those of `fit` and `particles`
-    mask: (H, W) True where the thing is in the first frame
-    """
+    mask: (H, W) True where the thing is in the first frame"""
     motion = yield from tracked_motion(particles, mask)
     with measuring("estimate"):
         found, way = fit_motion(motion, particles, fit, asked, progress)

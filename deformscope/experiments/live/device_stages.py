@@ -1,7 +1,6 @@
 """The stages that run with the devices: the frames that each uses, and its computation.
 
-A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit.
-"""
+A stage is a pure function of the frames that its result names: the same frames give the same result to the last bit."""
 
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ class LiveOptions:
     T_ee_tip: (4, 4) the tool's tip, whose z axis points at the pressed surface, to the arm's end [m]
     R_tip_force: (3, 3) forces in the sensor's axes to the tip's, over the sensor's gain; empty = the same
     tip: its shape; set_force_n: force at which stiffness is reported; compliance_m_per_n, compliance_sd: the arm's
-    compliance and its deviation [m/N]
-    """
+    compliance and its deviation [m/N]"""
 
     names: tuple[StageName, ...] = ()
     color: str = ""
@@ -130,8 +128,7 @@ def for_rig(options: LiveOptions, rig: Rig, streams: Sequence[Stream] = ()) -> L
     """The options completed from a rig file's devices and poses; the colour camera may be given already.
 
     streams: streams of the devices, where they are not the file's.
-    Raises InputError where the rig lacks a device or a calibration that a stage needs.
-    """
+    Raises InputError where the rig lacks a device or a calibration that a stage needs."""
     kinds: dict[str, Kind] = {one.device: one.kind for one in streams}
     kinds = kinds or {entry.name: entry.driver.kind for entry in rig.devices}
     found: dict[str, Any] = {}
@@ -285,8 +282,7 @@ def _particles(stage: Stage, packed: Any) -> ParticleMoment:
 def _field(stage: Stage, packed: Any) -> FieldMoment:
     """Relative stiffness of each place, by the particles of the first image in the newest one.
 
-    Raises InputError where too few particles are seen.
-    """
+    Raises InputError where too few particles are seen."""
     (rest, now), options = packed, stage.options.particles
     grid, tracked = _particles_at(rest, now, options, stage.options.longest_px)
     held, _ = hold_what_is_seen(grid, tracked, options.held, options.contact_rect)
@@ -320,8 +316,7 @@ def fit_moment(
 ) -> MomentFit:
     """Track the particles of an image at rest directly to another one, and fit that pose alone.
 
-    A pose that cannot be fitted (too few particles seen, or no held ones) gives particles and the reason.
-    """
+    A pose that cannot be fitted (too few particles seen, or no held ones) gives particles and the reason."""
     grid, tracked = _particles_at(rest, now, particles, longest_px)
     nothing = MomentFit(
         rest_px=grid.rest_px,
@@ -402,8 +397,7 @@ class ApproachReadings:
     """Readings of arm and force sensor of an approach.
 
     arm_ns: (m,) stamps; position_m: (m, 3) position of the arm's end; rotation_rad: (m, 3) its Euler angles, in the
-    arm's base; force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame
-    """
+    arm's base; force_ns: (n,); force_n: (n, 3) force of the tip on the surface, in the tip's frame"""
 
     arm_ns: IntArray
     position_m: FloatArray
@@ -499,8 +493,7 @@ def fit_contact(
 ) -> TouchEstimate:
     """The law of an approach, along the way that the tip took while it pressed. T_ee_tip: (4, 4) [m].
 
-    Raises InputError where the arm did not press, and where the law cannot be fitted.
-    """
+    Raises InputError where the arm did not press, and where the law cannot be fitted."""
     if len(approach.arm_ns) < 2:
         raise InputError("an arm that reports its pose during contact", f"{len(approach.arm_ns)} states")
     rotations = np.stack([rotation_from_euler_xyz(*angles) for angles in approach.rotation_rad])

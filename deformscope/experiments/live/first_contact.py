@@ -26,8 +26,7 @@ def first_contact_ns(rows: Sequence[Row]) -> int | None:
     The beginning of an exploration's first press. Otherwise a force sensor decides: the first reading that differs by
     TOUCHING_N from the force without contact. The force without contact follows the sensor's drift until then, and
     starts again after a tare. A tactile array decides by the rule of `squeeze` for each pad; the earliest contact
-    counts.
-    """
+    counts."""
     if phases := [row for row in rows if isinstance(row.item, PhaseStart)]:
         return next((row.session_ns for row in phases if row.item.name == "press"), None)
     free_n: dict[str, tuple[FloatArray, int]] = {}

@@ -57,8 +57,7 @@ class StageCounts:
 
     left: frames that were skipped because newer ones came; the others were not finished when it ended; lasted_s: time
     since the first frame [s]; reasons: reasons of the results that give nothing, with how many there were of each
-    nothing: why there is no result, "" where there is one
-    """
+    nothing: why there is no result, "" where there is one"""
 
     frames: int = 0
     results: int = 0
@@ -114,8 +113,7 @@ def live_stages(
 
     executors: the executor of each stage, by the stage's name; each has its own, so that no stage waits for another;
     ended: called with every batch and the stages' notes, returns whether to end; lossless: colour images are recorded
-    without losses; watch: called with every result; clock: the host's, or that of recorded items [ns]
-    """
+    without losses; watch: called with every result; clock: the host's, or that of recorded items [ns]"""
     running = [_Running(stage, executors[stage.name], lossless, clock) for stage in stages]
     given = yield Step(batch_s=SOON_S)
     over = False

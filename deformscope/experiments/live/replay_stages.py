@@ -26,8 +26,7 @@ Key = tuple[str, int]
 class ReplayedStages:
     """Outcome of a replay of stages. results: number of results computed again; failures: recorded failures, which are
     not computed again: whether a stage fails may depend on the machine; different: largest difference of each stage's
-    numbers, as a share of the number (0 = equal to the last bit; inf = different words or sizes)
-    """
+    numbers, as a share of the number (0 = equal to the last bit; inf = different words or sizes)"""
 
     results: int
     failures: tuple[StageFailure, ...]

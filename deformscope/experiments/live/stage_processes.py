@@ -14,14 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from deformscope.errors import InputError
-from deformscope.experiments.live.device_stages import (
-    CELL_M,
-    REFERENCE,
-    LiveOptions,
-    Stage,
-    StageName,
-    compute,
-)
+from deformscope.experiments.live.device_stages import CELL_M, REFERENCE, LiveOptions, Stage, StageName, compute
 from deformscope.experiments.live.live_stages import StageExecutor
 from deformscope.processes import LAST_NICE, computing
 from deformscope.stages.map.surface import fit_surface
@@ -33,8 +26,7 @@ class StageProcesses:
 
     Stages have processes, not threads, because threads would compete for Python's lock. On two cores with `lab:bench` a
     fit of beta came 3.6 s after its frame from a thread, 0.6 s from a process. They have the lowest priority by
-    default: eight stages of the same priority as the recording left it 6 % of a core, and ended it.
-    """
+    default: eight stages of the same priority as the recording left it 6 % of a core, and ended it."""
 
     def __init__(self, names: Sequence[StageName], start_engine: Callable[[], None], *, nice: int = LAST_NICE) -> None:
         """start_engine: starts the simulation engine, in the process of a stage that needs it"""

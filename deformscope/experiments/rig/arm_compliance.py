@@ -42,8 +42,7 @@ class ComplianceTouch:
 class CombinedCompliance:
     """compliance_m_per_n: mean of the touches; compliance_sd: its uncertainty, with the scatter between touches [m/N];
     dome: mean dent of the tip itself at 1 N, which grows with the power 2/3 of the force [m/N^(2/3)], not in the
-    compliance; off_m: height of the surface by the camera minus that by contact [m], off_sd_m: its scatter
-    """
+    compliance; off_m: height of the surface by the camera minus that by contact [m], off_sd_m: its scatter"""
 
     touches: tuple[ComplianceTouch, ...]
     compliance_m_per_n: float

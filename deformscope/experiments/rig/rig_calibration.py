@@ -1,8 +1,7 @@
 """Measurements of a rig's set-up: places where the arm was held, pushes, taps and views of a board.
 
 A person follows each request, frames are recorded for a moment, and the next request follows. Nothing here commands a
-robot: the arm is moved by its joystick, by `deformscope arm jog`, or by the laboratory.
-"""
+robot: the arm is moved by its joystick, by `deformscope arm jog`, or by the laboratory."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ class SetupRequest:
     """A request to a person.
 
     kind: corner, tilt, push, load, rest, tap or view; number: count within its kind, from 0; words: text for the person
-    axis: for a push, the direction of the finger's force on the tip, surface frame; for a load, its force [N]
-    """
+    axis: for a push, the direction of the finger's force on the tip, surface frame; for a load, its force [N]"""
 
     kind: Literal["corner", "tilt", "push", "load", "rest", "tap", "view"]
     number: int
@@ -173,8 +171,7 @@ class PushedTip:
     force_n, axis: (n, 3) for each push, the measured force relative to free air [N], and the force of the finger on the
     tip, surface frame
     tilted: (m, 4, 4) other poses in which it was held in free air; tilted_n: (m, 3) forces in these poses [N]
-    load_n: the known load, None = none; loaded_n: (k, 3) forces under the load relative to free air [N]
-    """
+    load_n: the known load, None = none; loaded_n: (k, 3) forces under the load relative to free air [N]"""
 
     T_base_ee: FloatArray
     free: ForceReadings

@@ -15,12 +15,7 @@ import numpy.typing as npt
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze.frames import SqueezeFrames, frame_ns
-from deformscope.experiments.squeeze.tracking import (
-    REST_IMAGES,
-    ContainerImage,
-    ContainerTracker,
-    TrackedImage,
-)
+from deformscope.experiments.squeeze.tracking import REST_IMAGES, ContainerImage, ContainerTracker, TrackedImage
 from deformscope.frames import HandFrame
 from deformscope.results.declared import reported
 from deformscope.rig.squeeze_sections import ContainerSection, HandSection
@@ -47,8 +42,7 @@ class SqueezeGeometry:
 
     T_camera_hand: (4, 4), None = unknown, or given by the arm: T_arm_hand (hand to the arm's end) and T_arm_camera
     T_hand_container: (4, 4) where the container is expected; arm_model, T_arm_table: model and pose of the arm that
-    places the hand, and the table's frame to its base; empty, None = none does
-    """
+    places the hand, and the table's frame to its base; empty, None = none does"""
 
     hand: HandSection
     container: ContainerSection
@@ -149,8 +143,7 @@ def trial_features(
     """The events and features of a squeeze. Raises InputError without a first contact or a steady state.
 
     tracked: images in which the container was tracked before, in order of time; none = it is tracked in all of them
-    Without a camera, or with a bad track, there is no visual feature, but the reason for it.
-    """
+    Without a camera, or with a bad track, there is no visual feature, but the reason for it."""
     events = frames.events()
     if not events.first_ns or not events.steady_ns:
         raise InputError("a squeeze with first contact and steady state", "one without", "onset and still in [squeeze]")
@@ -242,8 +235,7 @@ class SqueezeImages:
         """The images up to index `at`, `together` of them at most, as the tracker takes them.
 
         first_ns: time of first contact, 0 = not known; since_ns: time from which the closing of the fingertips counts,
-        default first contact
-        """
+        default first contact"""
         when_ns = frame_ns(self.frames[at])
         frames = tuple(replace(one, color=None) for one in self.frames[max(at + 1 - together, 0) : at + 1])
         closed_m = 0.0

@@ -73,8 +73,7 @@ class SqueezeFrames:
     air, at rest; open_ns: when they opened again, after which no frame is used; 0 = not yet
     arm: last state of the arm that carries the hand, before the squeeze; arm_now: its newest
     T_hand_container: (4, 4) pose of the container where an arm has placed the hand [m]; None: as in the setup
-    all_images: depth images are stored from `air_ns`, even long before the first contact
-    """
+    all_images: depth images are stored from `air_ns`, even long before the first contact"""
 
     tactile_source: TactileSource
     hand: str
@@ -133,8 +132,7 @@ def frame_ns(frame: Frame) -> int:
 class Tracking:
     """The tracker of the container (`deformscope.experiments.squeeze.live`); this class does not track.
 
-    found: all tracked poses; failed: why tracking stopped, or empty; waiting: the last image that is being computed
-    """
+    found: all tracked poses; failed: why tracking stopped, or empty; waiting: the last image that is being computed"""
 
     waiting: Future[Any] | None = None
 
@@ -157,8 +155,7 @@ class SqueezeObserver:
 
     predict: computes a model's posterior from the features so far, None = no model; tracking: may be set. The results
     are functions of the frames, of the time when the fingers opened in the air (`phase`), and of the images tracked by
-    each time. All of them are recorded, so that a replay gives the same results.
-    """
+    each time. All of them are recorded, so that a replay gives the same results."""
 
     def __init__(self, frames: SqueezeFrames, end: End, predict: Predict | None) -> None:
         self.frames, self.tracking = frames, Tracking()

@@ -1,8 +1,7 @@
 """An arm places the hand (Thesis ch. 2): the container is found in the depth image, and a grasp within reach is drawn.
 The hand is brought there under the same supervisor as for exploring, and withdrawn after the squeeze.
 
-`Placing` has the two halves of an experiment, before and after the squeeze; `PlacingArm` carries out its commands.
-"""
+`Placing` has the two halves of an experiment, before and after the squeeze; `PlacingArm` carries out its commands."""
 
 from __future__ import annotations
 
@@ -102,8 +101,7 @@ class PlacingArm:
     """The arm that carries the hand, over the devices of an open source; commands run in the thread that calls them.
 
     begin: called with each phase when it begins; cycled: called in every control period; reached: the last phase that
-    the arm reached; stands: the arm is at rest, or was never commanded
-    """
+    the arm reached; stands: the arm is at rest, or was never commanded"""
 
     def __init__(
         self, setup: SqueezeSetup, source: RigSource, begin: Callable[[str], None], cycled: Callable[[], None]
@@ -167,8 +165,7 @@ class PlacingArm:
         stop if the arm has left its pose; empty = continue.
 
         The arm is judged as when it moves, except for the forces of fingers that squeeze. It is not stopped here: the
-        hand is stopped first, because stopping an arm that does not answer takes seconds.
-        """
+        hand is stopped first, because stopping an arm that does not answer takes seconds."""
         if self._placed is None:
             yield lambda: ""
             return
@@ -308,8 +305,7 @@ class Placing:
 
     grasp: along [m], tilt and turn [deg] that a person chose, None = drawn from the seed; permit: called with the
     preflight before the arm moves; returns whether it waited for a person; arm: as in `PlacingArm`
-    found: collects sightings and placement
-    """
+    found: collects sightings and placement"""
 
     setup: SqueezeSetup
     frames: SqueezeFrames

@@ -1,7 +1,6 @@
 """Thesis chapter 2: squeeze a container, and compute the features of its content.
 
-`squeeze` is an experiment (`deformscope.session`): it commands a hand, requests the features, and yields them.
-"""
+`squeeze` is an experiment (`deformscope.session`): it commands a hand, requests the features, and yields them."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ def squeeze(
 
     clock: the devices' clock [ns]; name: function that names the content, None = none
     permitted: steps before the hand may move; placed: steps before the hand closes; withdrawn: called when the hand has
-    opened again. The function returns also when the hand must stop: `found.stop` has the reason.
-    """
+    opened again. The function returns also when the hand must stop: `found.stop` has the reason."""
     frames = observer.frames
     try:
         if permitted is not None:

@@ -11,14 +11,7 @@ from typing import Any, Protocol
 
 from deformscope.errors import InputError
 from deformscope.experiments.explore.touching_robot import without_long_pauses
-from deformscope.experiments.squeeze.frames import (
-    AIR,
-    OPEN,
-    Predict,
-    SqueezeFrames,
-    SqueezeObserver,
-    TactileSource,
-)
+from deformscope.experiments.squeeze.frames import AIR, OPEN, Predict, SqueezeFrames, SqueezeObserver, TactileSource
 from deformscope.rig.source import RigSource
 from deformscope.robot.squeeze_plan import CLOSING_AXES, PAD_M, GripShape
 from deformscope.robot.squeeze_robot import KEEP_S, SqueezeRobot, SqueezeStopped
@@ -121,8 +114,7 @@ class SqueezingHand:
     arm: carries out the arm's commands, None = no arm
 
     on_cycle: called in every control period; on_phase: called with each phase when it begins
-    observer: is informed of each phase
-    """
+    observer: is informed of each phase"""
 
     def __init__(
         self,
@@ -158,8 +150,7 @@ class SqueezingHand:
     def carry_out(self, command: object, keep: Callable[[], object]) -> Future[Any]:
         """Begin with a `PreShape`, `SqueezeOnce` or `HandWait`: in the hand's thread if it has one, else immediately.
 
-        If the hand stops, the reason is raised as SqueezeEnded.
-        """
+        If the hand stops, the reason is raised as SqueezeEnded."""
         if self._pool is not None:
             return self._pool.submit(self._do, command)
         self._keep = keep

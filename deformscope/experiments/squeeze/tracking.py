@@ -45,8 +45,7 @@ class ContainerImage:
 
     frames: up to `REST_IMAGES` - 1 earlier images and, last, the image; angles_deg: (7,) angles of the hand then
     T_camera_hand, T_hand_container: (4, 4), the latter where the container is expected
-    first_ns: time of first contact, 0 = not known then; closed_m: by how much the fingertips have closed since [m]
-    """
+    first_ns: time of first contact, 0 = not known then; closed_m: by how much the fingertips have closed since [m]"""
 
     frames: tuple[DepthFrame, ...]
     angles_deg: npt.NDArray[np.float64]
@@ -78,8 +77,7 @@ class ContainerTracker:
     """Tracks a container of known form in the images of a camera in front of it and of the hand that squeezes it;
     stores the last pose.
 
-    rest: the image in which it was located before the squeeze, None = not yet
-    """
+    rest: the image in which it was located before the squeeze, None = not yet"""
 
     def __init__(self, section: ContainerSection, fingers: tuple[int, ...], camera: Intrinsics) -> None:
         """fingers: that squeeze. Raises InputError for a mesh that cannot be read and a camera with distortion."""

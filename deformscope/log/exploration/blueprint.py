@@ -53,8 +53,7 @@ def exploration_blueprint(
     size_m: size of the surface along x and y; truth: whether the truth is known: otherwise the surface's height is
     shown instead; inclusions: whether inclusions are sought: they replace beta
     tabs: most views are tabs, for a page, which has panels at both sides and may have to draw without a GPU
-    compared: other settings, whose results are shown with the recorded ones (`tabs` alone)
-    """
+    compared: other settings, whose results are shown with the recorded ones (`tabs` alone)"""
     maps = {name: _picture(path, title) for (name, title), path in zip(TITLES.items(), MAPS, strict=True)}
     if inclusions:
         maps |= {"beta": _picture(LUMPS, "Inclusions"), "beta_deviation": _picture(MISSED, "What may be missed")}

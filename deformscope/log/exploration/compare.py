@@ -1,8 +1,7 @@
 """Other settings' results for a recorded exploration, as a layer over it: in the recording's views, in two colours.
 
 display/scene/beside   where the regions end, on the surface in space: recorded, and with the other settings
-display/beside/... the same as a picture, and the result of each touch
-"""
+display/beside/... the same as a picture, and the result of each touch"""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ def comparison_rrd(
     """rerun data that a viewer lays over a recording, with views of both.
 
     identity, streams, size_m: identity, streams and size of the recording and its surface; recorded: its results with
-    their time since its start [ns]; again: results with other settings; name: name of these
-    """
+    their time since its start [ns]; again: results with other settings; name: name of these"""
     rec = rr.RecordingStream(identity[0], recording_id=identity[1], send_properties=False)
     encoded = rr.binary_stream(rec)
     truth = any(isinstance(one, MapEstimate) and one.truth_labels is not None for _, one in recorded)

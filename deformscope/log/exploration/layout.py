@@ -26,8 +26,7 @@ class ExplorationLayout(RecordingLayout):
     the arm's base frame [m], None = the same
 
     truth: whether the truth is known; inclusions: whether inclusions are sought
-    T_surface_camera: (4, 4), None = not known
-    """
+    T_surface_camera: (4, 4), None = not known"""
 
     size_m: tuple[float, float]
     base_from_surface: FloatArray | None
@@ -41,11 +40,7 @@ class ExplorationLayout(RecordingLayout):
         from deformscope.log.exploration.blueprint import exploration_blueprint
 
         return exploration_blueprint(
-            self.streams,
-            self.size_m,
-            truth=self.truth,
-            inclusions=self.inclusions,
-            tabs=on_page,
+            self.streams, self.size_m, truth=self.truth, inclusions=self.inclusions, tabs=on_page
         )
 
     def log_start(self, rec: rr.RecordingStream) -> None:

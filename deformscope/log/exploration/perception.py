@@ -4,8 +4,7 @@ display/perception/frames/...    world, surface, camera, arm_base, tool: a trans
 display/perception/pixels        labels of the newest depth image that something was computed from
 display/perception/surface/...   the surface under the newest touch, coloured by its deviation, and tactile points
 display/perception/error         error over beta
-display/perception/maps/... each map as an image on the surface, with its values as `value`
-"""
+display/perception/maps/... each map as an image on the surface, with its values as `value`"""
 
 from __future__ import annotations
 

@@ -18,8 +18,7 @@ measurement of a touch is at the frame of its dent. `deformscope.recording.items
     exploration/perception/look|touch    results between frames and estimates
     exploration/force_pose                likewise, a row for each reading of the force: force and pose of the tip
     display/perception/...                likewise (`deformscope.log.exploration.perception`)
-    display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text
-"""
+    display/lumps/map|missed|summary where inclusions are sought: found ones, and the detection limit, as text"""
 
 from __future__ import annotations
 
@@ -117,15 +116,12 @@ CELL_M = 0.005
 
 
 def log_exploration_start(
-    rec: rr.RecordingStream,
-    streams: Sequence[Stream],
-    base_from_surface: FloatArray | None = None,
+    rec: rr.RecordingStream, streams: Sequence[Stream], base_from_surface: FloatArray | None = None
 ) -> None:
     """Log constants: the phases' colours, the pose of each arm's base in the surface frame; and empty results at the
     start.
 
-    base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same
-    """
+    base_from_surface: (4, 4), takes positions from the surface frame to the arm's base frame [m]; None = the same"""
     log_phase_colors(rec)
     for stream in streams:
         if stream.kind == "wrench":
@@ -155,8 +151,7 @@ def prepare_results(
     session_ns: time since the recording's start [ns]; place: place on the other timelines; cell_m: cell size of a
     plan's maps, without a map of the same time
     failed: receives errors of views: every result is recorded nevertheless, with the error. A plan with maps is drawn
-    over their contacts. Raises TypeError if it is no result of an exploration.
-    """
+    over their contacts. Raises TypeError if it is no result of an exploration."""
     batch = Batch(place)
     now = ResultBatch(batch, session_ns)
     maps = next((result for result in results if isinstance(result, MapEstimate)), None)

@@ -1,8 +1,7 @@
 """The surface in space, in its frame, and the arm over it.
 
 The surface frame is the root of all frames, `tf#/`. Entities need no transform of their own, and the scene's one
-transform places an arm's base in it.
-"""
+transform places an arm's base in it."""
 
 from __future__ import annotations
 

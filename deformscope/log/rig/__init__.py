@@ -15,8 +15,7 @@ also at `frame`, their place in the device's own stream. In an exploration's rec
     input                     files that were given, with their names
     note                      notes, episodes and tares
     health                    a table for people; below it each device's counters
-    display/...               false colours, labels and transforms, all derived from the above
-"""
+    display/...               false colours, labels and transforms, all derived from the above"""
 
 from __future__ import annotations
 
@@ -110,8 +109,7 @@ def prepare_items(
     rather than JPEG, because something is computed from them (about 9 ms for 640 x 480 instead of 1 ms, and ten times
     the bytes); place: place on an exploration's timelines
     shown: data that a viewer has already, reused from call to call: they are not sent again
-    changes_only: log only changes of a device's state relative to `shown`
-    """
+    changes_only: log only changes of a device's state relative to `shown`"""
     batch = Batch(place)
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (kind, device), group in _by_device(items).items():

@@ -1,7 +1,6 @@
 """Two recordings in the same plots, each in one colour, on a timeline that is zero at the first contact of each.
 
-aligned/QUANTITY/a|b/DEVICE    a series of the first, of the second recording
-"""
+aligned/QUANTITY/a|b/DEVICE    a series of the first, of the second recording"""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ class AlignedSeries:
     """Measurements of a device of one of the recordings.
 
     quantity: quantity with its unit; each has a plot; name: name of recording and device; which: 0 the first recording,
-    1 the second; since_ns: (n,) time since the recording's first contact [ns]; values: (n,)
-    """
+    1 the second; since_ns: (n,) time since the recording's first contact [ns]; values: (n,)"""
 
     quantity: str
     name: str

@@ -32,8 +32,7 @@ class Shape:
     """An arm's description for a viewer.
 
     joints: joints that the arm's own angles turn, in order; fingers: (joint, angle open, angle closed) [rad]; base: the
-    frame of its first link; reach_m: the length of all its links together
-    """
+    frame of its first link; reach_m: the length of all its links together"""
 
     tree: rr.urdf.UrdfTree
     joints: tuple[str, ...]

@@ -29,12 +29,7 @@ def log_color(batch: Batch, device: str, frames: Sequence[ColorFrame], start_ns:
 
 
 def log_depth(
-    batch: Batch,
-    device: str,
-    frames: Sequence[DepthFrame],
-    start_ns: int,
-    lossless: bool,
-    shown: Shown | None = None,
+    batch: Batch, device: str, frames: Sequence[DepthFrame], start_ns: int, lossless: bool, shown: Shown | None = None
 ) -> None:
     reach = _range(frames[0].depth, frames[0].unit_m)
     columns = [

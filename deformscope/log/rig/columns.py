@@ -34,8 +34,7 @@ class Place:
     touch: place on the timeline `touch`; pictures_ns: (n,) session times of the depth camera's pictures so far, rising
     [ns]. On `frame` a row is at the picture that was newest then, so that all devices scrub together, and on `index` at
     its index in its own device's stream; frame: use this picture instead, None = find it by the time; start_ns: the
-    host's clock at `session` 0
-    """
+    host's clock at `session` 0"""
 
     touch: int
     pictures_ns: IntArray
@@ -64,8 +63,7 @@ class Place:
 class Batch:
     """Calls to rerun that are prepared once, with encoded images, and sent to any number of streams.
 
-    place: in an exploration, place of the rows on its timelines
-    """
+    place: in an exploration, place of the rows on its timelines"""
 
     def __init__(self, place: Place | None = None) -> None:
         self.parts: list[tuple[str, Chunk | Callable[[rr.RecordingStream], None]]] = []

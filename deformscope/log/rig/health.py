@@ -46,11 +46,7 @@ def log_health_stream(rec: rr.RecordingStream, device: str) -> None:
 
 
 def log_health(
-    batch: Batch,
-    reports: Sequence[HealthReport],
-    start_ns: int,
-    streams: Sequence[Stream],
-    shown: Shown | None = None,
+    batch: Batch, reports: Sequence[HealthReport], start_ns: int, streams: Sequence[Stream], shown: Shown | None = None
 ) -> None:
     """shown: the states that a viewer has already: a device's counters are sent only when its state changes"""
     known = {stream.device: stream for stream in streams}

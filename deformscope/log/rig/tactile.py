@@ -41,8 +41,7 @@ class Hand:
     """Places of the drawn texels.
 
     pads: pads in the device's order; corners: (row, column) corners of each one's first texel, in texels; rows,
-    columns: size of the whole picture; texel_mm: (width, height) size of a texel
-    """
+    columns: size of the whole picture; texel_mm: (width, height) size of a texel"""
 
     pads: tuple[Pad, ...]
     corners: tuple[tuple[int, int], ...]

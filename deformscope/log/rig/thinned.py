@@ -1,7 +1,6 @@
 """The visible part of a rig's items, small enough for a page on a slow machine.
 
-A recording keeps every item; a live viewer receives these.
-"""
+A recording keeps every item; a live viewer receives these."""
 
 from __future__ import annotations
 

@@ -37,8 +37,7 @@ def squeeze_blueprint(
     """The views of a squeeze with these devices; the devices' own views in a second tab.
 
     around_px: left, top, right, bottom of the depth image that is shown, None = all; named: a model names the content
-    placed: an arm placed the hand
-    """
+    placed: an arm placed the hand"""
     hand = next(stream for stream in streams if stream.device == tactile)
     simulated = " (SIMULATED)" if hand.simulated else ""
     pictures: list[rrb.View] = [tactile_view(hand)]

@@ -155,6 +155,5 @@ def log_container(now: ResultBatch, tracked: TrackedContainer) -> None:
     place = [0.5 * (low[0] + high[0]), low[1] - (0.45 if before else 0.3) * (high[1] - low[1])]
     label = [f"{when}: {words}"]
     now.show(
-        f"{path}/words",
-        rr.Points2D([place], radii=0.01, colors=TEXT, labels=label, show_labels=True, draw_order=81.0),
+        f"{path}/words", rr.Points2D([place], radii=0.01, colors=TEXT, labels=label, show_labels=True, draw_order=81.0)
     )

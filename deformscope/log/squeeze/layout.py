@@ -25,8 +25,7 @@ class SqueezeLayout(RecordingLayout):
     """tactile, pads: the device and the pads of the fingertips that squeeze; camera: the depth camera, or empty
 
     around_px: left, top, right, bottom of its view, None = all; named: a model names the content
-    base_from_table: (4, 4) table's frame to the base of the arm that places the hand [m], None = none does
-    """
+    base_from_table: (4, 4) table's frame to the base of the arm that places the hand [m], None = none does"""
 
     tactile: str
     pads: tuple[int, ...]

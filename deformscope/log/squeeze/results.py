@@ -9,8 +9,7 @@ people.
     display/squeeze/force|content           force of each fingertip [N], probability of each content, over time
     display/squeeze/container               the tracked model's edges over the depth image, before and after (fig. 2.8)
     display/squeeze/change                  the depth change around the fingertip, data minus model (fig. 2.6)
-    display/squeeze/measured|named measurements, and the classification of the content, as text
-"""
+    display/squeeze/measured|named measurements, and the classification of the content, as text"""
 
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ def log_squeeze_start(rec: rr.RecordingStream, fingertips: Fingertips | None) ->
 def prepare_squeeze_results(results: Sequence[object], session_ns: int, fingertips: Fingertips | None) -> Batch:
     """Prepare results for one stream or several. session_ns: time since the recording's start [ns].
 
-    Raises TypeError if it is no result of a squeeze.
-    """
+    Raises TypeError if it is no result of a squeeze."""
     batch = Batch()
     now = ResultBatch(batch, session_ns)
     views = squeeze_views(fingertips)

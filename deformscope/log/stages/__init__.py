@@ -6,8 +6,7 @@ A result has the time, and the place on `frame`, of the newest frame from which 
     display/stage/NAME/... views: marks over the image, pictures, the verdict as text
     display/stage/plot/...       numbers over time: lag [ms], beta, theta, force [N], area [cm2]
     display/tactile/DEVICE/contact   the centres of pressure, on the picture of the hand
-    display/stage/summary        a table: newest results, how many, how far behind
-"""
+    display/stage/summary        a table: newest results, how many, how far behind"""
 
 from __future__ import annotations
 
@@ -55,8 +54,7 @@ def prepare_stage_results(
     pictures are drawn.
 
     start_ns: host time at which `session` is 0 [ns]; latest: newest result of every stage, reused from call to call
-    newest_pictures: draw and mark only the newest result of each stage
-    """
+    newest_pictures: draw and mark only the newest result of each stage"""
     batch = Batch()
     known = {(stream.kind, stream.device): stream for stream in streams}
     for (stage, device, kind), group in _by_kind(results).items():

@@ -13,8 +13,7 @@ class StageGroup:
     """pads: layout of the tactile device, None for another device; results: plotted; drawn: results that are marked or
     drawn
 
-    start_ns: host time at which `session` is 0 [ns]
-    """
+    start_ns: host time at which `session` is 0 [ns]"""
 
     pads: Stream | None
     device: str

@@ -21,8 +21,7 @@ class FitSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     roi, contact: x, y, width, height [px]; grid: rows, columns of particles; spacing_px: distance between particles,
     instead of their number; outline: corners of a polygon around the thing [px]; held: parts whose motion is prescribed
-    cluster_size: particles along a side, None = one cluster; beta, theta: shares
-    """
+    cluster_size: particles along a side, None = one cluster; beta, theta: shares"""
 
     roi: Box | None = None
     grid: tuple[Annotated[int, msgspec.Meta(ge=2, le=1000)], Annotated[int, msgspec.Meta(ge=2, le=1000)]] | None = None
@@ -59,8 +58,7 @@ class FitState(msgspec.Struct, frozen=True):
     rest, observed, simulated: where particles are in the picture [px]; seen: whether `observed` was measured; held:
     which particles are held; aee_free: average error of the free particles [unit]; the average of all that were seen is
     `aee`; values, errors: simulated values of the parameter, and the average error of all seen particles at each [unit]
-    busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none
-    """
+    busy: the present computation, as text; found: the last whole fit; picture: file that shows the fit, empty = none"""
 
     kind: Literal["images", "pair"]
     parameter: Literal["beta", "theta"]

@@ -1,8 +1,7 @@
 """Which requests this server accepts: those of a page that it served, in a browser that reached it by a loopback name.
 
 Other programs of this machine and other sites in its browsers lack the token of the address. A site whose own name
-resolves to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin.
-"""
+resolves to 127.0.0.1 (DNS rebinding) sends that name as Host; a page of another origin sends that as Origin."""
 
 from __future__ import annotations
 

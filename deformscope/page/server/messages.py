@@ -1,8 +1,7 @@
 """Messages between the page's script and its server: JSON objects with a `kind`, all of one version.
 
 A page says `Hello` first. From then on it gets a `PageState` with every change, and a `CommandReply` to each command;
-its `Beat`s get no reply.
-"""
+its `Beat`s get no reply."""
 
 from __future__ import annotations
 
@@ -206,8 +205,7 @@ class DriftState(msgspec.Struct, frozen=True):
 
     now: present drift of each axis; line: its length at equal distances in time, from the tare to now; empty before it
     is known; loaded: the force changes faster than any drift, so that something touches the sensor; `now` and `line`
-    are older
-    """
+    are older"""
 
     lasted_s: float
     unit: str
@@ -220,8 +218,7 @@ class DeviceState(msgspec.Struct, frozen=True):
     """State of one device, from its health. state: state in one word; rate_hz: readings a second [1/s]; age_s: age of
     the newest [s]
 
-    jitter_s: standard deviation of the time between readings [s]; drift: drift of a force sensor
-    """
+    jitter_s: standard deviation of the time between readings [s]; drift: drift of a force sensor"""
 
     name: str
     state: str
@@ -271,8 +268,7 @@ class ForceCurve(msgspec.Struct, frozen=True):
 
     x_m, y_m: where; known: source of the forecast, as text; force_n: forces; depth_mm, depth_low_mm,
     depth_high_mm: the dent at each force, and its 90 % interval; felt_mm, felt_n: measured curve, empty before the
-    touch; words: how the two compare
-    """
+    touch; words: how the two compare"""
 
     x_m: float
     y_m: float
@@ -298,8 +294,7 @@ class Playback(msgspec.Struct, frozen=True):
     """A recording that a page plays.
 
     timeline: timeline of the viewer; from_ns, until_ns: its ends [ns]; step_ns: step time of a single step; layer: a
-    file of the page that is shown over the recording, empty = none
-    """
+    file of the page that is shown over the recording, empty = none"""
 
     timeline: str
     until_ns: int

@@ -4,8 +4,7 @@
 /TOKEN/re_viewer...   rerun's web viewer out of the installed wheel
 /TOKEN/recording.rrd  the recording that is played, where one is
 /TOKEN/session           websocket: the state to the page, commands from it (`deformscope.page.server.messages`)
-/TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it
-"""
+/TOKEN/data           websocket: pieces of the recording to the viewer in the page, `Drawn` from it"""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class PageServer:
     """`with PageServer("lab:bench") as page: print(page.address)`.
 
     session: the state that pages show, and the commands they give; pieces: data for the viewer in the pages
-    recording: a file that the pages play instead; adjusting: the pages show a fit that is set on them
-    """
+    recording: a file that the pages play instead; adjusting: the pages show a fit that is set on them"""
 
     def __init__(self, title: str = "", recording: Path | None = None, *, adjusting: bool = False) -> None:
         self.session = PageSession(title)

@@ -2,8 +2,7 @@
 
 The maker of pieces never waits. A page is sent new data when it has drawn the earlier ones, and these are made
 then: made while the page was drawing, it would be old. A page that is slow, hidden or frozen delays nothing, and no
-memory grows: data that it did not take in time are skipped and counted.
-"""
+memory grows: data that it did not take in time are skipped and counted."""
 
 from __future__ import annotations
 
@@ -31,8 +30,7 @@ class ViewerPiece:
     """A complete stream of rerun data, which the viewer can read alone. number: from 1; lasting: later pieces depend on
     it; made_s: when [s]
 
-    until_ns: session time of the newest that it or an earlier one holds [ns], 0 = not known
-    """
+    until_ns: session time of the newest that it or an earlier one holds [ns], 0 = not known"""
 
     number: int
     data: bytes
@@ -49,8 +47,7 @@ class PageReader:
     batch was sent, and when the newest piece in it was made; drawing: the last batch is not drawn yet
     shown_s: when the newest piece of the previous batch was made, which the page shows until then
     needs_s: how long the page took to draw the last batch; behind_s: age of its view
-    wants_s: when it gets the next batch, so that it has time for other work than drawing
-    """
+    wants_s: when it gets the next batch, so that it has time for other work than drawing"""
 
     last: int = 0
     skipped: int = 0

@@ -52,8 +52,7 @@ class ViewerFiles:
     request.
 
     They are read from the executable itself. rerun would also serve them, but another user of this machine may take
-    that port first and serve other files.
-    """
+    that port first and serve other files."""
 
     def __init__(self) -> None:
         self._file: BinaryIO | None = None

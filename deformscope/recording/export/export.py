@@ -67,8 +67,7 @@ class ExportRequest:
 
     only: entities, with those below them, or devices; () = all; camera: images of this device alone
     anonymous: leave out whatever may name a person, a machine or a path; overwrite: replace an earlier export
-    manifest: `export.json` in the folder is not hidden
-    """
+    manifest: `export.json` in the folder is not hidden"""
 
     to: Format
     folder: Path
@@ -244,8 +243,7 @@ def _check_empty(folder: Path, came: str, *, allowed: bool) -> None:
 def _replace(folder: Path, draft: Path) -> None:
     """Take away what an earlier export wrote, as its manifest says, and move the draft's files there.
 
-    Raises InputError if foreign images would be among the new ones.
-    """
+    Raises InputError if foreign images would be among the new ones."""
     new = {folder / path.relative_to(draft) for path in draft.rglob("*") if path.is_file()}
     old = set[Path]()
     for manifest in (folder / name for name in MANIFESTS):

@@ -37,8 +37,7 @@ class ExportedImages:
 def counted_images(replay: Replay, devices: Collection[str] | None) -> dict[tuple[str, str], int]:
     """Number of images, by device and kind. devices: export only these devices' images; None = all.
 
-    Raises InputError without images.
-    """
+    Raises InputError without images."""
     counts = {one: count for one, count in replay.image_counts.items() if devices is None or one[0] in devices}
     if not counts:
         known = sorted({device for device, _ in replay.image_counts})

@@ -3,8 +3,7 @@
 Each stream is a topic with its entity's name, whose message has every column. Further topics have standard types of
 ROS: wrenches, joint states, images, camera calibrations, points, transforms and robot descriptions. ROS messages are in
 metres, radians and the frames of REP 103 and 105 (`world`; cameras as `DEVICE_optical_frame`: z forward, x right, y
-down).
-"""
+down)."""
 
 from __future__ import annotations
 
@@ -60,8 +59,7 @@ def write_mcap(
     """Write the file; returns (topic, file, messages) of each topic. about: has `topics` of entities, `device_topics`
     of devices.
 
-    Raises InputError if the package is not installed.
-    """
+    Raises InputError if the package is not installed."""
     try:
         from mcap.writer import CompressionType, Writer
         from mcap_ros2._dynamic import serialize_dynamic

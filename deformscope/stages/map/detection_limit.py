@@ -37,8 +37,7 @@ CENTRE_CELL_M = 0.02
 class UnseenInclusions:
     """Undetected inclusions of one radius, after the touches.
 
-    probability: probability that there is one; weight: (c,) probability of each centre, 1 in total
-    """
+    probability: probability that there is one; weight: (c,) probability of each centre, 1 in total"""
 
     def __init__(self, posterior: RegionPosterior, radius_m: float) -> None:
         self._radius_m, self._blur_m, self._noise_sd = radius_m, posterior.prior.blur_m, posterior.touch_sd

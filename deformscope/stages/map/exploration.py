@@ -1,8 +1,7 @@
 """Results after each touch: the maps, the reason for the next touch, and the touch's measurement.
 
 Maps are on one grid over the surface: arrays (rows, columns) = (y, x), cell centres at (i + 0.5) cells. The surface
-frame has x, y in the table's plane and z up.
-"""
+frame has x, y in the table's plane and z up."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ class SurfaceEstimate:
 
     points_m: (n, 3) filtered points; height_m, deviation_m: (rows, columns); cell_m: cell size of the grid
     layer_m, layer_sd_m: assumed thickness of a level layer of this foam, and its deviation [m]: as stated, or as
-    measured over the table around it; None = unknown
-    """
+    measured over the table around it; None = unknown"""
 
     points_m: FloatArray
     height_m: FloatArray
@@ -58,8 +56,7 @@ class TouchEstimate:
     creep: the foam's creep by the touch's hold and retract, None = not requested, or not fitted
     thickness_m: thickness of the foam there, as it was seen; level_n_per_mm: its stiffness on level foam of the stated
     thickness, which is mapped; both None if the foam is assumed to be that
-    usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan
-    """
+    usable: whether it has a stiffness: where its contact could not be fitted, all that comes from the fit is nan"""
 
     number: int
     xyz_m: FloatArray = field(metadata=reported(key="xy_m", unit="m", json=lambda xyz_m: xyz_m[:2]))
@@ -130,8 +127,7 @@ class TouchEstimate:
         return 0.0 if self.creep is None else self.creep.held_s
 
     creep: CreepFit | None = field(
-        default=None,
-        metadata=reported("creep", words=lambda touch: "" if touch.creep is None else touch.creep.brief),
+        default=None, metadata=reported("creep", words=lambda touch: "" if touch.creep is None else touch.creep.brief)
     )
 
     @property
@@ -177,8 +173,7 @@ class MapRegion:
     stiffness_n_per_mm, stiffness_interval_n_per_mm: (2,) 90 % interval; rigid: stiffness_n_per_mm is a lower bound
     modulus_pa, modulus_interval_pa: (2,) Young's modulus of linear foam with this stiffness. The modulus is shown
     without its interval, which does not cover foam whose stress has a plateau: that is up to `PLATEAU_FACTOR` times
-    stiffer. The modulus is None if the thickness is unknown, its interval also for a bound
-    """
+    stiffer. The modulus is None if the thickness is unknown, its interval also for a bound"""
 
     stiffness_n_per_mm: float = field(
         metadata=reported(key="log_stiffness", unit="natural logarithm of N/mm", json=np.log)
@@ -229,8 +224,7 @@ class MapEstimate:
     isopleths: (k,) levels of beta between which the regions lie, by the thesis's rule, which has no probability.
     `probability` is then that of as many regions by stiffness; None = the regions are of stiffness
     truth_labels: where it is known; iou, boundary_m: agreement with the truth; boundary_m is None if either has no
-    boundary
-    """
+    boundary"""
 
     touches: int
     cell_m: float = field(metadata=reported(unit="m"))
@@ -305,8 +299,7 @@ class DetectionLimit:
     lump_radius_m: (n,) radii of inclusions that fit on the surface, rising [m]; lump_probability: (n,) probability that
     one of this radius exists undetected; it was `prior` before any touch
     contrast: ratio of their stiffness to that of their surroundings, or the inverse
-    deepest_m: largest depth of their uppermost points below the surface; None = they reach from top to bottom
-    """
+    deepest_m: largest depth of their uppermost points below the surface; None = they reach from top to bottom"""
 
     untouched_m: float = field(metadata=reported(unit="m"))
     untouched_at_m: FloatArray = field(metadata=reported(unit="m"))
@@ -341,8 +334,7 @@ class InclusionsResult:
     prior, contrast, deepest_m: assumptions. Before any touch an inclusion exists with probability `prior`. An inclusion
     is at least `contrast` times as stiff or as soft as the foam. Its uppermost point is at most `deepest_m` down [m]
     scatter: deviation of log stiffness within the foam; contacts_m: (n, 2) touches so far
-    truth_m: (m, 4) true x, y, radius, depth of each [m], if known
-    """
+    truth_m: (m, 4) true x, y, radius, depth of each [m], if known"""
 
     @property
     @derived()
@@ -428,8 +420,7 @@ class PlannedTouch:
     target_m: (2,) place, None = no further touch; excluded: cells that may not be touched
     gain, cost_s: (rows, columns) expected gain and time [s], None where no planner computed one; gain_unit: unit of
     `gain`, as in `plan.TouchChoice`; reason: in words; stop_reason: why no touch follows; missed: detection limit of
-    the touches so far, None if not computed
-    """
+    the touches so far, None if not computed"""
 
     target_m: FloatArray | None
     gain: FloatArray | None
@@ -449,8 +440,7 @@ class TouchForecast:
     tip's lowest point, down to it [m]; set_force_n: force of the touch
     stiffness_n_per_mm, stiffness_interval: apparent stiffness at the set force, and the interval of 90 % of touches
     force_n: (n,) [N]; depth_m, depth_low_m, depth_high_m: (n,) depth, lower end and upper end of the dent at each, and
-    its interval [m]; touches: touches of the estimate
-    """
+    its interval [m]; touches: touches of the estimate"""
 
     xyz_m: FloatArray
     normal: FloatArray
@@ -470,8 +460,7 @@ class SteeringDecision:
     """A person's decision about the next touch, if it was not left to the plan.
 
     kind: veto = not at xy_m, touch = at xy_m instead, held = it was broken off before it measured anything
-    xy_m: (2,) [m]; touch: how many were made before; reason: in words
-    """
+    xy_m: (2,) [m]; touch: how many were made before; reason: in words"""
 
     kind: Literal["veto", "touch", "held"]
     xy_m: FloatArray
@@ -485,8 +474,7 @@ class StageFailure:
 
     stage: surface, dent, contact, creep, regions, beta, touch surface, maps, beta field, lumps, plan or display
     touch: its number from 1, 0 = before the first
-    reason: reason in one line; trace: place of the failure, for developers
-    """
+    reason: reason in one line; trace: place of the failure, for developers"""
 
     stage: str = field(metadata=reported())
     touch: int = field(metadata=reported())
@@ -515,8 +503,7 @@ class ExplorationStop:
     """The exploration ended before the end of its plan.
 
     kind: kind of the fault, in the supervisor's text or the touch's; reason: its evidence; advice: the remedy
-    action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first; touch: as in PhaseStart
-    """
+    action: stop = the arm is at rest and its FIFO is erased, back off = it moved away first; touch: as in PhaseStart"""
 
     kind: str
     reason: str

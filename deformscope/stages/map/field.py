@@ -55,8 +55,7 @@ class FieldPrior:
     sigma_e: deviation of the field [its unit]; length_m [m]; nugget: deviation from touch to touch at one place
     level_sd: deviation of the constant mean around that of the touches; large, so that only touches determine it. The
     defaults are for log stiffness: foams that differ by a factor of 1.2 to 3, regions of 10 to 40 cm, and the scatter
-    of touches in `stages.regions.touch_error`. For beta, 0 to 1, `BETA_PRIOR`.
-    """
+    of touches in `stages.regions.touch_error`. For beta, 0 to 1, `BETA_PRIOR`."""
 
     sigma_e: float = 0.5
     sigma_e_spread: float = 0.8
@@ -115,8 +114,7 @@ class Field:
     """A field given its touches.
 
     places_m: (n, 2) [m]; value, sd: (n,) value and standard deviation of the touches; level: the constant that the mean
-    varies around; kernel, nugget: the likeliest ones; states: hyper-parameters of the average
-    """
+    varies around; kernel, nugget: the likeliest ones; states: hyper-parameters of the average"""
 
     places_m: FloatArray
     value: FloatArray
@@ -150,8 +148,7 @@ def fit_field(places_m: FloatArray, value: FloatArray, sd: FloatArray, prior: Fi
     """The field through touches at places (n, 2) [m] with values (n,) and their deviations (n,).
 
     Several touches at one place are replicates and identify the nugget. Raises InputError without a touch, and for
-    values that are not finite.
-    """
+    values that are not finite."""
     places, value, sd = (np.asarray(one, dtype=np.float64) for one in (places_m, value, sd))
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
         raise InputError("touches at places (n, 2) [m], one at least", f"shape {places.shape}")

@@ -18,8 +18,7 @@ class ForcePose:
     host_ns: (n,) when each force arrived, on the host's clock; values: (n, 9) force on the tip [N], position of its
     middle [m], rotation vector of its frame [rad], all in the surface frame. Position and rotation are interpolated
     between the arm's states before and after: the force comes more often. Before the first state and after the last one
-    they are those of that state.
-    """
+    they are those of that state."""
 
     host_ns: IntArray
     values: FloatArray
@@ -29,8 +28,7 @@ def force_pose(host_ns: IntArray, force_n: FloatArray, state_ns: IntArray, T_sur
     """Forces (n, 3) [N] with the pose at their times: positions linearly, rotations along the shortest turn (slerp).
 
     state_ns: (m,) rising, of poses T_surface_tip (m, 4, 4). A rotation is given by several rotation vectors, which
-    differ by whole turns. The vector nearest to the first is returned, so that rows do not jump.
-    """
+    differ by whole turns. The vector nearest to the first is returned, so that rows do not jump."""
     from scipy.spatial.transform import Rotation, Slerp
 
     turn = Rotation.from_matrix(T_surface_tip[:, :3, :3])

@@ -3,8 +3,7 @@
 On a box around the data the kernel is nearly a sum over sines, each weighed by the kernel's spectral density at its
 frequency. Only these weights depend on the kernel. Therefore sums over points are computed once, and a trial of
 hyper-parameters costs the same for a thousand and for a million points. For products of sines even that sum is cheap:
-sin a sin b = (cos(a - b) - cos(a + b)) / 2. Therefore sums of cosines over points give all products of two sines.
-"""
+sin a sin b = (cos(a - b) - cos(a + b)) / 2. Therefore sums of cosines over points give all products of two sines."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class LogLikelihood:
 class HilbertBasis:
     """Sines over a box, good for kernels of lengths from `shortest` to `longest` [m].
 
-    middle, half: (2,) middle and half of the box that holds the data [m]
-    """
+    middle, half: (2,) middle and half of the box that holds the data [m]"""
 
     def __init__(self, middle: FloatArray, half: FloatArray, shortest: float, longest: float) -> None:
         self.middle = middle

@@ -3,8 +3,7 @@
 While no inclusion is detected: the place whose touch most lowers the miss probability per second. For every remaining
 hypothesis, the plan compares the expected reading there with that of foam alone, in standard deviations given the other
 touches. With a detected inclusion: the place with the most information about it. It stops when inclusions of the
-smallest and of any larger size are missed with less than `PlanOptions.missed`.
-"""
+smallest and of any larger size are missed with less than `PlanOptions.missed`."""
 
 from __future__ import annotations
 

@@ -11,8 +11,7 @@ one, and its place. The next one is searched for in the remaining readings, with
 
 Assumptions, reported with every result: before any touch an inclusion has probability .5. Inclusions are balls 4 times
 as stiff or as soft as the foam, or more, whose uppermost point is at most 2 cm deep, entirely within the field. Weaker
-or deeper ones may exist with any probability.
-"""
+or deeper ones may exist with any probability."""
 
 from __future__ import annotations
 
@@ -86,8 +85,7 @@ class Background:
     """Variation of foam without inclusions: a Gaussian field of log stiffness.
 
     scatter: its deviation; length_m: length over which it changes (squared exponential); apart: share of its variance
-    that touches do not share
-    """
+    that touches do not share"""
 
     scatter: float
     length_m: float
@@ -141,8 +139,7 @@ class InclusionHypotheses:
     """All `j` inclusions that are considered, of every kind at every place.
 
     centre_m: (j, 2); radius_m, depth_m, share: (j,) (`inclusion_footprint.contrast_share`); weight: (j,) prior
-    probability, 1 in total
-    """
+    probability, 1 in total"""
 
     centre_m: FloatArray
     radius_m: FloatArray
@@ -219,8 +216,7 @@ class FoundInclusion:
     centre_m: (2,) its middle; within_m: distance from it within which it lies in 90 %; radius_m, radius_interval_m: its
     radius and the 90 % interval [m]; stiff: it is stiffer than the foam, not softer; probability: probability that
     there is one; deep: probability that it is deep (DEEP_M); log_shift: its effect on log stiffness right above it
-    posterior: (j,) probability of each hypothesis
-    """
+    posterior: (j,) probability of each hypothesis"""
 
     centre_m: FloatArray
     within_m: float
@@ -244,8 +240,7 @@ class LeftOver:
 
     places_m: (t, 2); read: (t,) log stiffness, without the found ones; noise: (t, t) its covariance, without scatter
     and level; bent: (t,) exponents, without the found ones and the part due to stiffness; bent_noise: (t, t) covariance
-    of exponents, without the level
-    """
+    of exponents, without the level"""
 
     places_m: FloatArray
     read: FloatArray
@@ -304,8 +299,7 @@ class InclusionState:
 
     odds_log: (j,) logarithm of each hypothesis's likelihood over that without an inclusion; open: (j,) hypotheses that
     do not overlap the found inclusions; posterior: (j,) posterior of kind and place of one more inclusion, 1 in total;
-    exists: probability that there is one more, of any radius; backgrounds: (b,) posterior of `BACKGROUNDS`
-    """
+    exists: probability that there is one more, of any radius; backgrounds: (b,) posterior of `BACKGROUNDS`"""
 
     def __init__(
         self, hypotheses: InclusionHypotheses, felt: InclusionShifts, left: LeftOver, open_: BoolArray
@@ -356,8 +350,7 @@ class InclusionState:
 class InclusionPosterior:
     """Posterior of inclusions given touches of a surface; each touch makes a new posterior.
 
-    touches; found: inclusions, in the order in which they explain most; state: state of the remaining part
-    """
+    touches; found: inclusions, in the order in which they explain most; state: state of the remaining part"""
 
     def __init__(self, grid: MapGrid, prior: InclusionPrior, touches: tuple[StiffnessSample, ...] = ()) -> None:
         self.grid, self.prior, self.touches = grid, prior, touches

@@ -2,8 +2,7 @@
 
 The start is the best of a few lengths, from long to short. L-BFGS-B then maximizes, in a basis of sines that is renewed
 when the length leaves its range. The priors are so wide (a factor of 4.5 up or down) that a hundred points overrule
-them; they bound the estimates of a handful of points.
-"""
+them; they bound the estimates of a handful of points."""
 
 from __future__ import annotations
 
@@ -88,8 +87,7 @@ def learn(
 
     start: estimates from nearly the same points, if any; otherwise a few lengths are tried first. If all
     hyper-parameters are given, none is fitted, and the likelihood is NaN. Raises InputError if a given sigma_w is too
-    short for the others to be learned.
-    """
+    short for the others to be learned."""
     if not len(free.value):
         given = dataclasses.replace(given, noise_scale=1.0)
     if given.sigma_e is not None and given.sigma_w is not None and given.noise_scale is not None:

@@ -1,7 +1,6 @@
 """Measurements of a robot on a surface, and the recorded frames from which they are computed.
 
-A frame is named by its device and the time at which it came, on the host's clock [ns]: no device gives two at once.
-"""
+A frame is named by its device and the time at which it came, on the host's clock [ns]: no device gives two at once."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class TouchMeasurement:
     seen_ns: when they were last seen, on the robot's clock; 0 = never; loading, held: number of samples up to the set
     force, and up to the retract; None without a creep measurement: then all samples are up to the set force
     pixels: pixels from which after_m was computed; force_pose: force and pose at the force's rate; None = not
-    requested, or not measured at that rate
-    """
+    requested, or not measured at that rate"""
 
     xy_m: FloatArray
     normal: FloatArray
@@ -66,8 +64,7 @@ class LookFrames:
     """The frames from which a look at the surface is computed.
 
     camera, depth_ns (k,): depth images; arm, arm_ns: the arm's states in all these frames, and before the first touch
-    arm_model: the vendor's name of the arm; focal_px, center_px: (x, y) focal length and centre of the camera
-    """
+    arm_model: the vendor's name of the arm; focal_px, center_px: (x, y) focal length and centre of the camera"""
 
     camera: str
     depth_ns: IntArray
@@ -88,8 +85,7 @@ class TouchFrames:
     tare_n: (3,) reading in free air before the touch [N]
     camera, depth_ns (k,): images of the dent; depth_arm_ns: (k,) the arm's state in each
     seen_ns: last time at which the tip pressed without moving; end_ns: the arm's state after it
-    held_ns: (h,) states from the set force until the tip was back, None without a creep measurement
-    """
+    held_ns: (h,) states from the set force until the tip was back, None without a creep measurement"""
 
     xy_m: FloatArray
     normal: FloatArray

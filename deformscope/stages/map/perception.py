@@ -26,8 +26,7 @@ class SeenDent:
     """A square of the surface around a touch, on a grid, before it and under it (Thesis 4.4).
 
     before, after: (p, 3) points at the same places [m]; shape: (rows, columns); cell_m: how far apart they are
-    sd_m: (p,) deviation of the heights under it
-    """
+    sd_m: (p,) deviation of the heights under it"""
 
     before: FloatArray
     after: FloatArray
@@ -65,8 +64,7 @@ class TrainedField:
     """Training data of a field of beta.
 
     kernel: the likeliest one, if several are averaged; noise: standard deviation of a value in addition to its own
-    place_m: (n, 2) [m]; value: (n,) beta at these places; weight: (n,) 1 / variance of each
-    """
+    place_m: (n, 2) [m]; value: (n,) beta at these places; weight: (n,) 1 / variance of each"""
 
     kernel: Kernel
     noise: float
@@ -80,8 +78,7 @@ class TouchSurface:
     """The surface under a touch as a process of observed points and of virtual tactile points (Thesis eq. 4.3, 4.4).
 
     dent: heights before and under it, with deviations; tactile_m: (t, 3) [m]; learned: hyper-parameters that the
-    process under touch learned
-    """
+    process under touch learned"""
 
     dent: SeenDent
     tactile_m: FloatArray
@@ -106,8 +103,7 @@ class TouchPerception:
     under it; error: error over beta [m]. In the thesis's models it is the mean distance of simulated points from the
     nearest observed one (eq. 4.6), least at its estimate. Else it is that of particles from the points that they
     represent, while the estimate weighs these by their noise; estimate: estimated beta, one of the tried values
-    stiffness: value that the map uses, with a weight of 1 / log_sd squared; beta: training data of the field of beta
-    """
+    stiffness: value that the map uses, with a weight of 1 / log_sd squared; beta: training data of the field of beta"""
 
     number: int
     masks: PixelMasks | None

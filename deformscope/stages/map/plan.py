@@ -3,8 +3,7 @@
 Touches fill the space first, where the mean variance of a field drops the most (active learning Cohn, 1996). Then those
 follow that are expected to correct most of the map's labels per second. They show the course of borders, or an
 inclusion that the map lacks (`detection_limit`), or repeat an uncertain touch. `thesis` and `inclusion_plan` have other
-rules.
-"""
+rules."""
 
 from __future__ import annotations
 
@@ -106,8 +105,7 @@ class TouchChoice:
     gain: expected gain of each place, nan where excluded; unit: unit of gain ("label": share of cells that get the
     right label); missed: detection limit of the touches so far
     cost_s: time of the route and the touch; excluded: codes (ALLOWED, OUT_OF_REACH, AT_BORDER, TOUCHED_BEFORE)
-    reason: reason in words
-    """
+    reason: reason in words"""
 
     grid: MapGrid
     target_m: FloatArray | None
@@ -125,8 +123,7 @@ class PlannedPlaces:
     """The places that are considered for a touch: cells of `grid`.
 
     made_m: (n, 2) places of earlier touches, those without a result too [m]; excluded: (p,) codes, changed where a
-    touch may be repeated; cost_s: (p,) time of the route and the touch
-    """
+    touch may be repeated; cost_s: (p,) time of the route and the touch"""
 
     grid: MapGrid
     made_m: FloatArray
@@ -206,8 +203,7 @@ def plan_touch(
 
     tip_m: (2,) present place of the tip, default the last touch, else the surface's corner [m]
     left_out_m: (n, 2) places of touches without a result: they count for the budget, and are not repeated
-    reachable: (rows, columns) cells of `posterior.grid` that the tip reaches
-    """
+    reachable: (rows, columns) cells of `posterior.grid` that the tip reaches"""
     planned = PlannedPlaces.of(posterior, options, tip_m=tip_m, left_out_m=left_out_m, reachable=reachable)
     places, excluded = planned.grid.centres_m, planned.excluded
     touched, left_out = np.split(planned.made_m, [len(posterior.touches)])
@@ -247,8 +243,7 @@ def label_gain(hypotheses: RegionHypotheses, touches: RelatedTouches, cells_m: F
     """(p,) expected increase, by each of some touches, of the share of cells (c, 2) with the right label.
 
     A label is right if the number of regions is, too; each region of a map counts the same, however small. The share
-    is that of the best labels after the touch, over all its outcomes.
-    """
+    is that of the best labels after the touch, over all its outcomes."""
     outcomes = OUTCOMES // 2
     chance, weight = _outcomes(hypotheses, touches, blur_m, outcomes)
     joint = np.ascontiguousarray(np.swapaxes(chance * weight[:, None], 1, 2)).reshape(-1, len(weight))

@@ -2,8 +2,7 @@
 
 The kernel is a product over x and y, and so are the functions of a lattice of inducing points: features of a place are
 products of features of x and of y. Points of the lattice without new information (spaced closer than the kernel
-resolves, within rounding) are left out by the eigenvalues of each axis's covariances.
-"""
+resolves, within rounding) are left out by the eigenvalues of each axis's covariances."""
 
 from __future__ import annotations
 
@@ -59,8 +58,7 @@ class SparseProcess:
 
     places: (n, 2) [m]; value: (n,) above the mean; noise: (n,) its deviation at each point
     low, high: (2,) the box [m] within which it will be evaluated; elbo: lower bound of the log marginal likelihood,
-    equal to it where the inducing points suffice
-    """
+    equal to it where the inducing points suffice"""
 
     def __init__(
         self,

@@ -51,8 +51,7 @@ class HeightProcess:
     learned: the hyper-parameters; level_m: mean of the process [m]
     noise_m: (n,) deviation of each point given, as it was used [m]; used: (n,) points that were not taken as outliers
     box_m: (low, high) places (x, y) that contain the inducing points [m]; evidence: lower bound of the log marginal
-    likelihood by the inducing points; where it is as high as `learned.log_likelihood` both approximations hold
-    """
+    likelihood by the inducing points; where it is as high as `learned.log_likelihood` both approximations hold"""
 
     learned: Hyperparameters
     level_m: float
@@ -110,8 +109,7 @@ def fit_surface(
     within_m: the (low, high) places at which the surface will be evaluated, default the points' own box; beyond it the
     process falls back to its prior within about a length
     outlier_sd: points farther from the surface than this many deviations are left out, and the surface is fitted again.
-    Raises InputError for too few points, values that are not finite, and a kernel too short for the box.
-    """
+    Raises InputError for too few points, values that are not finite, and a kernel too short for the box."""
     free, known = _checked(points_m, noise_m, UNIT_NOISE_M), _checked(known_m, known_noise_m, None)
     if len(free.value) + len(known.value) < FEWEST:
         raise InputError(f"{FEWEST} surface points at least", f"{len(free.value) + len(known.value)}")

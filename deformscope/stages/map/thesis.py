@@ -92,8 +92,7 @@ class ThesisBeta:
     """beta of a lattice with fixed edges and one held particle (Thesis 4.3).
 
     curve: error over beta (eq. 4.6) [m]; depth_m: depth of the particle held; simulated_m: (p, 3) the particles of the
-    surface at beta; converged: the state at beta settled; dent: the fitted dent; note: remark on its trend
-    """
+    surface at beta; converged: the state at beta settled; dent: the fitted dent; note: remark on its trend"""
 
     beta: float
     curve: Curve
@@ -110,11 +109,7 @@ class ThesisBeta:
 
 
 def thesis_beta(
-    dent: SeenDent,
-    *,
-    thickness_m: float | None = None,
-    cluster_size: int | None = 3,
-    step: float = THESIS_STEP,
+    dent: SeenDent, *, thickness_m: float | None = None, cluster_size: int | None = 3, step: float = THESIS_STEP
 ) -> ThesisBeta:
     """beta as in Thesis 4.3, 4.4 and Algorithm 3: the lowest point of the surface under touch is held, beta is swept.
 
@@ -124,8 +119,7 @@ def thesis_beta(
     step: step of the sweep (`swept_betas`) A single layer, all bending, has wider dents than foam on a table, at any
     beta: on finite element slabs of 20 to 120 kPa with a square of 15 cm beta is 0 for all except the smoothest dents.
     With one held particle of a volume lattice, beta depends on firmness: 0.55 to 0.14 there. Raises InputError if the
-    lowest point is at the square's edge.
-    """
+    lowest point is at the square's edge."""
     before, after, shape = dent.before, dent.after, dent.shape
     lowest = int(np.argmax(dent.sunk_m))
     row, column = np.unravel_index(np.arange(len(before)), shape)

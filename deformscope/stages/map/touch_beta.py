@@ -45,8 +45,7 @@ class BallContact:
     """A ball pressed into a surface from above, as arm and force sensor report it.
 
     lowest_m: (3,) lowest point of the ball; radius_m: radius of the ball; depth_m: how far that point sank since
-    contact [m]; force_n: force [N], None if unknown
-    """
+    contact [m]; force_n: force [N], None if unknown"""
 
     lowest_m: FloatArray
     radius_m: float
@@ -67,8 +66,7 @@ class TouchBeta:
     """beta of a touch, with interval and verdict, and the fit that it comes from.
 
     points: number of raw points of the fit; simulated_m: (p, 3) particles of the model's top layer under the ball, at
-    beta
-    """
+    beta"""
 
     estimate: Estimate
     fit: PokesFit
@@ -100,8 +98,7 @@ def fit_touch(
     lattice's spacing is the patch's radius. Therefore the patch always has four columns, and a coarse lattice has the
     same effect on beta for soft and firm foam. (At 1 cm a single one would, for every patch: noise-free dents of 20 to
     120 kPa then give 0.55 to 0.14, the trend that one held particle makes; so they give at most 0.1.) Raises InputError
-    for too few points around the touch.
-    """
+    for too few points around the touch."""
     radius = contact_radius_m(touch.radius_m, touch.depth_m)
     ends = LEAST_SPACING_SHARE * thickness_m, MOST_SPACING_SHARE * thickness_m
     spacing = float(np.clip(radius, *ends))

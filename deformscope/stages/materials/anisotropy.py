@@ -51,8 +51,7 @@ def fit_axes(
     The intervals are Gaussian in -log(1 - beta), with the noise of observed and of measured prescribed positions.
     Errors that neighbours share, as those of a misfitting model, widen them. The verdicts follow the rule of one
     beta: `at-bound` if the interval reaches 0 or the upper end of the search. It is `unidentified` if it is wide, the
-    error does not rise over the range of that beta, or the betas explain too little of the motion.
-    """
+    error does not rise over the range of that beta, or the betas explain too little of the motion."""
     d = seen[0].rest.shape[1]
     if any(s.rest.shape[1] != d for s in seen):
         raise InputError("observations in the plane, or in space", "both", "fit them apart")

@@ -8,14 +8,7 @@ from typing import ClassVar
 from deformscope.arrays import FloatArray
 from deformscope.results.declared import derived, reported
 from deformscope.results.render import ReportedResult
-from deformscope.stages.fit.estimate import (
-    Doubt,
-    Identifiability,
-    LengthUnit,
-    Verdict,
-    converged_text,
-    explained_text,
-)
+from deformscope.stages.fit.estimate import Doubt, Identifiability, LengthUnit, Verdict, converged_text, explained_text
 
 SEEN_SDS = 3.0
 """Number of its standard deviations from which a strain counts as observed."""
@@ -34,8 +27,7 @@ class AxisEstimate(ReportedResult):
     identifiability: (d,) identifiability of each axis, its rise with fixed betas along the others
     aee, aee_isotropic: average Euclidean error over all observed particles [unit] (Thesis eq. 3.18)
     strain: (d,) mean strain along each axis, of all observations, and strain_sd: (d,) its standard deviation by noise
-    unit, metres_per_unit: unit and scale of all lengths; None: not known
-    """
+    unit, metres_per_unit: unit and scale of all lengths; None: not known"""
 
     parameter: ClassVar[str] = "beta"
 

@@ -89,8 +89,7 @@ def elasticity(d: int, nu: float, bent: FloatArray | None = None) -> FloatArray:
 
     bent: (m,) upper triangle of a symmetric matrix that is added to the law's logarithm, in a basis in which turning
     the axes is a rotation (Mandel: shear times sqrt 2). The material is anisotropic, and positive definite for any
-    numbers
-    """
+    numbers"""
     if d == 2:
         law = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]]) / (1.0 - nu**2)
     else:

@@ -10,8 +10,7 @@ How far a smooth field hangs together is chosen by blocks of particles left out.
 materials with borders describe it better: the density with which every number was predicted from those before it, less
 the cost of a border of that length. It also decides whether places differ. The alternatives are one material, one that
 is stiffer along a direction, and one that was observed with a smooth error. An interval includes every description that
-the data do not rule out, so that a place without information retains its prior.
-"""
+the data do not rule out, so that a place without information retains its prior."""
 
 from __future__ import annotations
 
@@ -294,8 +293,7 @@ def _descriptions(
 def _chosen(found: list[Description], probability: FloatArray) -> tuple[Description, float]:
     """The reported description, and the probability of one material, plain, anisotropic or with a smooth error.
 
-    That places differ has to be shown, and so has that directions do: evidence is as good as the model of the noise.
-    """
+    That places differ has to be shown, and so has that directions do: evidence is as good as the model of the noise."""
     plain, bent, error = probability[[1, -2, -1]].tolist()
     same = plain + bent + error
     if same < SHOWN:

@@ -30,8 +30,7 @@ def place_verdicts(interval: FloatArray) -> tuple[Verdict, ...]:
 class DirectionalStiffness:
     """Stiffness of a material that is stiffer along one direction. stiffest, softest: (d,) directions of unit length
 
-    ratio: ratio of Young's moduli along these: an estimate that has no interval
-    """
+    ratio: ratio of Young's moduli along these: an estimate that has no interval"""
 
     stiffest: FloatArray
     softest: FloatArray
@@ -63,8 +62,7 @@ class FieldEstimate(ReportedResult):
     data); probability: (h,) probability of each by its evidence; plausible: (h,) whether intervals hold it
     noise, noise_reach: noise and noise reach of a coordinate [unit], [spacings]; aee, beta_aee: average Euclidean error
     (Thesis eq. 3.18) of the elastic body and of the engine with its betas [unit]
-    explained: share of the motion beyond a rigid one that the elastic body explains
-    """
+    explained: share of the motion beyond a rigid one that the elastic body explains"""
 
     parameter: ClassVar[str] = "field"
 

@@ -5,8 +5,7 @@ of 3), or one number for each of a few materials.
 
 Neighbours share errors of measurement, as in optical flow, and held positions are measured too. Their covariance is
 white noise or a random field, with the reach and smoothness of highest evidence, and a size that is found the same way.
-Left-out data are judged with the errors that they share with the others.
-"""
+Left-out data are judged with the errors that they share with the others."""
 
 from __future__ import annotations
 
@@ -104,8 +103,7 @@ class StiffnessPrior:
     """Prior of all parameters, those of the cells and the common ones (Poisson's ratio, or the whole body's level, and
     a rival's).
 
-    mean: (C + 1 + m,); root: (C + 1 + m, q) root of the covariance
-    """
+    mean: (C + 1 + m,); root: (C + 1 + m, q) root of the covariance"""
 
     mean: FloatArray
     root: FloatArray
@@ -119,8 +117,7 @@ class FieldFit:
     anisotropy (`cell_model.elasticity`), of "smooth error" the displacements that are errors (`smooth_modes`).
 
     cells: (C, 2^d); place: (C, d) [unit]; held: (n,) particles whose displacement is prescribed; displacement: (K, d)
-    displacement without the rigid motion [spacings]; rows: (m,) indices of its numbers that are judged; target: (m,)
-    """
+    displacement without the rigid motion [spacings]; rows: (m,) indices of its numbers that are judged; target: (m,)"""
 
     def __init__(self, seen: Observation, law: Law, rival: Rival = "none") -> None:
         cells = _cells_of(seen)
@@ -375,8 +372,7 @@ def likeliest_noise(
     """Errors with the highest evidence for any field, and its logarithm: the density with which every number was
     predicted from those before it.
 
-    near: noise whose reach, or the next reaches of its kind, are tried; None = any
-    """
+    near: noise whose reach, or the next reaches of its kind, are tried; None = any"""
     noises = NOISES
     if near is not None:
         kind = [one.reach for one in NOISES if (one.smooth, one.own) == (near.smooth, near.own)]

@@ -40,8 +40,7 @@ def sharpened(
     """(C,) labels after cells at borders, alone and with all of their material around them, changed to a neighbour's if
     that lowers chi2, plus `BORDER` for each pair of neighbours (edges (e, 2)) that differ.
 
-    prior_of: gives the levels of labels; y: (n,) targets and w: (n, C + 1) derivatives, in units of the noise
-    """
+    prior_of: gives the levels of labels; y: (n,) targets and w: (n, C + 1) derivatives, in units of the noise"""
     label = label.copy()
     graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(label), len(label))).tocsr()
     hops = dijkstra(graph, directed=False, unweighted=True, limit=max(PATCHES))
@@ -105,8 +104,7 @@ def cuts(label: IntArray, place: FloatArray, spacing: float) -> list[list[IntArr
 def gain(prior: StiffnessPrior, gram: FloatArray, wanted: FloatArray) -> float:
     """Reduction of chi2 by the parameters of a prior, less the prior's penalty.
 
-    gram, wanted: (C + 1, C + 1), (C + 1,) products of the derivatives with each other and with the targets
-    """
+    gram, wanted: (C + 1, C + 1), (C + 1,) products of the derivatives with each other and with the targets"""
     inner = prior.root.T @ gram @ prior.root + np.eye(prior.root.shape[1])
     along = prior.root.T @ (wanted - gram @ prior.mean)
     return float(along @ np.linalg.solve(inner, along))

@@ -47,8 +47,7 @@ def fit_yield(motion: Motion, options: YieldOptions | None = None, progress: Pro
     the least by no more than noise does in `level` of all repeats. If an elastic body is not ruled out at 99 %, the
     interval is open above and the verdict is `unidentified`. The verdict is also `unidentified` if the model explains
     too little of the motion. Noise includes that of observed and of prescribed positions. Errors that neighbours or
-    frames share, as those of a model that misfits are, widen the interval.
-    """
+    frames share, as those of a model that misfits are, widen the interval."""
     options = options or YieldOptions()
     histories = YieldHistories(motion, options)
     note = progress or (lambda what, done, total: None)

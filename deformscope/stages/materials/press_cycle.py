@@ -1,8 +1,7 @@
 """When a motion has its largest load, and when its load ends: by displacement, by force, or as given by the user.
 
 The pressed particles move along the push and come back after the release; nothing loads them any more once they rest
-again. A camera cannot show whether a resting tool still presses, so that a force, if there is one, decides instead.
-"""
+again. A camera cannot show whether a resting tool still presses, so that a force, if there is one, decides instead."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ class PressCycle(ReportedResult):
 
     loaded: last frame at the deepest; unloaded: first frame without a load, at rest by displacement
     course: (T,) displacement of the pressed particles along the push [unit of the positions]
-    kept: share of that way that is left at the unloaded frame; source: source of the unloaded frame
-    """
+    kept: share of that way that is left at the unloaded frame; source: source of the unloaded frame"""
 
     loaded: int = field(metadata=reported(key="loaded_frame"))
     unloaded: int = field(metadata=reported(key="unloaded_frame"))
@@ -73,8 +71,7 @@ def course_of(moved: FloatArray, pressed: IntArray) -> FloatArray:
     moved: (T, K, d) displacements of all particles, NaN where one was not seen; pressed: particles that were pressed
 
     Particles below a tool are easily lost when it lifts. Therefore the share of the push in each frame is computed from
-    all particles tracked throughout, and its size from the pressed particles at the largest depth.
-    """
+    all particles tracked throughout, and its size from the pressed particles at the largest depth."""
     amplitude, loaded, _ = share_of_push(moved)
     down = moved[loaded, pressed]
     down = down[np.isfinite(down).all(axis=1)]
@@ -87,8 +84,7 @@ def share_of_push(moved: FloatArray) -> tuple[FloatArray, int, BoolArray]:
     """Each frame's share (T,) of the largest displacement, the frame of that displacement, and the particles (K,) that
     were tracked in all frames, which determine the shares.
 
-    moved: (T, K, d) displacements, NaN where a particle was not seen
-    """
+    moved: (T, K, d) displacements, NaN where a particle was not seen"""
     known: BoolArray = np.asarray(np.isfinite(moved).all(axis=(0, 2)))
     if known.sum() < FEWEST:
         raise InputError(f"{FEWEST} particles that can be followed to the end", str(int(known.sum())), LOST_HINT)
@@ -121,8 +117,7 @@ def find_cycle(
     """The loaded and the unloaded frame of a course (T,).
 
     noise: deviation of the course; time_s: (T,) times of the frames, for a force; given: both frames, if the user named
-    them. Raises InputError for a motion without a push, or without its end.
-    """
+    them. Raises InputError for a motion without a push, or without its end."""
     last = len(course) - 1
     if given is not None:
         if not 0 < given[0] < given[1] <= last:
@@ -168,8 +163,7 @@ def frames_to_fit(cycle: PressCycle, most: int, *, between: bool) -> IntArray:
     the last one.
 
     The first frame, at rest, is left out: a history of loads depends on the way, not on its duration. between: include
-    frames of the unloading, for materials that flow with time; tracks next to a lifting tool are least accurate
-    """
+    frames of the unloading, for materials that flow with time; tracks next to a lifting tool are least accurate"""
     last = len(cycle.course) - 1
     known = {cycle.loaded, cycle.unloaded, (cycle.unloaded + last + 1) // 2, last}
     end = cycle.unloaded if between else cycle.loaded

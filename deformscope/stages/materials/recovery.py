@@ -76,8 +76,8 @@ class Number:
 class RecoveryEstimate(ReportedResult):
     """Results of a push and its recovery.
 
-    share: share of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share
-    share and time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded; their
+    share: share of the modulus that relaxes; time_s: mean relaxation time [s], each branch weighted by its share share
+    and time_s are lower bounds, relaxed an upper bound, if a reason reports that the end was not recorded; their
     intervals are open in that direction from a smaller probability of it on (`OPEN_RECOVERY`)
     force_kept: remaining share of the force at the end of the push, held there, for times within the record
     set: permanent share of the largest displacement; instant, relaxed: force over displacement of the pressed
@@ -86,8 +86,7 @@ class RecoveryEstimate(ReportedResult):
     reasons: reasons to doubt it; explained: share of the motion after the release (squares) that one shape explains
     held_s: time from the push to the release; watched_s: time after the release; released: first frame after the
     release; time: (T,) [s]; observed, simulated: (T,) share of the largest displacement, simulated from the release on
-    unit, metres_per_unit: unit and scale of the displacements
-    """
+    unit, metres_per_unit: unit and scale of the displacements"""
 
     parameter: ClassVar[str] = "relaxing_share"
 
@@ -101,13 +100,7 @@ class RecoveryEstimate(ReportedResult):
             words=lambda found: f"{max(found.explained, 0.0):.1%} of the motion by one shape that grows and shrinks",
         )
     )
-    time_s: Number = field(
-        metadata=reported(
-            "mean relaxation time",
-            key="relaxation_time_s",
-            shown_unit="s",
-        )
-    )
+    time_s: Number = field(metadata=reported("mean relaxation time", key="relaxation_time_s", shown_unit="s"))
     force_kept: tuple[ForceKept, ...] = field(
         metadata=reported(
             "force, held in place", words=lambda found: "; ".join(map(str, (found.force_kept[0], found.force_kept[-1])))
@@ -161,8 +154,7 @@ def fit_recovery(
     the frame from which the law holds without a force; force_n: (T,) force of the tool [N], and the deviation of one
     sample; largest: largest displacement of the pressed particles.
 
-    Raises InputError if too little was recorded after the release, and no force before it.
-    """
+    Raises InputError if too little was recorded after the release, and no force before it."""
     if len(time_s) != len(amplitude) or not (np.diff(time_s) > 0.0).all():
         raise InputError("a rising time for each frame", f"{len(time_s)} for {len(amplitude)}")
     last = len(time_s) - 1

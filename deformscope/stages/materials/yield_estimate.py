@@ -40,8 +40,7 @@ class YieldEstimate(ReportedResult):
     aee, elastic_aee: average Euclidean error over all observed particles and frames
     curve: (n,) yield strains and (n,) root mean squares of a coordinate's residual there, the others at their best
     simulated, elastic: (T, K, d) the motion at the best, and without yielding
-    unit, metres_per_unit: unit and scale of all lengths; None: not known
-    """
+    unit, metres_per_unit: unit and scale of all lengths; None: not known"""
 
     parameter: ClassVar[str] = "yield_strain"
 

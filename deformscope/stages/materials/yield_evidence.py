@@ -30,8 +30,7 @@ class StrainProfile:
 
 
 def least_noise(histories: YieldHistories) -> float:
-    """Deviation of a coordinate's noise, as stated, and no less than numbers can resolve, in the unit of
-    positions."""
+    """Deviation of a coordinate's noise, as stated, and no less than numbers can resolve, in the unit of positions."""
     return max(histories.motion.noise or 0.0, histories.resolved)
 
 

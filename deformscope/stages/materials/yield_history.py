@@ -25,8 +25,7 @@ class YieldOptions:
 
     beta: None = fitted together with the yield strain; creep: "none" (loads act until the body rests), "fit", or a rate
     [1/s]; maximum: bound of the plastic strain; level: level of the intervals; seed: seed of the noise of held
-    positions
-    """
+    positions"""
 
     beta: float | None = None
     creep: float | str = "none"

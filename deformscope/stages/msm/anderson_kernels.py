@@ -120,8 +120,7 @@ def anderson_kernels_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         steps are as long as the error that they remove. It is also estimated from the residual over the smallest
         restoring slope so far. A linear solve ends on its residual as a share of the right-hand side. An estimate at
         the end of a stretch may come after the residual has reached rounding, where changes do not show the slope. When
-        the residual has grown far above its best, the memory is dropped and a plain step follows.
-        """
+        the residual has grown far above its best, the memory is dropped and a plain step follows."""
         group, thread = wp.tid()
         if anderson.groups[group] == 0:
             return

@@ -2,8 +2,7 @@
 kernels.
 
 All matrices are transposed (rows are those of the fit's basis), so that the moments of a lattice multiply from the
-right. Displacements are in particle spacings.
-"""
+right. Displacements are in particle spacings."""
 
 import functools
 from types import SimpleNamespace
@@ -173,8 +172,7 @@ def cluster_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Simp
 
         Newton's steps on a quaternion from the rest orientation (Kugelstadt 2018, 3.2), all lanes together. They end at
         the required maximum exactly when the gradient vanishes and tr(S) I - S is positive definite, so never at a
-        reflection. a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)
-        """
+        reflection. a: rest moments A_qq (upper triangle), c: A_pq - A_qq (transposed)"""
 
     @wp.func(inline=False)  # rare and long
     def settle(turned: turns.rows, a_qq: moments.rows, change_t: squares.rows):

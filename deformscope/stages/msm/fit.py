@@ -40,12 +40,7 @@ class Fit:
 
 
 def fit_beta(
-    body: Msm,
-    held_position: FloatArray,
-    observed: FloatArray,
-    *,
-    start: float = 0.5,
-    tolerance: float = 1e-4,
+    body: Msm, held_position: FloatArray, observed: FloatArray, *, start: float = 0.5, tolerance: float = 1e-4
 ) -> Fit:
     """The beta in [0, 0.9999] at which the average Euclidean error (Thesis eq. 3.18) is least, for theta = 0.
 

@@ -70,8 +70,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     def largest_quaternion(f: square):
         """The quaternion that maximises tr(R^T F): leading eigenvector of Horn's matrix (Horn 1987), by Jacobi sweeps.
 
-        It is never a reflection, and it is global: used where Newton's steps from rest do not settle.
-        """
+        It is never a reflection, and it is global: used where Newton's steps from rest do not settle."""
         n = mat44()
         v = wp.identity(n=4, dtype=scalar)
         n[0, 0] = f[0, 0] + f[1, 1] + f[2, 2]
@@ -124,8 +123,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
         Newton's steps on the rotation from rest (Kugelstadt 2018, 3.2). They end at the required maximum exactly when
         the gradient vanishes and tr(S) I - S is positive definite; if not, the leading eigenvector takes over.
-        Second: the compliance (tr(S) I - S)^-1 of the rotation, 0 where none is preferred.
-        """
+        Second: the compliance (tr(S) I - S)^-1 of the rotation, 0 where none is preferred."""
         q = vec4(one, zero, zero, zero)
         compliance = square()
         size = a_qq[0, 0] + a_qq[1, 1] + a_qq[2, 2] + wp.sqrt(wp.ddot(change, change))
@@ -288,8 +286,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         """u, s, v with b = u diag(s) v^T, u and v proper rotations: s descends, only the last may be below 0.
 
         By rotating the columns of b itself (Hestenes 1958): b^T b would lose half of the digits of the smallest value.
-        Columns of b that are 0 stay so, and v leaves them alone.
-        """
+        Columns of b that are 0 stay so, and v leaves them alone."""
         size = zero
         for i in range(wp.static(dim)):
             for j in range(wp.static(dim)):
@@ -338,8 +335,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
     def smallest_stretch(s: vec, span_count: int, start: scalar):
         """Newton's steps on log(y prod s'_i) = 0, in log y, from `start`; and the squared distance of its stretches.
 
-        The distance is -1 where the steps do not settle: the solution of that side is none.
-        """
+        The distance is -1 where the steps do not settle: the solution of that side is none."""
         smallest = s[wp.max(span_count - 1, 0)]
         y = start
         distance = -one
@@ -374,8 +370,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
 
         As in the reference: one equation for the smallest, y. Its largest solution is at most 1 and is reached from
         there. A second one, below s_k / 2, can be the nearer one where the product of s is above 2; it is reached from
-        the left.
-        """
+        the left."""
         smallest = s[wp.max(span_count - 1, 0)]
         product = one
         for i in range(wp.static(dim - 1)):
@@ -425,8 +420,7 @@ def functions_for(dim: int, scalar: Any) -> SimpleNamespace:
         - x_ij + w x_ji = m_ij off the diagonal, w = mu / (s'_i s'_j): symmetric and antisymmetric part on their own
         - on it z_i = x_ii / s'_i has the sum 0 and (s'_i^2 + mu) z_i = s'_i m_ii + dmu
         - x_ij (1 - mu / s'_j^2) = m_ij for directions i that a flat cluster does not span If one of these denominators
-        vanishes, two answers are equally near; there x is 0, and the answer does not change.
-        """
+        vanishes, two answers are equally near; there x is 0, and the answer does not change."""
         m = wp.transpose(u) * change * v
         x = square()
         for i in range(wp.static(dim)):

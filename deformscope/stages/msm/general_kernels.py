@@ -1,7 +1,6 @@
 """Warp kernels of clusters given as index lists, for points without a lattice; candidates abreast in the lanes.
 
-With a material (`materials`) clusters have a beta along each axis, or a plastic deformation S^p that flows.
-"""
+With a material (`materials`) clusters have a beta along each axis, or a plastic deformation S^p that flows."""
 
 import functools
 from types import SimpleNamespace
@@ -38,8 +37,7 @@ def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Si
         """Clusters as lists of particles, particles as lists of clusters, and where fields keep them.
 
         particles, clusters: fields of particles and of clusters have `abreast` candidates at a place, and rows
-        `particle_stride` and `cluster_stride` numbers apart; groups of candidates follow one another
-        """
+        `particle_stride` and `cluster_stride` numbers apart; groups of candidates follow one another"""
 
         abreast: int
         particles: int
@@ -60,8 +58,7 @@ def gathering_functions_for(dim: int, terms: int, scalar: Any, width: int) -> Si
         """Parameters of the candidates, and of clusters beyond a fit. plastic, axes: 0 or 1.
 
         strain: S^p - I by rows, laid out as fields of clusters are; with axes, `beta` holds W and C alike
-        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
-        """
+        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`"""
 
         beta: numbers
         beta_stride: int
@@ -326,8 +323,7 @@ def general_kernels_for(dim: int, terms: int, scalar: Any, width: int, material:
         """Mean goal of each particle over its clusters (eq. 3.15), less where it is; 0 if held.
 
         pull: 1 / number of clusters, 0 for a held particle; sides, held_axis: see `lattice_kernels`. Stepping,
-        eq. 3.11: the new position. A particle that would run away stays, and marks its candidate.
-        """
+        eq. 3.11: the new position. A particle that would run away stays, and marks its candidate."""
         group, particle = wp.tid()
         if running[group] == 0:
             return

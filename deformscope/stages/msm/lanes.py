@@ -6,8 +6,7 @@ small matrices of lanes, row by row. The loops of the native functions have no b
 innermost, which compilers vectorize; they do not vectorize warp's own operators on matrices.
 
 Results depend on the width in their last digits: all lanes take as many of Newton's steps for their rotation as the
-slowest one, and a static state's sums over particles are lane by lane.
-"""
+slowest one, and a static state's sums over particles are lane by lane."""
 
 import functools
 import os
@@ -49,8 +48,7 @@ def module_options(scalar: Any) -> dict[str, Any]:
     """Options of a module of lanes.
 
     On a GPU divisions and roots of float32 have an error in the last digit. They are far quicker, and the error does
-    not affect Newton's steps.
-    """
+    not affect Newton's steps."""
     return {
         "enable_backward": False,
         "max_unroll": 3,

@@ -7,8 +7,7 @@ subtracting the one that leaves. With `run` = 1 it sums one window only, which s
 
 A lattice has three axes (slow to fast: 0, 1, 2); in the plane the first has one cell. A cluster lives at the cell of
 its lowest corner. Fields are structures of arrays; a cell's place is the same in every field. Places without a cluster
-or a particle always stay 0, so that windows may extend beyond the edges without a test.
-"""
+or a particle always stay 0, so that windows may extend beyond the edges without a test."""
 
 import functools
 from dataclasses import dataclass
@@ -62,8 +61,7 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         the first place of a field; group: numbers from one group of candidates to the next; stride: from one row of a
         field to the next; window_0...: cells of a cluster along the axis; cluster_end: numbers that the clusters of a
         plane fill; run_0, run_1: cells of a sliding sum along an axis; items_*: of a pass, in a group; blocks_*: of
-        these, in a plane (or a line)
-        """
+        these, in a plane (or a line)"""
 
         cells_0: int
         cells_1: int
@@ -110,8 +108,7 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
 
         mass: one value if all are alike; pull: 1 / number of clusters, 0 for a held particle and for a missing one
         sides: 0 for a particle that is held along `held_axis` alone, -1 if none is
-        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`
-        """
+        what: GOAL, BY_BETA or BY_THETA; beta_stride: see `body.Parameters`"""
 
         mass: numbers
         free: numbers
@@ -134,8 +131,7 @@ def lattice_types_for(dim: int, scalar: Any, width: int) -> SimpleNamespace:
         """Parameters of the passes; motion: those of time stepping, or none.
 
         pair: the displacement, and the direction or the displacement one step before, as one field; pair_out: the
-        residual and the direction's change; threads: number of threads of a resident block
-        """
+        residual and the direction's change; threads: number of threads of a resident block"""
 
         grid: Grid
         site: Site
@@ -156,8 +152,7 @@ class PassHelpers:
     """What the functions of all passes share.
 
     both: whether windows along the fast and the middle axis are summed together; vecs, maps: rows of vectors and of
-    matrices of lanes; types: see `lattice_types_for`; all others: functions of `pass_helpers_for`
-    """
+    matrices of lanes; types: see `lattice_types_for`; all others: functions of `pass_helpers_for`"""
 
     dim: int
     scalar: Any
@@ -277,8 +272,7 @@ def windows_fast_for(helpers: PassHelpers) -> Any:
     ):
         """Windows along the fast axis of m u, or of m x* (eq. 3.1, 3.2): sum, first moment.
 
-        Narrow windows along the middle axis too: see `windows_middle`.
-        """
+        Narrow windows along the middle axis too: see `windows_middle`."""
         grid = passes.grid
         fields = passes.fields
         motion = passes.motion
@@ -634,8 +628,7 @@ def finish_for(helpers: PassHelpers) -> Any:
 
         Stepping, eq. 3.11: the new position, which may take the place of the one before. offset: from the first number
         of `u_in` to that of the field meant, and the same in `goals_out`; before_offset: the same of `before_in`, and
-        of `goals_out` when stepping. Narrow windows along the middle axis too: see `spread_middle`.
-        """
+        of `goals_out` when stepping. Narrow windows along the middle axis too: see `spread_middle`."""
         grid = passes.grid
         fields = passes.fields
         motion = passes.motion
@@ -694,8 +687,7 @@ def lattice_functions_for(dim: int, scalar: Any, width: int, window: int = 0) ->
     """The passes for `dim` = 2 or 3, scalar = wp.float32 or wp.float64, and lanes of `width`.
 
     window: cells of a cluster along every axis, each summed separately, narrow ones along two axes together: a GPU then
-    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, given by the grid
-    """
+    loads all its numbers together, and waits for fewer passes; 0: any windows and runs, given by the grid"""
     helpers = pass_helpers_for(dim, scalar, width, window)
     maps = map_functions_for(helpers)
     return members(

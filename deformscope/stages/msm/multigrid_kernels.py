@@ -1,8 +1,7 @@
 """Warp kernels of the multigrid preconditioner: transfers between two lattices, and a step of the smoother.
 
 Values from one lattice to another are plain numbers, place by place and candidate by candidate; smoothing goes through
-fields in lanes.
-"""
+fields in lanes."""
 
 import functools
 from types import SimpleNamespace

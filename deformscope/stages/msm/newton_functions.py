@@ -1,8 +1,7 @@
 """Functions of Newton's steps with conjugate gradients, over fields of particles in their layout (see `layout.py`).
 
 Sums over particles are taken in a fixed order, so that runs repeat bit for bit. Candidates are independent: finished
-ones have steps of 0, and a group in which all have ended is skipped.
-"""
+ones have steps of 0, and a group in which all have ended is skipped."""
 
 import functools
 from dataclasses import dataclass
@@ -42,8 +41,7 @@ def place_functions_for(scalar: Any, width: int) -> SimpleNamespace:
         """How particles lie in a field, and their metric N_i m_i (0 where held), in which the goal map is symmetric.
 
         blocks: lanes' worths in a group; parts: a sum over a group has this number of parts, each by `threads` of a
-        block
-        """
+        block"""
 
         abreast: int
         blocks: int
@@ -292,8 +290,7 @@ def judge_for(helpers: StepHelpers) -> Any:
         clearly negative, the step is shortened to where the slope would vanish, and the next goes no farther. The
         remaining distance is (at most five times) the residual over the smallest curvature of the last solves, if they
         went far enough to find it. A mode with a restoring force of 2e-4 of its displacement has a residual 5000 times
-        smaller than its error.
-        """
+        smaller than its error."""
         any_outer = int(0)
         any_inner = int(0)
         for member in range(span.abreast):
@@ -380,8 +377,7 @@ def curvature_for(helpers: StepHelpers) -> Any:
 
         Where the energy has negative curvature (a crushed cluster about to turn, a strut about to buckle) the solve
         ends with a step along that direction, as far as particles may move in one step. `judge` shortens it if that is
-        too far.
-        """
+        too far."""
         for member in range(span.abreast):
             i = group * span.abreast + member
             newton.length[i] = scalar(0.0)
@@ -413,8 +409,7 @@ def conjugate_for(helpers: StepHelpers) -> tuple[Any, Any]:
     def conjugate(span: Span, newton: NewtonState, group: int):
         """Ends the solve, or mixes the next direction.
 
-        No particle goes farther in one step than steps have proved good.
-        """
+        No particle goes farther in one step than steps have proved good."""
         any_inner = int(0)
         for member in range(span.abreast):
             i = group * span.abreast + member

@@ -2,8 +2,7 @@
 `deformscope.stages.msm.reduced`.
 
 One thread solves one candidate from start to end, in float64. A candidate's input and output are one row of numbers
-each, so that a call copies once in and once out.
-"""
+each, so that a call copies once in and once out."""
 
 import functools
 import math
@@ -67,8 +66,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
         mode, free_mode: (terms,) b_j and (G - C) b_j; held_mode: (terms,) first entries of C b_j; share: (terms,) mu_j
         free_q: (dim,) first rows of G - C; null: (dim,) first rows of I - G G+; gram: (terms,) G
         lift, root: how volume is conserved (`volume_frame`); lifted_mode: (terms,) L (G - C) b_j; lift_free:
-        L (G - C) J^T; volume: SCALE or PROJECT
-        """
+        L (G - C) J^T; volume: SCALE or PROJECT"""
 
         mode: wp.array(dtype=basis_vec)
         free_mode: wp.array(dtype=basis_vec)
@@ -366,8 +364,7 @@ def reduced_functions_for(dim: int, terms: int) -> SimpleNamespace:
     ):
         """x of (- d defect) x = value, by elimination with full pivots, at a state and its `volume_frame`.
 
-        Unknowns that nothing determines (a rotation that the held particles leave free) stay 0.
-        """
+        Unknowns that nothing determines (a rotation that the held particles leave free) stay 0."""
         pull = wp.transpose(r) * (modes.k + frame.gain * modes.v * beta)
         m = system()
         b = value

@@ -3,8 +3,7 @@
 A block of threads keeps to one group of candidates and goes through its passes, meeting at a barrier after each. On a
 GPU that saves the launches between passes, which cost more than a small body's work, and a pass's output is still
 cached when the next reads it. On a CPU a block is one thread. There every launch, even of a single evaluation, uses the
-same module with all passes, because compilation dominates the first start.
-"""
+same module with all passes, because compilation dominates the first start."""
 
 import functools
 from dataclasses import dataclass
@@ -205,8 +204,7 @@ def beta_search_for(scalar: Any) -> Any:
         state; tolerance: tolerance of beta; spread, share: tolerance of the search's states, and of the last one;
         relative: tolerance of their derivatives; found: beta, evaluations, whether the last step was below the
         tolerance, and the start of the next launch: bounds of beta, beta and slope before, and whether it is done
-        turn: evaluations of a launch, after which the host can interrupt the search
-        """
+        turn: evaluations of a launch, after which the host can interrupt the search"""
 
         target: numbers
         seen: numbers
@@ -354,8 +352,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
     """Kernels that stay, for lattices of `dim` = 2 or 3, scalar = wp.float32 or wp.float64; lanes of `width`, 1 on a
     GPU.
 
-    `goals`, a single evaluation, exists only on a CPU: a GPU has `lattice_kernels` for it.
-    """
+    `goals`, a single evaluation, exists only on a CPU: a GPU has `lattice_kernels` for it."""
     on_cpu = width > 1
     numbers = wp.array(dtype=scalar)
     steps_kernel, relax_kernel = (
@@ -385,8 +382,7 @@ def resident_kernels_for(dim: int, scalar: Any, width: int, window: int = 0) -> 
         """`count` time steps.
 
         The displacement is in the first half of the pair, the one before in the second; each step swaps them, and with
-        `swapped` they start swapped.
-        """
+        `swapped` they start swapped."""
         index = wp.tid()
         group = index / passes.threads
         rows = wp.static(dim) * passes.grid.stride

@@ -1,8 +1,7 @@
 """A rigid tip on an elastic half-space, in closed form, for comparison with the model.
 
 Boussinesq, Hertz, Sneddon: no thickness, no friction, small strain. force identifies E* = E / (1 - nu^2) alone; nu
-enters the sideways motion.
-"""
+enters the sideways motion."""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ class HalfSpace:
         """Displacement (n, 3) of points of the surface at (n, 2) from the tip's axis [m], up is +z.
 
         Below a flat tip the depth itself; beyond it u_z = 2 d / pi asin(a / r), for a ball Hertz's profile. Inwards
-        (1 - 2 nu) / (1 - nu) F(r) / (2 pi r E*), F(r) the load within r: exact for round tips.
-        """
+        (1 - 2 nu) / (1 - nu) F(r) / (2 pi r E*), F(r) the load within r: exact for round tips."""
         radius = np.maximum(np.linalg.norm(aside, axis=1), 1e-12)
         if tip.shape == "sphere":
             a = np.sqrt(0.5 * tip.size[0] * depth)

@@ -2,8 +2,7 @@
 
 Pressed by a tip, F = k (z - z0)^p, with p about 1.5 for a sphere and 1 for a flat tip. Taking the first force above a
 threshold as contact puts z0 too deep and the stiffness 15 to 20 % too high; here z0 is fitted. The arm's deflection
-under the force is subtracted, as calibrated on a rigid block.
-"""
+under the force is subtracted, as calibrated on a rigid block."""
 
 from __future__ import annotations
 
@@ -71,8 +70,7 @@ class ContactFit:
     into the surface; exponent, exponent_sd: p, and exponent_related: covariance of the errors of p and log_stiffness;
     peak_force_n: along the normal, tare taken off
     residual_m: scatter of the arm's position about the law; arm_sd_m: uncertainty of the depth due to the arm
-    samples: number of samples that were fitted; peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`
-    """
+    samples: number of samples that were fitted; peak_rate_n_per_s, peak_rate_interval_n_per_s: as in `peak_rate`"""
 
     stiffness_n_per_mm: float
     interval_n_per_mm: tuple[float, float]
@@ -126,8 +124,7 @@ def fit_approach(
     gain_sd: deviation of log stiffness, for the sake of the force sensor's gain
 
     The position is fitted as a function of the force, because the arm's scatter dominates: z = z0 + d (F / F0)^(1/p) +
-    c F, least squares with a soft loss and a Gaussian prior on p.
-    """
+    c F, least squares with a soft loss and a Gaussian prior on p."""
     arm = arm or ArmCompliance()
     depth_along, force = along_normal(time_s, position_m, force_n, normal)
     if set_force_n <= 0.0:
@@ -209,8 +206,7 @@ def peak_rate(
     derivative of Savitzky and Golay 1964). If the force bends, the rate is the mean over these samples. The steepest of
     many noisy slopes is too steep, so samples are split (Cox 1975, Biometrika 62, 441). Every other sample determines
     the time of the fastest rise, and the samples between them the rate at that time. Their noise, each with deviation
-    `force_sd_n`, is assumed to be independent.
-    """
+    `force_sd_n`, is assumed to be independent."""
     if len(time_s) < RATE_SAMPLES:
         return None, None
     windows = np.lib.stride_tricks.sliding_window_view(np.stack([time_s, force_n]), RATE_SAMPLES, axis=1)[:, ::2]
@@ -277,19 +273,13 @@ def _huber(design: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, f
 
 
 def layer_modulus(
-    depth_m: float,
-    force_n: float,
-    *,
-    radius_m: float = 0.01,
-    thickness_m: float = 0.05,
-    poisson: float = 0.3,
+    depth_m: float, force_n: float, *, radius_m: float = 0.01, thickness_m: float = 0.05, poisson: float = 0.3
 ) -> float:
     """Young's modulus [Pa] of a layer bonded to a rigid table, from one depth and force of a sphere.
 
     Hertz with the series for a layer in chi = sqrt(R d) / h (Dimitriadis et al. 2002, eq. 12; the fourth order is below
     1e-3 here). Linear theory: for dents deeper than a third of the radius a comparison between foams rather than a
-    modulus.
-    """
+    modulus."""
     if min(depth_m, force_n, radius_m, thickness_m) <= 0.0 or not -1.0 < poisson <= 0.5:
         raise InputError("depth, force, radius and thickness above 0, Poisson's ratio in (-1, 0.5]", "others")
     hertz = 4.0 / 3.0 / (1.0 - poisson**2) * np.sqrt(radius_m) * depth_m**1.5
@@ -328,8 +318,7 @@ def since_contact(
     """Force (n,) without its offset, its noise, its peak, and the samples (n,) from contact to the peak.
 
     Samples are selected by time, from the last one below a small force on, not by their own force, which would favour
-    those with positive noise.
-    """
+    those with positive noise."""
     smooth = np.convolve(np.pad(force, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     rising = smooth - np.median(smooth[: max(5, len(force) // 20)])
     free = np.arange(len(force)) < np.argmax(rising > 0.02 * rising.max())

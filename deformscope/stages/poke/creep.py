@@ -30,12 +30,7 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.fit.estimate import Doubt
-from deformscope.stages.fit.relaxation import (
-    ForceKept,
-    RelaxationSeen,
-    kept_of,
-    relaxing,
-)
+from deformscope.stages.fit.relaxation import ForceKept, RelaxationSeen, kept_of, relaxing
 from deformscope.stages.fit.weighted_draws import median_and_interval
 from deformscope.stages.poke.contact import (
     EXPONENT,
@@ -81,8 +76,8 @@ class CreepFit:
     instant_n_per_mm, relaxed_n_per_mm: set force over depth, immediate and after relaxation [N/mm]; relaxed_log_sd:
     deviation of the log of the relaxed value, which is None with a reason
     share: share of the modulus that relaxes, 1 - E(inf) / E0; time_s: mean relaxation time, each branch weighted by its
-    share, of the relaxation within the hold; with a reason both are lower bounds. If the relaxed state is unseen with
-    a probability above `relaxation.OPEN`, their intervals are open above, and that of the relaxed stiffness begins at
+    share, of the relaxation within the hold; with a reason both are lower bounds. If the relaxed state is unseen with a
+    probability above `relaxation.OPEN`, their intervals are open above, and that of the relaxed stiffness begins at
     0. If several branches are likely, some may be faster than the approach: the interval of `instant_n_per_mm` is open
     above, and with a reason no time is given (None)
     reasons: "short-record": a branch may outlast the hold; "no-plateau": the foam may creep without end
@@ -97,8 +92,7 @@ class CreepFit:
     kept, kept_interval: permanent share of the dent, beyond relaxation; None without the retract
     slid_m, force_ratio: how far the tip slid, if it did; the largest force across over the set force
     log_at_reference, log_at_reference_sd: log of the ratio of stiffness at an approach with REFERENCE_SPEED_M_S to that
-    of this one, and its deviation
-    """
+    of this one, and its deviation"""
 
     instant_n_per_mm: float
     instant_interval: tuple[float, float]
@@ -181,8 +175,7 @@ def fit_creep(
     clock_sd_s: deviation of the force's times against the place's, which the energy loss is sensitive to
     loading: how many samples lead up to the set force; held: how many were taken until the tip went back
 
-    Raises InputError where the touch holds nothing to fit, as `fit_approach` does.
-    """
+    Raises InputError where the touch holds nothing to fit, as `fit_approach` does."""
     if not 0 < loading < held <= len(time_s):
         raise InputError("0 < loading < held <= samples", f"{loading}, {held} and {len(time_s)}")
     arm = arm or ArmCompliance()
@@ -338,19 +331,13 @@ def _slip(
 
 
 def cycle_loss(
-    z_m: FloatArray,
-    force_n: FloatArray,
-    held: int,
-    arm: ArmCompliance,
-    force_sd_n: float,
-    clock_sd: float = 0.0,
+    z_m: FloatArray, force_n: FloatArray, held: int, arm: ArmCompliance, force_sd_n: float, clock_sd: float = 0.0
 ) -> tuple[float | None, tuple[float, float] | None]:
     """Share of the energy of the way in and of the hold that the way out did not give back, and its 90 % interval.
 
     z_m, force_n: (n,) z and force of a whole touch along the normal, zero of the force taken off; held: samples until
     the way back; clock_sd: deviation of the force's times against the place's, in samples. None if the force did not
-    return to 0. Energy stored in the arm is no work on the foam.
-    """
+    return to 0. Energy stored in the arm is no work on the foam."""
     peak = float(force_n[:held].max())
     z_m = z_m - arm.compliance_m_per_n * force_n
     back = np.flatnonzero(force_n[held:] < max(0.02 * peak, 3.0 * force_sd_n))

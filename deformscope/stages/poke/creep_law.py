@@ -5,8 +5,7 @@ Gaussian process over the log of the force. A force sensor that drifts moves the
 
 For every choice of nodes of the log times the most probable parameters are found, all choices in one pass (Levenberg
 1944, Marquardt 1963), with their evidence (Laplace). Draws about them are weighted by the posterior, which averages
-over the choices, the numbers of branches and their times.
-"""
+over the choices, the numbers of branches and their times."""
 
 from __future__ import annotations
 
@@ -89,8 +88,7 @@ class CreepLaw:
     law's bend q, the arm's compliance in deviations from its calibrated value, then those of the spectrum.
 
     The law's errors at neighbouring forces are correlated, in the hold as on the approach. Residuals are whitened by
-    the covariance of these errors, of a drift, and of the samples' own scatter.
-    """
+    the covariance of these errors, of a drift, and of the samples' own scatter."""
 
     def __init__(
         self,

@@ -2,8 +2,7 @@
 
 A lattice of clusters has systematic errors: with any law, the surface around a tip moves inwards too far and rounds off
 too little. It is similar at all pokes of a surface, so that it improves predictions of unseen ones: the model's
-discrepancy, estimated together with its parameters (Kennedy and O'Hagan 2001).
-"""
+discrepancy, estimated together with its parameters (Kennedy and O'Hagan 2001)."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ class DentResidual:
 def residual_of(seen: Sequence[SurfaceLeft], thickness: float) -> DentResidual | None:
     """The residual that pokes have in common; None under a ball, whose edge moves as it sinks in.
 
-    Least squares, drawn towards 0 by as much as points scatter: few points say little.
-    """
+    Least squares, drawn towards 0 by as much as points scatter: few points say little."""
     if any(one.tip.shape == "sphere" for one in seen):
         return None
     gram, right = np.zeros((len(DISTANCES),) * 2), np.zeros((len(DISTANCES), 2))

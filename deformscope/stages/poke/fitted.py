@@ -1,8 +1,7 @@
 """Result of a calibration for predictions: a body, its law and its stiffness, enough to predict a poke.
 
 Two kinds of body: `layers`, material below a surface, whose lattice is made for each poke; and `particles`, the fitted
-particles themselves.
-"""
+particles themselves."""
 
 from __future__ import annotations
 
@@ -69,8 +68,7 @@ class FittedModel:
     surface_error: root mean square distance from the surface near the pokes, as a share of their depth; held_out: the
     same on pokes left out of the fit, nan with one poke; rivals: other laws that fit about as well
     fitted_depth: depth of the deepest fitted poke [m]; fitted_strain: the largest depth over tip width; nan: unknown
-    residual: the law's residual on the surface around the tip of every fitted poke; provenance: where it comes from
-    """
+    residual: the law's residual on the surface around the tip of every fitted poke; provenance: where it comes from"""
 
     body: BodyKind
     rest: FloatArray
@@ -118,8 +116,7 @@ class FittedModel:
         """k [N/m] of a lattice of this spacing under a poke; None without a measured force.
 
         A finer lattice of the same material has a k that is smaller in proportion (in the plane: the same).
-        extra: deviation of log stiffness for other reasons than the place
-        """
+        extra: deviation of log stiffness for other reasons than the place"""
         if self.between is None:
             return None
         place, finer = self._across(poke.at[None]), float(spacing / self.spacing) ** (self.dim - 2)
@@ -142,8 +139,7 @@ class FittedModel:
         """Deviation of the logarithm of a force for the sake of a tip, or a depth, that was not fitted.
 
         rivals: deviation of rival laws' predictions. They fit the same pokes and differ at other tips. Both describe
-        the same uncertainty of the tip, so that only the larger one counts
-        """
+        the same uncertainty of the tip, so that only the larger one counts"""
         other = 0.0 if self.tip is None else abs(np.log2(np.sqrt(tip.area / self.tip.area)))
         deeper = np.log2(depth / self.fitted_depth) if depth > self.fitted_depth else 0.0
         return float(np.hypot(max(TIP_SHARE * other, rivals), DEPTH_SHARE * deeper))
@@ -166,8 +162,7 @@ class Prediction:
     of the force's logarithm for the law's, the tip's and the depth's sake, the place left out
     surface_error: how far particles of the surface near the tip may be off, root mean square [m]
     extrapolated: how the poke exceeds the fitted ones, as text
-    layers: the lattice, for a body of layers; converged; residual: residual of the model, for points around the tip
-    """
+    layers: the lattice, for a body of layers; converged; residual: residual of the model, for points around the tip"""
 
     poke: Poke
     rest: FloatArray
@@ -202,8 +197,7 @@ def predict(model: FittedModel, poke: Poke, *, precision: Precision = "float32",
 
     poke.at: (d,) [m]; its component along the direction of the poke does not count The interval of the force combines
     the stiffness at this place by the pokes with the uncertainty of the law, an unusual tip and depth. Raises
-    InputError for a poke that the material has no room for, and a force where no stiffness is known.
-    """
+    InputError for a poke that the material has no room for, and a force where no stiffness is known."""
     room = model.material_depth
     check_poke(model.rest, room, poke.depth or 0.0, poke.tip.width)
     scene, layers = scene_of(model, model.law, poke)
@@ -274,8 +268,7 @@ def from_pair(
     """A model of the very particles of one observation. stiffness: k [N/m], None if unknown; error: average distance
     of the free particles [m].
 
-    Raises InputError where the scale is not known, or nothing was pushed.
-    """
+    Raises InputError where the scale is not known, or nothing was pushed."""
     scale = seen.metres_per_unit
     if scale is None:
         raise InputError("positions in metres for a model that is saved", "pixels of unknown size", "--px-per-cm")

@@ -59,8 +59,7 @@ def footprint(contact_m: float, radii_m: FloatArray, depths_m: FloatArray, aside
     """(r, d, s) share of a dent due to the foam in the place of an inclusion, before any contrast.
 
     contact_m: radius of the contact; radii_m: (r,) radii of inclusions; depths_m: (d,) depths of their uppermost points
-    below the surface; aside_m: (s,) horizontal distances from the touch to their middles, all [m]
-    """
+    below the surface; aside_m: (s,) horizontal distances from the touch to their middles, all [m]"""
     if not contact_m > 0.0:
         raise InputError("a contact's radius above 0 m", f"{contact_m}")
     log_radius = CONTACT_STEP * round(float(np.log(contact_m)) / CONTACT_STEP)

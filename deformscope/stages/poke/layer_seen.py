@@ -36,8 +36,7 @@ class TableSeen:
 @dataclass(frozen=True, slots=True)
 class KnownLayer:
     """thickness_m: thickness of the level layer that represents the foam [m], None = not known; sd_m: its deviation [m]
-    table_m: height of the table under the foam; uneven: whether the surface's shape is used
-    """
+    table_m: height of the table under the foam; uneven: whether the surface's shape is used"""
 
     thickness_m: float | None
     sd_m: float = 0.0
@@ -66,10 +65,7 @@ def known_layer(height_m: FloatArray, table: TableSeen | None, *, stated_m: floa
     if table is None or thickness_m <= 2.0 * table.sd_m:
         return KnownLayer(None)
     return KnownLayer(
-        thickness_m=thickness_m,
-        sd_m=table.sd_m,
-        table_m=table.height_m,
-        uneven=range_m > UNEVEN * thickness_m,
+        thickness_m=thickness_m, sd_m=table.sd_m, table_m=table.height_m, uneven=range_m > UNEVEN * thickness_m
     )
 
 

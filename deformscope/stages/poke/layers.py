@@ -1,8 +1,7 @@
 """A body of material below a measured surface: a lattice of a few layers whose lowest one rests on the ground.
 
 A single layer of particles only bends, so that it hardly determines beta or a force. With the material below it, the
-same surface does. Up is +z.
-"""
+same surface does. Up is +z."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ class MeasuredSurface:
     """A surface seen from above, with the same thickness of material everywhere below it.
 
     points: (n, 3) points [m], one height at each place; thickness: [m].
-    Raises InputError with too few points, or several above each other.
-    """
+    Raises InputError with too few points, or several above each other."""
 
     points: FloatArray
     thickness: float
@@ -94,8 +92,7 @@ class FlatEdge:
     """The edge of a flat tip: outside it a surface falls as the root of the distance (Sneddon 1965), steeper than a
     lattice can.
 
-    middle, half: (2,) middle and half of its footprint [m]
-    """
+    middle, half: (2,) middle and half of its footprint [m]"""
 
     middle: FloatArray
     half: FloatArray
@@ -106,8 +103,7 @@ class Layers:
     """A lattice of particles below a surface.
 
     rest: (K, 3) [m]; shape: columns along x and y, layers (last axis fastest, the highest layer last); cell: (K,)
-    top, bottom: indices of the highest and the lowest layer, column by column; spacing: along x and y [m]
-    """
+    top, bottom: indices of the highest and the lowest layer, column by column; spacing: along x and y [m]"""
 
     rest: FloatArray
     shape: tuple[int, int, int]
@@ -173,8 +169,7 @@ def below(
 
     centre: (2,) place of a column, default the lowest corner of the surface
     reach: extent of the lattice from `centre` along x and y [m], default the whole surface. The layers divide the
-    thickness evenly, at about `spacing`; there are at least two.
-    """
+    thickness evenly, at about `spacing`; there are at least two."""
     low, high = surface.points[:, :2].min(axis=0), surface.points[:, :2].max(axis=0)
     at = low if centre is None else np.asarray(centre, dtype=np.float64)
     far = np.inf if reach is None else reach

@@ -49,8 +49,7 @@ class LocalShape:
 
     thickness_m: thickness of the foam under the place [m]; curvature_per_m: mean of the surface's two, above 0 on a
     crest [1/m]; slope: slope of the surface [m/m]; edge_m: distance to the layer's edge [m];
-    thickness_sd_m: deviation of the thickness [m]
-    """
+    thickness_sd_m: deviation of the thickness [m]"""
 
     thickness_m: float
     curvature_per_m: float = 0.0

@@ -25,8 +25,7 @@ def quantile(
     """The value (...) that a `share` of a mixture lies below, by bisection.
 
     mean, deviation: (c, ...) mean and deviation of the components; weight: (c,) or (c, ...), adding up to 1 over them;
-    below: distribution function of a component of mean 0 and deviation 1
-    """
+    below: distribution function of a component of mean 0 and deviation 1"""
     own = weight.reshape(*weight.shape, *(1,) * (mean.ndim - weight.ndim))
     low, high = (mean - FARTHEST * deviation).min(axis=0), (mean + FARTHEST * deviation).max(axis=0)
     for _ in range(BISECTIONS):

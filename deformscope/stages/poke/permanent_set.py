@@ -39,8 +39,7 @@ def kept_share(
     recorded.
 
     time_s, force_n: (n,) times and force of a whole touch; dent_m: (d, n), 0 before contact; held: samples until the
-    way back; exponent: (d,); share, relaxation_s: (d, b) share and relaxation of the modulus that relaxes
-    """
+    way back; exponent: (d,); share, relaxation_s: (d, b) share and relaxation of the modulus that relaxes"""
     peak = float(force_n[:held].max())
     lost = np.flatnonzero(force_n[held:] < LEAST_BACK * peak)
     if not len(lost):

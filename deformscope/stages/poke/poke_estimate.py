@@ -150,8 +150,7 @@ def continuum(law: Law, stiffness: float, spacing: float) -> tuple[float, float]
     A window of s^3 particles at spacing h has second moments s^3 (s^2 - 1) h^2 / 12, and one window starts at each
     particle. Its energy is (1 - beta) |e|^2, and with volume conserved beta theta tr(e)^2 / 3, times half of these
     moments and k. Therefore mu = k m (1 - beta) / 2 h and lambda = k m beta theta / 3 h with m = s^3 (s^2 - 1) / 12.
-    Near a free face fewer windows overlap and the lattice is softer: an apparent modulus, not a material's.
-    """
+    Near a free face fewer windows overlap and the lattice is softer: an apparent modulus, not a material's."""
     s = law.cluster_size or 1
     m = stiffness * s**3 * (s**2 - 1) / 12.0 / spacing
     mu, lame = 0.5 * m * (1.0 - law.beta), m * law.beta * law.theta / 3.0
@@ -232,8 +231,7 @@ class Profile:
 
     stretched: (g,) values of -log(1 - beta), rising, over the probable range; beta: (g,) the same as beta
     residual: (g, n, 3) residuals near each poke [m]; errors: (g, q) mean distance over each poke [m]; aee: (g,)
-    reaction: (g, q) per unit of k [m]
-    """
+    reaction: (g, q) per unit of k [m]"""
 
     def __init__(self, fit: PokesFit) -> None:
         self.fit = fit

@@ -2,8 +2,7 @@
 
 The static state under each poke is compared with the surface around it, between the lattice's columns. Beta and theta
 are those of the least squared error (`scipy.optimize.least_squares`); the cluster size is the one with the smallest
-error; its error on pokes left out is reported.
-"""
+error; its error on pokes left out is reported."""
 
 from __future__ import annotations
 
@@ -71,8 +70,7 @@ class SeenPoke:
     misfit_over: points nearer than this share the model's misfit [m], None: the tip's width; footprint: `at` and `tip`
     describe the tip, so that all points below it are touched; otherwise the area between the touched points is
     heights_only: `points` are places where a camera saw the surface afterwards, and of `moved` it measures the height
-    alone, not the material point that is there
-    """
+    alone, not the material point that is there"""
 
     at: FloatArray
     tip: Tip
@@ -97,8 +95,7 @@ class SeenPoke:
 def seen_poke(seen: Observation) -> SeenPoke:
     """The poke in an observation of a surface: its contact, or the held particles that moved, are the touched points.
 
-    Raises InputError for a flat (2D) observation, and where nothing was pressed down.
-    """
+    Raises InputError for a flat (2D) observation, and where nothing was pressed down."""
     if seen.rest.shape[1] != 3:
         raise InputError("a surface in space, rest (K, 3), for a body with layers", "2D positions")
     if seen.metres_per_unit != 1.0:
@@ -185,13 +182,7 @@ class PosedPoke:
     seen."""
 
     def __init__(
-        self,
-        surface: MeasuredSurface,
-        poke: SeenPoke,
-        spacing: float,
-        size: int,
-        precision: Precision,
-        device: str,
+        self, surface: MeasuredSurface, poke: SeenPoke, spacing: float, size: int, precision: Precision, device: str
     ):
         self.poke, self.size, self.thickness = poke, size, surface.thickness
         self.scene, layers = scene_below(surface, poke.at, poke.tip, spacing, size)
@@ -370,8 +361,7 @@ class ShapeFit:
 
     law; surface_error: (q,) root mean square distance near each poke used, as a share of its depth; held_out: (q,)
     errors with beta and theta fitted to the other pokes, nan with one poke and for all sizes except the best
-    reaction: (p,) reaction of every poke, per unit of k [m]; residual: error around the tip of every poke
-    """
+    reaction: (p,) reaction of every poke, per unit of k [m]; residual: error around the tip of every poke"""
 
     law: Law
     surface_error: FloatArray
@@ -429,8 +419,7 @@ def fit_pokes(
 
     spacing: spacing of the lattice [m], default `default_spacing` of the narrowest tip; cluster_sizes: tried, default 3
     and 4 and then on in the direction that is better; beta_range: (low, high) range in which beta is sought; theta:
-    fixed if given; progress: called with (what, done, all)
-    """
+    fixed if given; progress: called with (what, done, all)"""
     narrow = min(pokes, key=lambda poke: poke.tip.width)
     fine = default_spacing(surface, narrow.tip) if spacing is None else spacing
     shaped = _spread(pokes)

@@ -4,8 +4,7 @@ normal.
 While a contact sticks, the force across grows with the motion across, dT = k (F / d) dx. A ball on an elastic body is
 about STICK times as stiff across as along (Mindlin 1949: 2 (1 - v) / (2 - v) of the tangent, with F / d the secant). A
 sensor or a normal that is tilted adds a share of F. Once T reaches a limit, mu F, it stays at the limit while the tip
-moves: the tip slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit.
-"""
+moves: the tip slides. Both are averaged over k, mu and tilt; the slip is the motion beyond the limit."""
 
 from __future__ import annotations
 

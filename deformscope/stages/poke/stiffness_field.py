@@ -3,8 +3,7 @@
 The posterior over regions (`deformscope.stages.regions`), which maps an exploration, has these hypotheses: one
 material, several with any borders between pokes that differ, or a gradual change. The stiffness at a place is the
 mixture of all of these, each by its probability. Near a border the stiffness may therefore be that of either material.
-The scatter of stiffness from poke to poke is unknown; the pokes determine it too.
-"""
+The scatter of stiffness from poke to poke is unknown; the pokes determine it too."""
 
 from __future__ import annotations
 
@@ -44,9 +43,8 @@ FREE_SHARE, FREE_SD, FREE_LENGTH_M = 0.03, 0.7, 0.08
 length, on a surface of 0.6 m."""
 
 REPEATED = 0.25
-"""Probability that a poke at the place of an earlier one has the same stiffness, under any map.
-Each side of that value then has a probability above the 0.05 that a 90 % interval leaves out, so the interval contains
-that poke."""
+"""Probability that a poke at the place of an earlier one has the same stiffness, under any map. Each side of that value
+then has a probability above the 0.05 that a 90 % interval leaves out, so the interval contains that poke."""
 
 TILT = 0.25
 """The expected value of |f - F| / F^TILT is least at the median of the possible true forces F, each weighted by 1 /
@@ -92,8 +90,7 @@ class StiffnessField:
     """Stiffness [N/m] over places (n, 2) [m].
 
     places: (p, 2); stiffness: (p,) [N/m], above 0, of the pokes; contact_m: deviation of their contact weight [m]. One
-    poke alone gives the whole surface its value.
-    """
+    poke alone gives the whole surface its value."""
 
     places: FloatArray
     stiffness: FloatArray
@@ -114,8 +111,7 @@ class StiffnessField:
         The ends with the smallest ratio are chosen, so that an improbable material is left out.
 
         contact_m: deviation of that poke's contact weight, for another tip; extra: deviation of log stiffness for other
-        reasons
-        """
+        reasons"""
         mixture = self._mixture(np.atleast_2d(place), contact_m)
         below = (1.0 - level) * (np.arange(TAILS) + 0.5) / TAILS
         low, high = (np.array([self._quantile(mixture, one, extra) for one in ends]) for ends in (below, below + level))
@@ -149,8 +145,7 @@ class StiffnessField:
         """(p,) relative error of each poke's stiffness predicted from the others; nan with one poke.
 
         Under each hypothesis the poke is removed in closed form. Hypotheses have the more weight, the less they
-        expected it (importance sampling, Gelfand et al. 1992).
-        """
+        expected it (importance sampling, Gelfand et al. 1992)."""
         if len(self.stiffness) == 1:
             return np.full(1, np.nan)
         value = np.log(self.stiffness)
@@ -257,8 +252,7 @@ class StiffnessField:
 def fit_field(places: FloatArray, stiffness: FloatArray, tip_width: float | None) -> StiffnessField:
     """The field that pokes (p, 2) with a tip of this width [m], `USUAL_TIP_M` if not known, say.
 
-    Raises InputError for stiffness that is not above 0.
-    """
+    Raises InputError for stiffness that is not above 0."""
     if not (np.isfinite(stiffness).all() and (stiffness > 0.0).all()):
         raise InputError("stiffness above 0 at every poke", f"{float(np.min(stiffness)):g} N/m")
     return StiffnessField(places, stiffness, CONTACT * (USUAL_TIP_M if tip_width is None else tip_width))

@@ -3,8 +3,7 @@ points.
 
 High above the sample all points belong to the robot. They are registered to the robot's solids, point to plane, with
 the calibration's uncertainty as a prior. The remaining error of the calibration is small, and so little of the surface
-around the robot has to be left out.
-"""
+around the robot has to be left out."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Optical flow for a live view: of a region of the image, at a size that is computed in time, on a few points.
 
 The dense flow of 640 x 480 px takes 1.4 s on one core, of 160 x 120 px 0.06 s. Particles and arrows are given in pixels
-of the whole image whatever the size that the flow was computed at.
-"""
+of the whole image whatever the size that the flow was computed at."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ class Region:
     """A region of an image, reduced.
 
     image: (h, w) or (h, w, 3); origin_px: (x, y) origin of its corner in the whole image [px]; scale: pixels of the
-    whole image for one of this, 1 or more
-    """
+    whole image for one of this, 1 or more"""
 
     image: Image
     origin_px: tuple[int, int]
@@ -46,8 +44,7 @@ class FlowArrows:
     """The motion from one image to another, on a regular grid of points.
 
     at_px: (n, 2) points (x, y) in the first image [px]; flow_px: (n, 2) motion of each [px];
-    noise_px: (n,) standard deviation of each coordinate [px]
-    """
+    noise_px: (n,) standard deviation of each coordinate [px]"""
 
     at_px: FloatArray
     flow_px: FloatArray
@@ -57,8 +54,7 @@ class FlowArrows:
 def region_of(image: Image, roi: Rect | None = None, longest_px: int = 160) -> Region:
     """The region of an image, averaged down until its longer side has at most `longest_px` pixels.
 
-    Raises InputError where the region is not in the image.
-    """
+    Raises InputError where the region is not in the image."""
     height, width = image.shape[:2]
     left, top, right, bottom = 0, 0, width, height
     if roi is not None:

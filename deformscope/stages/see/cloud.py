@@ -1,8 +1,7 @@
 """From a depth image to the surface's points: back-projection, crop, outliers, reduction, the robot taken away.
 
 All points are in the surface frame, in which `T_world_camera` and the robot's links are given. Points are
-(n, 3) [m]. Functions that select points return a mask, which can then select noise or colour too.
-"""
+(n, 3) [m]. Functions that select points return a mask, which can then select noise or colour too."""
 
 from __future__ import annotations
 
@@ -89,8 +88,7 @@ def not_alone(points: FloatArray, *, neighbours: int = 20, ratio: float = 2.0) -
     is at most that of all points plus `ratio` deviations (Rusu et al. 2008).
 
     If there are no more than `neighbours` points, all are retained. Open3D has the same rule and takes a third of the
-    time, but blocks all other threads meanwhile (0.5 s for 100 000 points on a busy machine).
-    """
+    time, but blocks all other threads meanwhile (0.5 s for 100 000 points on a busy machine)."""
     if len(points) <= neighbours:
         return np.ones(len(points), dtype=bool)
     distance, _ = cKDTree(points).query(points, k=neighbours + 1)
@@ -102,8 +100,7 @@ def reduce_to_grid(points: FloatArray, cell_m: float) -> tuple[FloatArray, Float
     """One point (m, 3) for each occupied cell seen from above: the mean of the points in it; their number (m,); and
     (n,) index of each point's mean.
 
-    Noise that is independent from point to point falls by the root of the count; the cells' order is fixed.
-    """
+    Noise that is independent from point to point falls by the root of the count; the cells' order is fixed."""
     if cell_m <= 0.0 or not np.isfinite(cell_m):
         raise InputError("a cell above 0 m", f"{cell_m:g}")
     cell = np.floor(points[:, :2] / cell_m).astype(np.int64)
@@ -128,8 +125,7 @@ def axial_noise_m(distance_m: FloatArray, incidence_rad: FloatArray | float = 0.
 def height_noise_m(points: FloatArray, T_world_camera: FloatArray) -> FloatArray:
     """(n,) deviation of the height of points (n, 3) on a level surface, from a camera's axial noise [m].
 
-    An error of depth moves a point along its ray; a surface seen at an angle is then off by the ray's share along z.
-    """
+    An error of depth moves a point along its ray; a surface seen at an angle is then off by the ray's share along z."""
     transform = np.asarray(T_world_camera, dtype=np.float64)
     ray = points - transform[:3, 3]
     axial = ray @ transform[:3, 2]  # the camera's axis in the world
@@ -147,8 +143,7 @@ def tactile_points(
     lowest_m: (3,) the ball's foremost point; depth_m: how far it is below where it first touched
     normal: (3,) outward unit normal of the surface at rest, default up. The points cover the contact cap evenly, and
     include its lowest point. A ball in an elastic body touches it up to about the root of radius times depth from its
-    axis (Hertz), at most up to its equator.
-    """
+    axis (Hertz), at most up to its equator."""
     if radius_m <= 0.0 or depth_m < 0.0:
         raise InputError("a ball and a depth of 0 or more", f"radius {radius_m:g} m, depth {depth_m:g} m")
     up = np.array([0.0, 0.0, 1.0]) if normal is None else np.asarray(normal, dtype=np.float64)
@@ -182,8 +177,7 @@ def perceive(
     With `cell_m` the points are reduced to one per cell.
 
     robot: the arm with all its parts, at its reported pose; above the box nothing else is near it Raises InputError if
-    no points remain.
-    """
+    no points remain."""
     points = back_project(depth_m, camera, T_world_camera)
     robot = as_seen(robot, points, box.high_m[2])
     every = np.full(len(points), PixelLabel.OUTSIDE_THE_BOX, np.uint8)

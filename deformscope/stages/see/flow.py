@@ -31,8 +31,7 @@ class FlowField:
     flow_px: (H, W, 2) float32, (x, y) [px]; x to the right, y down; noise_px: (H, W) float32, one standard deviation of
     each coordinate [px] as image noise and texture let expect
     misfit: (H, W) float32, 0 to 1, share of the contrast around a pixel that the flow leaves unexplained beyond the
-    usual noise: near 1 the pixel is not visible at its new place
-    """
+    usual noise: near 1 the pixel is not visible at its new place"""
 
     flow_px: FloatArray
     noise_px: FloatArray | None = None
@@ -54,16 +53,15 @@ def grey(image: Image) -> FloatArray:
 def dense_flow(before: Image, after: Image) -> FlowField:
     """Flow from `before` to `after`.
 
-    Feature matches that agree with their neighbours (SIFT, Lowe 2004) start DIS (Kroeger 2016), which finds
-    large motions. A windowed least-squares refinement (Lucas and Kanade 1981) makes the result sub-pixel. Rms vector
-    error against known displacement (this, against DIS "medium" alone; 360 x 360 px, grey noise 2 of 255). Speckles of
+    Feature matches that agree with their neighbours (SIFT, Lowe 2004) start DIS (Kroeger 2016), which finds large
+    motions. A windowed least-squares refinement (Lucas and Kanade 1981) makes the result sub-pixel. Rms vector error
+    against known displacement (this, against DIS "medium" alone; 360 x 360 px, grey noise 2 of 255). Speckles of
     3 px: 5 px shift .003 / .055, 20 % strain .011 / .22, 30 px shift .010 / 30, 10 degrees .011 / .18. Foam: 0.1 px
     waves .03 / .04, 60 px shift .05 / .6; faint texture, 3 degrees .09 / .22. DIC Challenge sample 14 L1: .010 / .028.
     Motion waves shorter than about 60 px are flattened; without texture the flow is a guess.
 
     Repeatable bit for bit on one machine; DIS splits its work by the number of OpenCV threads, so another thread
-    count changes the last digits.
-    """
+    count changes the last digits."""
     a, b = _views(before, after)
     return _flow(_featured(a), _featured(b))
 
@@ -80,8 +78,7 @@ class FlowStep:
     """A step from one image of a sequence to the next.
 
     forward, backward: flow there and back
-    fits: (H, W) each, local correlation of the images under each of them
-    """
+    fits: (H, W) each, local correlation of the images under each of them"""
 
     forward: FlowField
     backward: FlowField
@@ -93,8 +90,7 @@ def flow_onward(before: Image, after: Image, last: FlowStep | None = None) -> Fl
 
     last: result of the step to `before`. Its flow is refined alone, without features and DIS. If the images then
     correlate worse than in the last step by `FIT_DROP` anywhere, motion or light have changed, and the flow is computed
-    as for a pair.
-    """
+    as for a pair."""
     a, b = _views(before, after)
     if last is not None:
         there, back = last.forward.flow_px, last.backward.flow_px
@@ -256,8 +252,7 @@ def _refine(a: FloatArray, b: FloatArray, flow: FloatArray, passes: Sequence[flo
 
     Each pass warps `b` by the flow and matches its local brightness and contrast to `a`. It solves the 2 x 2 normal
     equations of every window for a correction, and smooths the result. The flow lives on every second pixel: it is
-    smoother than that, and it saves three quarters of the work.
-    """
+    smoother than that, and it saves three quarters of the work."""
     a, b = (_blur(x, 0.7) for x in (a, b))  # noise that no interpolation follows
     unit = max(float(np.std(a)), 1e-3)
     a, fine = a / unit, _double(b / unit)
@@ -308,8 +303,7 @@ def _smooth(u: FloatArray, weight: FloatArray, variance: FloatArray) -> tuple[Fl
     """The flow smoothed as widely as noise alone explains what a narrower smoothing would add (Wiener's rule).
 
     u: (h, w, 2) on the half grid; weight: (h, w) certainty; variance: (h, w) variance of one coordinate [px^2]
-    returns the smooth flow and the variance that is left, (h, w) [px^2]
-    """
+    returns the smooth flow and the variance that is left, (h, w) [px^2]"""
     sigmas = [sigma / 2 for sigma in SMOOTHING_PX]
     smooth, left = _certain_blur(u, weight, sigmas[0]), PASSED[0] * variance
     for wider, sigma, passed in zip(sigmas, sigmas[1:], np.diff(PASSED), strict=False):
@@ -345,8 +339,7 @@ def _double(image: FloatArray) -> FloatArray:
     """The image's cubic spline at every half pixel, (2 H, 2 W); sample 2 i lies on pixel i.
 
     OpenCV's own bicubic and Lanczos kernels displace a pattern by up to 0.04 and 0.009 px (measured on speckles).
-    Linear interpolation between the samples of a spline displaces it by less than 0.001 px.
-    """
+    Linear interpolation between the samples of a spline displaces it by less than 0.001 px."""
     knots = scipy.ndimage.spline_filter(image, order=3, output=np.float32, mode="mirror")
     knots = cv2.pyrUp(knots)  # (1 4 6 4 1) / 8 is the refinement of a cubic B-spline
     at_knot, one = np.array([1, 4, 1], dtype=np.float32) / 6, np.ones(1, dtype=np.float32)

@@ -1,7 +1,6 @@
 """Particles on the object: a regular grid that the flow carries along (Thesis 3.B, eq. 3.20).
 
-Image axes: x to the right, y down; row 0 of a lattice is the topmost.
-"""
+Image axes: x to the right, y down; row 0 of a lattice is the topmost."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class ParticleGrid:
     """Particles at rest on a lattice that may have holes.
 
     rest_px: (K, 2) positions (x, y) [px]; shape: (rows, cols) shape of the lattice
-    cell: (K,) row * cols + col of each particle, rising; spacing_px: (2,) distance between neighbours (x, y) [px]
-    """
+    cell: (K,) row * cols + col of each particle, rising; spacing_px: (2,) distance between neighbours (x, y) [px]"""
 
     rest_px: FloatArray
     shape: tuple[int, int]
@@ -77,8 +75,7 @@ class Tracked:
     position_px: (K, 2) (x, y) [px], always finite: a lost particle stays where it was last seen
     noise_px: (K,) standard deviation of each coordinate, which grows with each step [px]
     seen: (K,) False once lost, for good
-    forward_backward_px: (K,) length of the forward-backward residual of the last step [px]; NaN where not measured
-    """
+    forward_backward_px: (K,) length of the forward-backward residual of the last step [px]; NaN where not measured"""
 
     position_px: FloatArray
     noise_px: FloatArray
@@ -101,8 +98,7 @@ def clean_mask(image: npt.NDArray[Any]) -> BoolArray:
 
     A mask may be the masked photograph itself. Its darkest speckles are black too, hence the pin-holes. If it splits
     into a bright and a clearly darker part (Otsu 1979), the darker one is the background. Specks of less than a
-    hundredth of the largest piece are left out.
-    """
+    hundredth of the largest piece are left out."""
     shade = grey(image)
     material = shade > 0
     if np.unique(shade).size > FEW_LEVELS:
@@ -150,8 +146,7 @@ def seed_grid(
     mask: (H, W), True on material; particles off it are left out
 
     Particles are in the middle of their cells, half a spacing inside the region: on the outline itself the flow mixes
-    the object with its background.
-    """
+    the object with its background."""
     height, width = image_shape[:2]
     if mask is not None and mask.shape != (height, width):
         raise InputError(f"a mask of the image's size {(height, width)}", f"{mask.shape} (rows, columns)")
@@ -205,8 +200,7 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
     """Sorted indices (n,) of the particles whose position will be prescribed.
 
     top, bottom, left, right: the outermost lattice row or column that has any particle; border: the four sides
-    together; contact: the particles that lie at rest inside `contact`
-    """
+    together; contact: the particles that lie at rest inside `contact`"""
     row, col = np.divmod(grid.cell, grid.shape[1])
     sides = {"top": row == row.min(), "bottom": row == row.max(), "left": col == col.min(), "right": col == col.max()}
     held = np.zeros(len(grid.cell), dtype=bool)
@@ -239,8 +233,7 @@ def select_held(grid: ParticleGrid, groups: Sequence[str], contact: Rect | None 
 def sample(field: FloatArray, xy: FloatArray) -> FloatArray:
     """Values of an (H, W, c) field at the (K, 2) points (x, y) [px], (K, c), bilinear; NaN outside the image.
 
-    Interpolate in full precision: OpenCV's remap rounds positions to 1/32 px.
-    """
+    Interpolate in full precision: OpenCV's remap rounds positions to 1/32 px."""
     at = np.asarray(xy, dtype=np.float64)[:, ::-1].T
     height, width = field.shape[:2]
     inside = np.all(np.isfinite(at), axis=0)
@@ -276,8 +269,7 @@ def advance(tracked: Tracked, forward: FlowField, backward: FlowField) -> Tracke
     textures, grey noise of 1 to 5 of 255, and translation, strain, rotation, waves and dents. The residual alone
     underestimates it, by up to a factor of a hundred: image noise changes forward and backward flow equally, and
     cancels in e. Not covered: motion finer than the flow's smoothing, saturated pixels, changing shadows, and edges
-    between the object and its background.
-    """
+    between the object and its background."""
     if forward.flow_px.shape != backward.flow_px.shape:
         raise InputError("two flows of one size", f"{forward.flow_px.shape} and {backward.flow_px.shape}")
     here = tracked.position_px
@@ -308,8 +300,7 @@ def _neighbourhood(
 ) -> tuple[FloatArray, FloatArray]:
     """Over the nine nearest found particles, itself among them: median residual length, spread of one flow; (K,) [px].
 
-    One particle's own residual is a single draw; the median keeps a lost neighbour from spoiling the rest.
-    """
+    One particle's own residual is a single draw; the median keeps a lost neighbour from spoiling the rest."""
     typical, spread = np.zeros(len(here)), np.zeros(len(here))
     if found.any():
         count = min(9, int(found.sum()))

@@ -17,8 +17,7 @@ class PixelLabel(IntEnum):
     """Each pixel of a depth image has one of these.
 
     ROBOT_CAPSULE, ROBOT_SOLID: inside the robot's capsules or meshes; HANGING: a mixed depth at the robot's edge
-    LONE: a statistical outlier (`cloud.not_alone`); MISFIT: too far from the surface's process (`fit_surface`)
-    """
+    LONE: a statistical outlier (`cloud.not_alone`); MISFIT: too far from the surface's process (`fit_surface`)"""
 
     NOTHING_SEEN = 0
     USED = 1
@@ -35,8 +34,7 @@ class PixelMasks:
     """The labels of depth images as runs of equal ones, row by row, image after image.
 
     camera, depth_ns (k,): the images, named as in `LookFrames`; shape: (rows, columns) shape of each
-    label, length: (r,) label and length of each run; runs: (k,) number of runs in each image
-    """
+    label, length: (r,) label and length of each run; runs: (k,) number of runs in each image"""
 
     camera: str
     depth_ns: IntArray
@@ -57,8 +55,7 @@ class SeenPixels:
     """The labels of depth images, and where their points went.
 
     camera, depth_ns (k,): as in `PixelMasks`; label: (k, rows, columns) `PixelLabel`
-    point: (n,) point of each used pixel in turn, which of the points it is a part of
-    """
+    point: (n,) point of each used pixel in turn, which of the points it is a part of"""
 
     camera: str
     depth_ns: IntArray

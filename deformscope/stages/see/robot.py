@@ -1,8 +1,7 @@
 """Which points belong to the robot, and which are false points between the robot and its background.
 
 The robot is known from where the arm reports that it is, as capsules and as solids. A camera that triangulates mixes
-depths at the edges of near objects: pixels there may have any depth between both.
-"""
+depths at the edges of near objects: pixels there may have any depth between both."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ class PosedRobot:
 
     capsules: its capsules, with margin_m around them; solids: its solids, with margin_m and solid_margin_m around them
     [m]; aligns: its solids include all its visible parts, so that they may first be aligned with the picture
-    mixes: depths are mixed at its edges, and what hangs in the air there counts as the robot's
-    """
+    mixes: depths are mixed at its edges, and what hangs in the air there counts as the robot's"""
 
     capsules: Sequence[Capsule] = ()
     solids: Sequence[PosedSolid] = ()

@@ -17,8 +17,7 @@ class TactileContact:
 
     center_m: (pads, 2) centre of pressure (x along the columns, y along the rows) from the outer corner of the pad's
     first texel [m], NaN without contact; area_m2: (pads,) area of the texels in contact [m^2]
-    force_n: (pads,) pressure integrated over the texels in contact, normal to the pad [N]; peak_pa: (pads,) [Pa]
-    """
+    force_n: (pads,) pressure integrated over the texels in contact, normal to the pad [N]; peak_pa: (pads,) [Pa]"""
 
     center_m: FloatArray
     area_m2: FloatArray
@@ -33,8 +32,7 @@ def tactile_contact(
 
     pressure_pa: one (rows, columns) array for each pad [Pa]; texel_m: (width, height) texel size of each pad's texels
     [m]; threshold_pa: texels at or below it are not in contact: the sensor's noise [Pa]. Raises InputError if pads and
-    texel sizes do not match, and for pressures that are not finite.
-    """
+    texel sizes do not match, and for pressures that are not finite."""
     if len(pressure_pa) != len(texel_m):
         raise InputError(f"a texel size for each of {len(pressure_pa)} pads", str(len(texel_m)))
     center_m = np.full((len(pressure_pa), 2), np.nan)

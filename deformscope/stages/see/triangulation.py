@@ -67,8 +67,7 @@ def raster(rest: FloatArray, place: FloatArray, value: FloatArray, cells: int) -
     """Values (K,) between particles with rest positions (K, 2) and present positions `place` (K, 2), on square cells.
 
     Returns values (rows, columns), NaN outside the body and in its holes, the corner (2,) of the first cell, and the
-    cells' side. cells: along the longer side
-    """
+    cells' side. cells: along the longer side"""
     low, high = place.min(axis=0), place.max(axis=0)
     side = float((high - low).max()) / cells or 1.0
     columns, rows = np.maximum(np.ceil((high - low) / side - 1e-9).astype(int), 1)

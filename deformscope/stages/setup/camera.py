@@ -41,8 +41,7 @@ def camera_from_views(
     """Camera, board and, unless it is known, the lens, from views with the arm's end (n, 4, 4) in each.
 
     If the lens is fitted too, the fit is repeated without each view, so that the camera's intervals include the lens's
-    uncertainty. Raises InputError as `lens` and `hand_eye` do.
-    """
+    uncertainty. Raises InputError as `lens` and `hand_eye` do."""
     if len(T_base_ee) != len(views):
         raise InputError("a view for each pose", f"{len(views)} views, {len(T_base_ee)} poses")
     if known is not None:

@@ -1,8 +1,7 @@
 """Orientation of a force sensor on the stick, from pushes along known axes; its readings in free air; its load.
 
 Axes are those of the tip's frame: z along the stick, outwards. A push is the force of the tip on the world: pressing
-the tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x.
-"""
+the tip onto a table is a push along +z, pressing it with a finger towards -x a push along +x."""
 
 from __future__ import annotations
 
@@ -40,8 +39,7 @@ class ForceMount:
 
     R_tip_force: (3, 3) orthogonal: forces in the sensor's axes to the tip's; a determinant of -1 = an axis mirrored
     turn_rad, turn_half_rad: its turn about the stick, and half its interval; push_sd_rad: deviation of a push
-    off_rad: (n,) angle of each push across the stick from what the others give
-    """
+    off_rad: (n,) angle of each push across the stick from what the others give"""
 
     R_tip_force: FloatArray
     turn_rad: float
@@ -55,8 +53,7 @@ def mount(force_n: FloatArray, axes: FloatArray, *, prior: ErrorPrior = PUSHED) 
     tip's frame.
 
     The sensor's z axis is taken to lie along the stick, one way or the other. Raises InputError for pushes too weak,
-    along one axis alone, without one along the stick, or that fit no way of sitting.
-    """
+    along one axis alone, without one along the stick, or that fit no way of sitting."""
     felt, pushed = np.asarray(force_n, np.float64), np.asarray(axes, np.float64)
     size_n = np.linalg.norm(felt, axis=1)
     if not np.isfinite(felt).all() or (size_n < LEAST_N).any():
@@ -117,8 +114,7 @@ class ForceGain:
 def force_gain(force_n: FloatArray, load_n: float, *, prior: ErrorPrior = PRESSED) -> ForceGain:
     """The gain, from the forces (n, 3) [N] beyond free air that a sensor gave under a known load [N].
 
-    Raises InputError for a load that is too small, and for forces outside a sensor's possible gain.
-    """
+    Raises InputError for a load that is too small, and for forces outside a sensor's possible gain."""
     felt_n = np.linalg.norm(np.asarray(force_n, np.float64), axis=1)
     if not (load_n >= LEAST_LOAD_N and len(felt_n)):
         raise InputError(f"a load of {LEAST_LOAD_N:g} N or more", f"{load_n:g} N", "the set force of a touch, or more")
@@ -136,8 +132,7 @@ class FreeAir:
     """Readings of the sensor while nothing touches it.
 
     tare_n: (3,) mean reading [N]; noise_n: (3,) deviation of a reading [N]
-    drift_n_per_min, drift_half: (3,) drift and half its interval [N/min]
-    """
+    drift_n_per_min, drift_half: (3,) drift and half its interval [N/min]"""
 
     tare_n: FloatArray
     noise_n: FloatArray
@@ -170,8 +165,7 @@ class HangingWeight:
     """Load of the sensor, from readings in free air in several poses.
 
     weight_n, weight_half_n: its weight and half its interval [N]; bias_n: (3,) reading without it
-    down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over
-    """
+    down: (3,) direction of its weight, base frame: an upright base has (0, 0, -1); off_n: (n,) left over"""
 
     weight_n: float
     weight_half_n: float
@@ -186,8 +180,7 @@ def hanging_weight(
     """The weight on the sensor, from mean readings (n, 3) [N] with the tip turned as R_base_tip (n, 3, 3).
 
     A load on the sensor pulls it as the tip pushes the world: f = b + R_tip_force^T R_base_tip^T w. Raises InputError
-    for poses that are turned too little.
-    """
+    for poses that are turned too little."""
     felt = np.asarray(force_n, np.float64)
     turns = np.swapaxes(np.asarray(R_base_tip, np.float64) @ np.asarray(R_tip_force, np.float64), -1, -2)
     if len(felt) < 3 or spread(turns) < LEAST_TURN:

@@ -1,8 +1,7 @@
 """Pose of a fixed camera that sees a board which the arm carries, and pose of the board on the arm; or from touches.
 
 Each view gives A Y = X B. A, the arm's end in its base frame, and B, the board in the camera's, are known; X, the
-camera in the base frame, and Y, the board on the arm's end, are sought.
-"""
+camera in the base frame, and Y, the board on the arm's end, are sought."""
 
 from __future__ import annotations
 
@@ -52,8 +51,7 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     """Pose of the camera and of the board on the arm, from n views: (n, 4, 4) each.
 
     Their uncertainty is found by leaving out each view in turn (jackknife): neither the errors of arm and camera nor
-    their ratio need be known. Raises InputError for too few views, or turns about one axis alone.
-    """
+    their ratio need be known. Raises InputError for too few views, or turns about one axis alone."""
     A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
     if len(A) < FEWEST_VIEWS:
         raise InputError(f"{FEWEST_VIEWS} views of the board or more", str(len(A)), "12, turned each by 30 degrees")
@@ -161,8 +159,7 @@ def next_pose(T_base_ee: FloatArray) -> tuple[FloatArray, str]:
     it.
 
     It is the mean of the poses, turned about the axis of the end, and in the direction, that maximize the turns' least
-    eigenvalues.
-    """
+    eigenvalues."""
     poses = np.asarray(T_base_ee, np.float64)
     turned = Rotation.from_matrix(poses[:, :3, :3])
     mean = turned.mean()
@@ -198,8 +195,7 @@ class CameraFromTouches:
 def camera_from_touches(touched_m: FloatArray, seen_m: FloatArray, *, prior: ErrorPrior = TOUCHED) -> CameraFromTouches:
     """Pose of the fixed camera that sees places (n, 3) [camera frame] which the tip touched (n, 3) [base frame].
 
-    Raises InputError for fewer than four, or places in one line.
-    """
+    Raises InputError for fewer than four, or places in one line."""
     touched, seen = np.asarray(touched_m, np.float64), np.asarray(seen_m, np.float64)
     if len(touched) < 4:
         raise InputError("4 places or more", str(len(touched)), "six, spread over the camera's image")

@@ -1,7 +1,6 @@
 """Pose of a rectangle: its frame, its sides and the box around it, from its corners touched by a round tip.
 
-The frame's origin is the first corner; x runs to the second, y to the third, z up.
-"""
+The frame's origin is the first corner; x runs to the second, y to the third, z up."""
 
 from __future__ import annotations
 
@@ -59,8 +58,7 @@ def place(
     centers_m: (n, 3) the tip's centre at each touch, base frame; corners: (n,) number of the corner in CORNERS
     up: (3,) roughly away from the surface, base frame: against the stick
     tip_sd_m: deviation of the tip's position on the arm, which shifts all corners by the same vector [m]. Raises
-    InputError for corners that are no rectangle's, or in one line.
-    """
+    InputError for corners that are no rectangle's, or in one line."""
     touched, which = np.asarray(centers_m, np.float64), np.asarray(corners, int)
     if not np.isfinite(touched).all():
         raise InputError("finite places of the tip", "NaN or infinity")

@@ -43,8 +43,7 @@ def time_offset(
 ) -> TimeOffset:
     """The offset between a dense signal x (n,) and another y (m,) at their times [s], each by its own clock.
 
-    Raises InputError for signals without a tap, that do not go together, or whose offset is at the end of the reach.
-    """
+    Raises InputError for signals without a tap, that do not go together, or whose offset is at the end of the reach."""
     for name, signal in (("first", x), ("second", y)):
         if len(signal) < 20 or not np.isfinite(signal).all():
             raise InputError(f"20 readings or more of the {name} signal", str(len(signal)))

@@ -1,8 +1,7 @@
 """Position of the tip at the arm's end, by turning the arm about it: a pivot.
 
 The ball at the tip stays in one place (a cone, a ring, a hole's rim) while the arm's end is turned about it. Each pose
-gives R p + t = q with the tip p in the frame of the arm's end and the place q in the base frame: linear in both.
-"""
+gives R p + t = q with the tip p in the frame of the arm's end and the place q in the base frame: linear in both."""
 
 from __future__ import annotations
 
@@ -33,8 +32,7 @@ class TipEstimate:
 
     T_ee_center: the tip's centre to the arm's end. Its z axis runs from the arm's end through the tip, its x axis as
     close as possible to the end's (`calibrate force` finds the turn of the force sensor about the stick)
-    pivot_m: (3,) place of the ball, base frame [m]; pivot_sd_m: its scatter; off_m: (n,) offset of each pose
-    """
+    pivot_m: (3,) place of the ball, base frame [m]; pivot_sd_m: its scatter; off_m: (n,) offset of each pose"""
 
     T_ee_center: TransformEstimate
     pivot_m: FloatArray
@@ -53,8 +51,7 @@ def pivot(T_base_ee: FloatArray, *, prior: ErrorPrior = PIVOTED) -> TipEstimate:
 
     A pivot does not determine the stick's direction: it is assumed to run from the arm's end to the tip. Its interval
     reaches to the end's own z axis on either side, the direction of a stick that is mounted off the middle. Raises
-    InputError for poses that are too few or turned too little, and a ball that slid.
-    """
+    InputError for poses that are too few or turned too little, and a ball that slid."""
     poses = np.asarray(T_base_ee, np.float64)
     if len(poses) < FEWEST:
         raise InputError(f"{FEWEST} poses or more", str(len(poses)), "tilt the stick about its ball, each way")

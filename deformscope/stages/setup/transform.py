@@ -28,8 +28,7 @@ LEVEL = 0.9
 class ErrorPrior:
     """Prior of a measurement's variance: scaled inverse chi-square.
 
-    sd: its centre, in units of the residuals; weight: its weight in numbers of measurements, 0 = no prior
-    """
+    sd: its centre, in units of the residuals; weight: its weight in numbers of measurements, 0 = no prior"""
 
     sd: float
     weight: float = 4.0
@@ -41,8 +40,7 @@ class LeastSquares:
 
     value: (p,); covariance: (p, p) including its scale; dof: degrees of freedom of that scale (Student's t)
     sd: deviation of a residual, prior and residuals taken together; scatter: scatter of the residuals, NaN without
-    degrees of freedom
-    """
+    degrees of freedom"""
 
     value: FloatArray
     covariance: FloatArray
@@ -60,8 +58,7 @@ class TransformEstimate:
     """A rigid transform.
 
     T: (4, 4); covariance: (6, 6) covariance of its deviation [m, rad]; dof: degrees of freedom of the covariance's
-    scale
-    """
+    scale"""
 
     T: FloatArray
     covariance: FloatArray
@@ -123,8 +120,7 @@ def fitted(residual: Callable[[FloatArray], FloatArray], start: npt.ArrayLike, p
     """Least squares of residuals (n,) over values (p,), with n >= p.
 
     Their deviation combines the prior and the residuals, so that few measurements are not trusted too much. Raises
-    numpy.linalg.LinAlgError where the residuals do not depend on some value.
-    """
+    numpy.linalg.LinAlgError where the residuals do not depend on some value."""
     found = optimize.least_squares(residual, np.asarray(start, np.float64), method="lm", x_scale="jac")
     return judged(found.x, np.linalg.inv(found.jac.T @ found.jac), found.fun, prior)
 

@@ -1,8 +1,7 @@
 """Walls that bulge or are pressed in, by a container's content, by the air in it, or by fingers.
 
 A wall does not move at the container's edges, where another one holds it, and moves most in its middle. A tracker of
-rigid bodies would follow it; so the bulge of each visible wall is estimated together with the pose.
-"""
+rigid bodies would follow it; so the bulge of each visible wall is estimated together with the pose."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ def bulge_shapes(view: ModelView, height_m: FloatArray) -> FloatArray:
     the edges and on other walls.
 
     height_m: (H, W) height of each pixel's point, container frame. A wall that is only partly in the image counts as
-    rigid
-    """
+    rigid"""
     seen = np.isfinite(view.depth_m)
     inner = seen & ~_creases(view.outward, seen)
     _, label, size, _ = cv2.connectedComponentsWithStats(inner.astype(np.uint8), connectivity=4)

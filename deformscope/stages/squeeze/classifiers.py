@@ -208,8 +208,7 @@ def linear_share(points: FloatArray, target: IntArray, classes: int) -> float:
 
     Ledoit and Wolf's share, which serves the covariance, is far too small for classification where a few directions
     have most of the variance. Leaving a point out subtracts a a^T from the covariance, where a is the point relative to
-    its class mean. Its inverse follows in closed form (Sherman and Morrison).
-    """
+    its class mean. Its inverse follows in closed form (Sherman and Morrison)."""
     points = points[:, :LINEAR_COMPONENTS]
     count, mean, about = _moments(points, target, classes)
     free = max(len(points) - int((count > 0).sum()), 1)

@@ -1,8 +1,7 @@
 """Features made comparable and few: constant columns dropped, standardised, principal components (Thesis 2.4.2).
 
 Components are fitted only to the training side of a split, by scikit-learn; the test side is projected. Fitted values
-are arrays, so that a saved classifier needs no training data.
-"""
+are arrays, so that a saved classifier needs no training data."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ class Space:
 
     train: (n, d), test: (m, d) with d up to the rank of the training side. Distances between a test point and training
     points differ from those between the standardised features by the same amount for all of them
-    kept: number of components that hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation
-    """
+    kept: number of components that hold `EXPLAINED` of the variance; raw: columns that vary, before the rotation"""
 
     train: FloatArray
     test: FloatArray
@@ -74,8 +72,7 @@ def kept_of(variance: FloatArray, share: float = EXPLAINED) -> int:
 def loadings(train: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Principal directions (q, d) of (n, q) standardised training features, and their variances (d,), falling.
 
-    Signs are fixed (the largest entry is positive), so that the same data give the same pictures.
-    """
+    Signs are fixed (the largest entry is positive), so that the same data give the same pictures."""
     from sklearn.decomposition import PCA
 
     if not train.size:
@@ -91,8 +88,7 @@ def project(train: FloatArray, test: FloatArray, gram: FloatArray | None = None)
 
     gram: (n + m, n + m) products of all rows, training first, for more columns than rows. The matrix of products is
     cheaper than the columns (511 and 255 rows of 3800 columns: 70 ms, 290 ms by `PCA`), and that of joined modalities
-    is the sum of theirs.
-    """
+    is the sum of theirs."""
     count, raw = train.shape
     if gram is None and raw <= count:
         mean = train.mean(axis=0)

@@ -19,8 +19,7 @@ SIDES = 256
 class ContainerModel:
     """A rigid container. Its frame: origin in the middle of its bounding box, z up, in its upright pose.
 
-    vertices_m: (n, 3) [m]; triangles: (m, 3) indices, counterclockwise as seen from outside
-    """
+    vertices_m: (n, 3) [m]; triangles: (m, 3) indices, counterclockwise as seen from outside"""
 
     vertices_m: FloatArray
     triangles: IntArray
@@ -72,8 +71,7 @@ class ContainerModel:
 class ModelView:
     """View of a container in each of the requested pixels. depth_m: along the camera's axis [m], nan outside it
     outward: (..., 3) unit normals of its surface in its own frame; rotation: (3, 3) from the model's to the camera's
-    frame
-    """
+    frame"""
 
     depth_m: FloatArray
     outward: FloatArray

@@ -1,8 +1,7 @@
 """Accuracy of the content's classification from each modality, and its uncertainty (Thesis 2.5).
 
 Everything that is learned is learned inside the training side of each split: scaling, components, classifiers,
-calibration and fusion.
-"""
+calibration and fusion."""
 
 from __future__ import annotations
 
@@ -23,14 +22,7 @@ from deformscope.stages.squeeze.classifiers import NAMES
 from deformscope.stages.squeeze.groupings import Grouping, Normality
 from deformscope.stages.squeeze.intervals import Estimated, Interval, difference, holm, over_splits, share_of, wilson
 from deformscope.stages.squeeze.near_copies import near_copies, without_near_copies
-from deformscope.stages.squeeze.scores import (
-    ClassificationScore,
-    accuracy_of,
-    recalls,
-    score_of,
-    split_ratio,
-    worth_of,
-)
+from deformscope.stages.squeeze.scores import ClassificationScore, accuracy_of, recalls, score_of, split_ratio, worth_of
 from deformscope.stages.squeeze.splits import PROTOCOLS, Protocol, Split, draw, splitting_notes
 from deformscope.stages.squeeze.table import LISTED, LabelledTable, absent, refuse_duplicates
 from deformscope.stages.squeeze.trial_run import Answers, Key, Method, joined_name, run_split
@@ -176,8 +168,7 @@ def evaluate(
     """Evaluate every modality alone, all of them fused early and late.
 
     beyond: the same trials and others, of other kinds of containers, for transfers alone; None = `table` Raises
-    InputError for duplicate trials and for a table without the requested splits.
-    """
+    InputError for duplicate trials and for a table without the requested splits."""
     options = options or EvaluationOptions()
     progress = progress or (lambda what, done, total: None)
     beyond = table if beyond is None else beyond

@@ -197,18 +197,13 @@ class ArrayCheck:
 
 
 def squeeze_events(
-    tactile_ns: IntArray,
-    sums: FloatArray,
-    hand_ns: IntArray,
-    closing_deg: FloatArray,
-    rule: EventRule,
+    tactile_ns: IntArray, sums: FloatArray, hand_ns: IntArray, closing_deg: FloatArray, rule: EventRule
 ) -> SqueezeEvents:
     """The events of a recorded squeeze.
 
     tactile_ns: (n,) times of frames from before the fingers closed; sums: (n, fingers) [counts]
     hand_ns: (m,) times of readings; closing_deg: (m, axes) angles of the axes that close.
-    Raises InputError where there are too few frames for a baseline.
-    """
+    Raises InputError where there are too few frames for a baseline."""
     if len(tactile_ns) <= BASELINE_FRAMES or len(hand_ns) < 2:
         came = f"{len(tactile_ns)} tactile frames and {len(hand_ns)} readings of the hand"
         raise InputError(f"more than {BASELINE_FRAMES} frames and 2 readings", came, "a longer recording")

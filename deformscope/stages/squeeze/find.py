@@ -129,8 +129,7 @@ def compare(before: ContainerFit, after: ContainerFit | InputError) -> Container
 def matches(found: ContainerFit, size_m: tuple[float, float, float], tolerance_m: float = 0.01) -> ContainerFit:
     """The same with its x axis along the side that a rig file calls x. size_m: size of its `[container]`.
 
-    Raises InputError for another container there.
-    """
+    Raises InputError for another container there."""
     choices = [found]
     if found.shape == "box":
         yaw = (found.yaw_rad + np.pi) % np.pi - 0.5 * np.pi

@@ -1,8 +1,7 @@
 """Calibrated posteriors, and several modalities together: late fusion (Thesis 2.6, future work).
 
 Everything is fitted on the training side alone: the classifier of a modality, its posteriors' calibration, and the
-reliability of each modality for each class. The posteriors that this is learned from are of points left out.
-"""
+reliability of each modality for each class. The posteriors that this is learned from are of points left out."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ classes about their modality's, offsets of classes about 0. With few trials they
 class Pool:
     """Weighed logarithms of posteriors: log p(c) = sum_m weight[m, c] log p_m(c) + offset[c] + constant.
 
-    weight: (M, C) reliability of modality m for class c, 0 or more; offset: (C,)
-    """
+    weight: (M, C) reliability of modality m for class c, 0 or more; offset: (C,)"""
 
     weight: FloatArray
     offset: FloatArray
@@ -119,8 +117,7 @@ def everywhere(pool: Pool, logs: FloatArray) -> FloatArray:
 class Fitted:
     """An expert, with its posteriors for its training points when they are left out.
 
-    logs: (n, C) calibrated; known: (n,) whether there was another point, or group, of the class to learn it from
-    """
+    logs: (n, C) calibrated; known: (n,) whether there was another point, or group, of the class to learn it from"""
 
     expert: Expert
     logs: FloatArray
@@ -141,8 +138,7 @@ def fit_expert(
     """All possible classifiers of a modality, pooled by their posteriors for points left out.
 
     points: (n, d) components of the training side, the first `kept` of which hold 80 % of the variance; raw: columns
-    before the rotation; apart: (n,) groups that are left out together, or None
-    """
+    before the rotation; apart: (n,) groups that are left out together, or None"""
     fold = folds_of(target, apart, seed)
     known = np.zeros(len(target), dtype=bool)
     for one in range(FOLDS):
@@ -183,8 +179,7 @@ def fuse(pool: Pool, logs: FloatArray, present: BoolArray) -> FloatArray:
     """(n, C) fused of (M, n, C) calibrated ones. With one modality, the result is that modality's posterior; with none,
     only the offsets count.
 
-    present: (M, n) which modalities are present
-    """
+    present: (M, n) which modalities are present"""
     fused = pool.log_posterior(logs, present)
     alone = present.sum(axis=0) == 1
     if alone.any():

@@ -1,7 +1,6 @@
 """Natural groupings of the features, and how normal they are (Thesis 2.4.3.1, 2.4.3.4, 2.5.2).
 
-They describe the table as a whole; no result of a classifier depends on them.
-"""
+They describe the table as a whole; no result of a classifier depends on them."""
 
 from __future__ import annotations
 
@@ -28,8 +27,7 @@ class Grouping:
 
     rand: (RUNS,) adjusted Rand index of each run; plane: (n, 2) trials on the two largest components; rows: (n,)
     indices of the trials; cluster: (n,) clusters of the tightest run; centroid: (k, 2) its centroids; explained: share
-    of the variance that the two components explain
-    """
+    of the variance that the two components explain"""
 
     rand: FloatArray
     plane: FloatArray
@@ -44,8 +42,7 @@ class Normality:
     """Lilliefors' test of each component, at `ALPHA`.
 
     pooled: p-values over all trials; within: (C, d) within each class, which is what QDA assumes, NaN where a class has
-    fewer than four trials
-    """
+    fewer than four trials"""
 
     pooled: FloatArray
     within: FloatArray

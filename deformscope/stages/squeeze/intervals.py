@@ -58,8 +58,7 @@ def over_splits(values: FloatArray, ratio: float, level: float, worth: float = n
     """The mean of values (J,) over splits with its corrected interval, in their unit; of shares see `share_of`.
 
     worth: effective number of independent trials. The standard deviation has a lower limit: otherwise values that are
-    equal in every split would be much more certain than nearly equal ones
-    """
+    equal in every split would be much more certain than nearly equal ones"""
     found = values[np.isfinite(values)]
     if not found.size:
         return Estimated(float("nan"), (float("nan"), float("nan")))
@@ -87,8 +86,7 @@ def trials_worth(size: IntArray, tested: float = 1.0, splits: int = 1, ratio: fl
 
     tested: share of the trials that a split tests; ratio: tested trials over training ones, 0 = one classifier for all.
     It depends on the design only, not on the answers: a correlation estimated from errors would make a result without
-    errors less certain than one with a single error.
-    """
+    errors less certain than one with a single error."""
     total = float(size.sum())
     effect = 1.0 + GROUP_CORRELATION * (float((size**2).sum()) / max(total, 1.0) - 1.0)
     return total / effect * tested / (1.0 / splits + ratio)
@@ -129,8 +127,7 @@ def lilliefors(values: FloatArray) -> tuple[float, float]:
     """Distance of (n,) values from the normal distribution of their mean and deviation, and its p-value. It is the
     Kolmogorov-Smirnov test with mean and deviation of the same sample (Lilliefors 1967).
 
-    NaN for fewer than four values or equal ones.
-    """
+    NaN for fewer than four values or equal ones."""
     if len(values) < 4 or not np.ptp(values) > 0.0:
         return float("nan"), float("nan")
     found = float(_distance(values[None])[0])

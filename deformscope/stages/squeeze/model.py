@@ -21,8 +21,7 @@ class ModalityModel:
     """The model of one modality: from features to a calibrated posterior.
 
     scaling: scaling of its p columns, q of which are used; centre: (q,), directions: (q, d) of the components; expert:
-    classifier on these
-    """
+    classifier on these"""
 
     scaling: Scaling
     centre: FloatArray
@@ -48,8 +47,7 @@ class ContentModel:
     each step, () = they are not fused
     settings: settings of the features, as stored with them: a squeeze must have the same
     promised: accuracy with its interval, as evaluated; provenance: versions and source
-    seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known
-    """
+    seen: (N,) fingerprints of the trials that it was trained on, by modality, {} = not known"""
 
     labels: tuple[str, ...]
     modalities: Mapping[str, ModalityModel]
@@ -66,8 +64,7 @@ class ContentModel:
         """(n, C) posterior of (n, p) features by modality, C as in `labels`.
 
         A modality may be left out, or its row be all NaN: then the others decide. Raises InputError for an unknown
-        modality, other numbers of columns, and a trial without features.
-        """
+        modality, other numbers of columns, and a trial without features."""
         if unknown := [name for name in features if name not in self.modalities]:
             raise InputError(f"modalities out of {', '.join(self.modalities)}", ", ".join(unknown))
         if not features:

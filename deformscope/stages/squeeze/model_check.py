@@ -54,8 +54,7 @@ class ModelCheck:
     inside: how many bins of the reliability diagram are inside the band, and how many have answers
     calibrated: share of perfectly calibrated classifiers with the same posteriors that stray as far or farther
     times: during the squeeze and in the end, if table and model have steps
-    trained: number of the trials that trained the model: these do not test it
-    """
+    trained: number of the trials that trained the model: these do not test it"""
 
     labels: tuple[str, ...]
     score: ClassificationScore
@@ -87,8 +86,7 @@ class ModelCheck:
 def check_model(model: ContentModel, table: LabelledTable, *, level: float = 0.9, seed: int = 0) -> ModelCheck:
     """Evaluation of a model on a table of new trials.
 
-    Raises InputError for labels and columns that the model does not have, and for missing modalities.
-    """
+    Raises InputError for labels and columns that the model does not have, and for missing modalities."""
     if unknown := [one for one in table.classes if one not in model.labels]:
         raise InputError(
             f"labels out of {', '.join(model.labels)}", ", ".join(map(repr, unknown)), "--merge, or relabel"

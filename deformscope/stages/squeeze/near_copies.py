@@ -25,8 +25,7 @@ def near_copies(table: LabelledTable) -> list[tuple[int, ...]]:
 
     Distances are between standardised features, each modality weighing as much. If points are spread evenly around a
     trial, the nearest is within the share s of the distance of the k-th with probability (k - 1) s^d. The dimension d
-    is that of the distances of the k-th and 2 k-th neighbours (Facco et al. 2017).
-    """
+    is that of the distances of the k-th and 2 k-th neighbours (Facco et al. 2017)."""
     from sklearn.neighbors import NearestNeighbors
 
     count = len(table)

@@ -1,7 +1,6 @@
 """Difference of the depth around a fingertip from that of the rigid container: the visual feature (Thesis ch. 2).
 
-The sign is the thesis's: data minus model. A dent is positive, a wall that bulges towards the camera negative.
-"""
+The sign is the thesis's: data minus model. A dent is positive, a wall that bulges towards the camera negative."""
 
 from __future__ import annotations
 
@@ -49,8 +48,7 @@ class DepthChange:
     change_m: (61, 61) [m], NaN where nothing was measured; small_m: (11, 11) means of its blocks without those pixels
     center_px: (2,) column and row of its middle; width_m: how wide it is on the container's surface [m]
     missing: share of pixels without a measurement of the wall; noise_m: deviation of a measured pixel, root mean square
-    filled_m, small_filled_m: the maps as features, without NaN
-    """
+    filled_m, small_filled_m: the maps as features, without NaN"""
 
     change_m: FloatArray
     small_m: FloatArray
@@ -86,8 +84,7 @@ def depth_change(
     are pixels outside the image or the container, within OUTLINE_PX of an outline, at grazing angles, farther from the
     model than a wall can be, or far from the pixels around it. A wall is pressed in by `closed_m` at most, and bulges
     by `SURE` times `BULGE_M` at most. Raises InputError where the fingertip is behind the camera or less than
-    LEAST_SEEN of the patch was measured.
-    """
+    LEAST_SEEN of the patch was measured."""
     if side_px % 2 == 0:
         raise InputError("an odd number of pixels, so that the patch has a middle", str(side_px))
     tip = np.asarray(fingertip_m, dtype=np.float64)

@@ -1,7 +1,6 @@
 """Physical quantities of a squeeze: contact, force, indentation, stiffness of the wall, relaxation.
 
-These features complement the thesis's raw features, and mean the same on another hand and another container.
-"""
+These features complement the thesis's raw features, and mean the same on another hand and another container."""
 
 from __future__ import annotations
 
@@ -29,8 +28,7 @@ class Physical:
     principal axis of pressure, from the pad's columns towards its rows, in (-pi/2, pi/2]; elongation: 0 round to 1 a
     line; indentation: how far each finger went from first contact to steady state; onset_rate: mean slope of the
     force's first half; stiffness: stiffness of one wall, with its 90 % interval; relaxation: share of the force lost
-    after steady state
-    """
+    after steady state"""
 
     values: FloatArray
 
@@ -53,8 +51,7 @@ def physical_features(
     contact [Pa]
     texel_m: (width, height); indentation_m: (n,) way of each finger into the wall since first contact, their mean [m]
     threshold_pa: texels at or below are not in contact.
-    Raises InputError where there is no frame between the two events.
-    """
+    Raises InputError where there is no frame between the two events."""
     time, depth = np.asarray(time_s, dtype=np.float64), np.asarray(indentation_m, dtype=np.float64)
     if not len(time) == len(depth) == len(pressure_pa):
         raise InputError("as many times as frames and indentations", f"{len(time)}, {len(pressure_pa)}, {len(depth)}")
@@ -89,8 +86,7 @@ def physical_features(
 def pressure_axis(pressure_pa: FloatArray, texel_m: tuple[float, float]) -> tuple[float, float]:
     """Orientation [rad] in (-pi/2, pi/2] from the columns towards the rows, and elongation (0 round to 1 a line) of the
     pressures (rows, columns) on one pad. Both are computed from the second moments (as drawn in Thesis fig. 2.4); NaN
-    without contact.
-    """
+    without contact."""
     weight = np.maximum(np.asarray(pressure_pa, dtype=np.float64), 0.0)
     total = weight.sum()
     if not total > 0.0:

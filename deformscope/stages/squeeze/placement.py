@@ -19,8 +19,7 @@ class ContainerFit:
     size_m: (3,) along x, y, z; of a cylinder its diameter twice and its height [m]
     lean_rad: (2,) lean of its axis towards x and y
     deviation_m: (3,) standard deviation of the middle along x and y and of the height [m]; yaw_sd_rad
-    rms_m: root mean square of the points of its sides; points: fitted
-    """
+    rms_m: root mean square of the points of its sides; points: fitted"""
 
     shape: str = field(metadata=reported())
     center_m: FloatArray = field(metadata=reported())
@@ -49,8 +48,7 @@ class ContainerShift:
     more) or hidden (unknown); `reason` has the cause
 
     moved_m: motion of its foot on the table; threshold_m: beyond which it counts as moved; turned_rad; lean_rad: lean
-    of its axis
-    """
+    of its axis"""
 
     kind: str = field(metadata=reported())
     moved_m: float = field(default=0.0, metadata=reported())
@@ -84,8 +82,7 @@ class ContainerSighting:
     asked), placed, or after (the squeeze)
     near: it was sought close to its earlier place, where the robot may hide a part of it
     fit: None if it was not found; `refused` states why; change: against before
-    edges_px: (n, 2, 2) ends of the found container's edges in the image
-    """
+    edges_px: (n, 2, 2) ends of the found container's edges in the image"""
 
     index: int
     images: IntArray
@@ -120,8 +117,7 @@ class HandPlacement:
     tried: (k, 3) along, tilt and turn of each grasp that was drawn; refused: (k,) why not, empty = this one
     T_table_hands: (k, 4, 4) pose of the hand at each time
     path_m: (n, 3) planned path of the middle between the pads, table's frame
-    reached: travel, approach, grasp or retreat: what the arm last came to
-    """
+    reached: travel, approach, grasp or retreat: what the arm last came to"""
 
     by: str = field(metadata=reported())
     seed: int = field(metadata=reported())

@@ -25,8 +25,7 @@ class Reliability:
     """Share of right answers over their probability.
 
     sure: (B,) mean posterior of the answers in each bin; right: (B,) share that was right; count: (B,) answers over all
-    splits; band: (B, 2) within which `right` lies for a perfectly calibrated classifier, at the evaluation's level
-    """
+    splits; band: (B, 2) within which `right` lies for a perfectly calibrated classifier, at the evaluation's level"""
 
     sure: FloatArray
     right: FloatArray
@@ -43,8 +42,7 @@ class ClassificationScore:
     trials: (C,) different trials of each class that were tested; worth: how many independent trials these are
     calibration_error: mean distance of posterior and share right, over the bins; overconfidence: mean posterior less
     share right; log_loss: mean
-    components: mean number in use; pair: in a transfer, the kinds that trained and were tested; split_accuracy: (J,)
-    """
+    components: mean number in use; pair: in a transfer, the kinds that trained and were tested; split_accuracy: (J,)"""
 
     modality: str = field(metadata=reported("modality"))
     method: Method = field(metadata=reported("method"))

@@ -31,8 +31,7 @@ class LabelledTable:
     that trial; kind: (N,) kinds, such as the container's type, between which transfer is evaluated, or None; trial:
     (N,) names for messages, or None; series: (N, T, p) features over the squeeze by name, NaN after the end of a trial
     step_s: time between two of the T steps [s]; settings: settings with which the features were computed, stored in a
-    model. Raises InputError for sizes that do not fit together.
-    """
+    model. Raises InputError for sizes that do not fit together."""
 
     label: TextArray
     group: TextArray | None

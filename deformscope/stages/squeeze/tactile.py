@@ -20,8 +20,7 @@ def tactile_feature(arrays: Sequence[npt.NDArray[np.generic]], end: End = "first
     """(36 n,) cells at one end of each of n fingertip arrays (rows, columns), row by row, float64.
 
     end: the first 36 as the controller sends them, as in the thesis, or the last. It is not published which of the two
-    ends is at the fingertip: touch one and look in `deformscope live`.
-    """
+    ends is at the fingertip: touch one and look in `deformscope live`."""
     short = [array.size for array in arrays if array.size < CELLS]
     if short:
         raise InputError(f"arrays of {CELLS} cells or more", f"{short[0]}")
@@ -34,8 +33,7 @@ def series_of(time_s: FloatArray, features: FloatArray, step_s: float = 0.1) -> 
     then.
 
     time_s: (n,) times of the frames since first contact, rising; features: (n, p) features of each. Raises InputError
-    without any frame at or after first contact.
-    """
+    without any frame at or after first contact."""
     if not len(time_s) or not time_s[-1] >= 0.0:
         raise InputError("tactile frames after first contact", "none")
     steps = np.arange(int(np.floor(float(time_s[-1]) / step_s + 1e-9)) + 1) * step_s

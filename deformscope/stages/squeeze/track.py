@@ -56,8 +56,7 @@ class TrackOptions:
     """reach_m: largest distance between surface and data that are matched [m]; steps: largest number; least_pixels:
     fewest pixels of the container seen; least_agreeing: least share of them within the noise for a good track
     farthest_m, farthest_deg: largest distance from the rest pose; jump_m: largest motion from the start, including
-    rotation times the lever
-    """
+    rotation times the lever"""
 
     reach_m: float = 0.02
     steps: int = 15
@@ -76,8 +75,7 @@ class PoseEstimate:
     deviation_m: (6,) standard deviation of the pose along each from image data [m]; observed: (6,) directions that the
     data determine; pixels: number of pixels of the container seen and compared; agreeing: share of them within the
     noise; rms_m: root mean square of these residuals; edge_points: number of points of the outline seen; good: whether
-    features may be taken from it; reason: why not, or empty
-    """
+    features may be taken from it; reason: why not, or empty"""
 
     T_camera_container: FloatArray
     directions: FloatArray
@@ -132,8 +130,7 @@ def track(
 
     start: (4, 4) T_camera_container to begin at, such as that of the frame before; rest: (4, 4) pose for directions
     that the data do not observe, default `start`; excluded: (H, W) pixels of the hand and of the dent A bad track is a
-    result (`good` False), never an exception. Raises InputError for shapes that do not fit.
-    """
+    result (`good` False), never an exception. Raises InputError for shapes that do not fit."""
     options = options or TrackOptions()
     depth = np.asarray(depth_m, dtype=np.float64)
     if depth.ndim != 2 or (excluded is not None and excluded.shape != depth.shape):
@@ -172,8 +169,7 @@ def locate(
     """The pose of a container near its assumed place, turned about its z axis by any of some angles.
 
     guess: (4, 4) T_camera_container, right within a few centimetres. The start that explains the most pixels (those
-    compared times the share that agree) is the best.
-    """
+    compared times the share that agree) is the best."""
     options = TrackOptions(reach_m=0.06, steps=40)
     found = []
     for yaw in yaws_deg:
@@ -185,12 +181,7 @@ def locate(
 
 
 def _equations(
-    renderer: ModelRenderer,
-    depth: FloatArray,
-    usable: BoolArray,
-    pose: FloatArray,
-    reach_m: float,
-    fine: bool,
+    renderer: ModelRenderer, depth: FloatArray, usable: BoolArray, pose: FloatArray, reach_m: float, fine: bool
 ) -> tuple[list[_Rows], _Window | None]:
     """Equations of the surface, and of the outline at fine resolution, in this order; and the rendering, None if the
     container is outside the image. depth: (h, w) [m]; usable: (h, w); pose: (4, 4) [m]"""
@@ -282,12 +273,7 @@ def _edge_rows(
 
 
 def _jumps(
-    depth: FloatArray,
-    usable: BoolArray,
-    line: IntArray,
-    z: FloatArray,
-    inside: BoolArray,
-    corner: tuple[int, int],
+    depth: FloatArray, usable: BoolArray, line: IntArray, z: FloatArray, inside: BoolArray, corner: tuple[int, int]
 ) -> tuple[BoolArray, FloatArray]:
     """Which lines (m, k, 2) across the outline have one jump of depth, and how far outside the rendering it is [px]."""
     data = depth[line[..., 1], line[..., 0]]
@@ -325,8 +311,7 @@ def _solve(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(6,) the motion in the camera frame: along observed directions to the data, along the others to the rest pose.
 
-    Also directions (6, 6) by row in the container frame, and the deviation along each (6,) [m]
-    """
+    Also directions (6, 6) by row in the container frame, and the deviation along each (6,) [m]"""
     turn = np.zeros((6, 6))
     turn[:3, :3], turn[3:, 3:] = pose[:3, :3], pose[:3, :3] / lever  # from container frame with lever to camera frame
     total, right = np.zeros((6, 6)), np.zeros(6)

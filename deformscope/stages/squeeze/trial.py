@@ -67,8 +67,7 @@ class TrackedContainer:
     then; directions: (6, 6) directions of `observed`, a direction each row, container frame: translation, then rotation
     times half the container's radius; deviation_m: (6,) standard deviation along each, from the eigenvalues of the
     normal matrix; lag_s: age of the image at the time of the result [s], NaN = it was computed after the hand had
-    opened, None = the same, in the median of several images; skipped: images before it that were left out to keep up
-    """
+    opened, None = the same, in the median of several images; skipped: images before it that were left out to keep up"""
 
     index: int = field(metadata=reported())
     T_camera_container: FloatArray = field(metadata=reported())
@@ -127,8 +126,7 @@ class SqueezeFeatures:
     vision; noise_m: deviation of one of its pixels; reason: why there is none
     patch_px: (2,) column and row of its middle; patch_width_m: width of the patch on the container's surface
     physical: (n,) in the order of `PHYSICAL`, NaN where it could not be measured
-    series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then
-    """
+    series_s: (k,) times since F_first, every 0.1 s [s]; series: (k, 72) tactile cells then"""
 
     tactile: FloatArray
     physical: FloatArray
@@ -156,8 +154,7 @@ class ContentPosterior:
 
     since_s: since the first contact [s]; modality: its input; labels; probability: (k,) probability of each
     index: the newest tactile frame's place in its stream, -1 = it is of all features at steady state
-    vision_index: index of the image whose change of depth was used too, None = none
-    """
+    vision_index: index of the image whose change of depth was used too, None = none"""
 
     since_s: float
 
@@ -185,8 +182,7 @@ class SqueezeStop:
     """Why a squeeze ended before its time. kind: its kind, in a few words; reason: its reason, with numbers; advice:
     what to see to
 
-    stands: the hand confirmed that it stopped; restored: the limits of its currents are restored
-    """
+    stands: the hand confirmed that it stopped; restored: the limits of its currents are restored"""
 
     kind: str
     reason: str

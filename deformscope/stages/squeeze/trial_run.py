@@ -54,10 +54,7 @@ class Sides:
 
 
 def sides_of(
-    features: Mapping[str, FloatArray],
-    missing: Mapping[str, BoolArray],
-    split: Split,
-    fused: Sequence[tuple[str, ...]],
+    features: Mapping[str, FloatArray], missing: Mapping[str, BoolArray], split: Split, fused: Sequence[tuple[str, ...]]
 ) -> dict[str, Sides]:
     """Every modality (trials, columns) alone, and joined ones: early fusion, standardised columns side by side.
     missing: (trials,) which lack each modality"""
@@ -127,8 +124,7 @@ def run_split(
 
     features: (N, p) features by modality; missing: (N,) trials that lack it, by modality; target: (N,) classes; apart:
     (N,) groups, if splits are by group: then splits inside the training side are by group, too; fused: modalities that
-    are joined, the first of them fused late too, None = all
-    """
+    are joined, the first of them fused late too, None = all"""
     fused = (tuple(features),) if fused is None else fused
     found: dict[Key, Answers] = {}
     fitted: dict[str, tuple[Sides, Fitted, FloatArray]] = {}

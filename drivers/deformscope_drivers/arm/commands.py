@@ -32,8 +32,7 @@ class SpeedLimits(Protocol):
     """Speed limits of an arm's commands; its configuration has them.
 
     linear_limit_m_s, angular_limit_rad_s: largest speeds of the end effector; joint_limit_deg_s: joint
-    limit of any joint, whose own limit holds besides; command_deadline_s: default duration of a velocity
-    """
+    limit of any joint, whose own limit holds besides; command_deadline_s: default duration of a velocity"""
 
     @property
     def linear_limit_m_s(self) -> float: ...
@@ -53,8 +52,7 @@ class CartesianVelocity:
     """Velocity of the end effector as the arm takes it, in two frames.
 
     linear_m_s: (3,) velocity in the base frame; angular_rad_s: (3,) about the axes of the end effector's own frame,
-    which turn with it (Kinova's staff, kinova-ros issues 154 and 192; ViSP's driver agrees). `in_base` converts.
-    """
+    which turn with it (Kinova's staff, kinova-ros issues 154 and 192; ViSP's driver agrees). `in_base` converts."""
 
     linear_m_s: Vector3
     angular_rad_s: Vector3 = (0.0, 0.0, 0.0)
@@ -107,8 +105,7 @@ def by_joints(
     No arm is sent Cartesian velocities: their behaviour near limits and singularities is not published. Therefore this
     function has the guards. No joint exceeds its limit (all are slowed by the same factor), or comes within
     JOINT_MARGIN_DEG of the end of its range. If damping near a singularity would move the hand off its path, there is
-    no motion. Self-collision is not checked.
-    """
+    no motion. Self-collision is not checked."""
     if isinstance(velocity, JointVelocity):
         return velocity
     if not all(map(math.isfinite, joints_deg)):

@@ -1,8 +1,7 @@
 """An arm as a device: the interface that the robot, its travel, its preflight and an exploration use.
 
 A velocity holds only as long as its sender renews it. Each driver brings its arm to rest then, which the contract tests
-check (`tests/drivers/arm`).
-"""
+check (`tests/drivers/arm`)."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ class Arm(Device[StateT]):
     by_hand: a person places it: it has no joints that are known, and takes no velocities
     goes_home: whether the arm has a stored home pose, to which `home` sends it
     stop_by_hand: how a person stops it where its driver could not
-    still: opening must not move it, as after its process was lost while the tip may have pressed something
-    """
+    still: opening must not move it, as after its process was lost while the tip may have pressed something"""
 
     prompt = True
     by_hand: ClassVar[bool] = False
@@ -141,8 +139,7 @@ class Arm(Device[StateT]):
     def stop(self) -> None:
         """Stop at once. Raises where that did not reach the arm.
 
-        The next command moves it again, whoever gives it; use `halt` to keep it stopped.
-        """
+        The next command moves it again, whoever gives it; use `halt` to keep it stopped."""
 
     @abstractmethod
     def halt(self, reason: str) -> None:

@@ -1,8 +1,7 @@
 """Poses of an arm's links for given joint angles, and joint angles for a given pose of its end.
 
 Joints are in degrees, as vendors' interfaces give and take them; lengths are in metres, rotations in radians. Every
-joint turns about the z axis of its own frame, so a child's pose in its parent is `origin @ rotation_z(angle)`.
-"""
+joint turns about the z axis of its own frame, so a child's pose in its parent is `origin @ rotation_z(angle)`."""
 
 from __future__ import annotations
 
@@ -23,8 +22,7 @@ class Joint:
 
     xyz_m, rpy_rad: the joint's frame in its parent's at angle 0, as in a URDF (fixed-axis roll, pitch, yaw)
     lower_deg, upper_deg: the range, both None where the joint turns without end
-    velocity_deg_s, effort_nm: the greatest speed and torque; mass_kg: mass of the link that the joint carries
-    """
+    velocity_deg_s, effort_nm: the greatest speed and torque; mass_kg: mass of the link that the joint carries"""
 
     xyz_m: tuple[float, float, float]
     rpy_rad: tuple[float, float, float]
@@ -42,8 +40,7 @@ class InverseResult:
     joints_deg: (n,) the best joint angles found, within the limits, whether or not they reach the target [deg]
     converged: both errors are within the requested tolerances
     position_error_m, rotation_error_rad: residuals at joints_deg
-    iterations: steps taken over all starts; starts: how many starting points were tried
-    """
+    iterations: steps taken over all starts; starts: how many starting points were tried"""
 
     joints_deg: FloatArray
     converged: bool
@@ -120,15 +117,13 @@ class Chain:
     def jacobian(self, joints_deg: npt.ArrayLike) -> FloatArray:
         """Geometric Jacobian of the end effector in the base frame, (6, n), per radian.
 
-        Rows are linear velocity [m/rad], then angular velocity [rad/rad]: `twist = jacobian @ radians(rate_deg_s)`.
-        """
+        Rows are linear velocity [m/rad], then angular velocity [rad/rad]: `twist = jacobian @ radians(rate_deg_s)`."""
         return jacobian_of(self.forward(joints_deg))
 
     def gravity_torque_nm(self, T_base_links: FloatArray) -> FloatArray:
         """Torque (n,) [Nm] that holds the links up, base standing upright; T_base_links as from `forward`.
 
-        Each link's mass is assumed midway to the next joint: the published data have no more.
-        """
+        Each link's mass is assumed midway to the next joint: the published data have no more."""
         axes, origins_m = T_base_links[:-1, :3, 2], T_base_links[:-1, :3, 3]
         centres_m = 0.5 * (origins_m + T_base_links[1:, :3, 3])
         # of all links behind each joint: the moment of their weight about the base's origin
@@ -166,8 +161,7 @@ class Chain:
         T_base_end_effector: (4, 4) the requested pose [m]; start_deg: (n,) first start (default: the home pose);
         further starts are drawn with the seed; margin_deg: distance of the joints from the ends of their ranges. The
         first start that converges ends the search. A target out of reach is no error: `converged` is then False and the
-        remaining errors are given.
-        """
+        remaining errors are given."""
         target = np.asarray(T_base_end_effector, dtype=float)
         if target.shape != (4, 4) or not np.all(np.isfinite(target)):
             raise ValueError(f"expected a finite 4 x 4 pose of the end effector; came {target.shape} {target.tolist()}")
@@ -297,8 +291,7 @@ def damped_joint_rates(
     damping: smallest singular value that is still inverted in full. Below it the rates are bounded, and the twist is
     then not reached (Nakamura and Hanafusa 1986; Maciejewski and Klein 1988).
     wish_rad_s: (n,) additional desired rates, in the null space of the end effector's motion, for an arm with more than
-    six joints (Liegeois 1977); ignored with six
-    """
+    six joints (Liegeois 1977); ignored with six"""
     left, values, right = np.linalg.svd(jacobian, full_matrices=wish_rad_s is not None)
     least = values[..., -1:]
     extra = np.where(least >= damping, 0.0, (1.0 - (least / damping) ** 2) * damping**2)
@@ -325,8 +318,7 @@ def least_singular(jacobian: FloatArray) -> FloatArray:
     """Smallest singular value (...,) of a geometric Jacobian (..., 6, n) [m/rad; rad/rad]: 0 at a singularity.
 
     Joint rates of size r move the end effector by at least `least_singular * r` in every direction, and in the weakest
-    by no more than that.
-    """
+    by no more than that."""
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False)[..., -1])
 
 

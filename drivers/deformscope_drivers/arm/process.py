@@ -2,8 +2,7 @@
 
 The process receives the driver's class and configuration first, then velocities with their expiry times, and calls.
 When the other end is closed, for any reason, the process halts the arm, closes it and ends. A long call runs in a
-separate thread, so that a halt and the end of the program come first.
-"""
+separate thread, so that a halt and the end of the program come first."""
 
 from __future__ import annotations
 

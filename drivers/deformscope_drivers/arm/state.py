@@ -22,8 +22,7 @@ class ArmState:
     theta_rad: (3,) its rotation about x, the new y, the new z; wrench: (6,) force [N] and torque [Nm] at the end
     effector as the arm estimates them, in the base frame; nan = not known
     fingers: fingers of a gripper, as its driver says; fifo_count: points that wait in the arm
-    currents: (n,) currents of the joints' motors, in the units of the arm's controller, empty where not known
-    """
+    currents: (n,) currents of the joints' motors, in the units of the arm's controller, empty where not known"""
 
     stamp: Stamp
     joints_deg: tuple[float, ...]

@@ -38,8 +38,7 @@ class DepthCameraConfig:
     speed, loop: speed and loop of a recording; speed 0 = as fast as its readers take it, and no reader loses any
     library: path or folder of libOpenNI2.so; empty = where the system has it
     silence_s: time without a picture after which the camera counts as lost; stuck_after_s: the same picture for this
-    long means a frozen one, None = it may (a recording always may)
-    """
+    long means a frozen one, None = it may (a recording always may)"""
 
     port: str = ""
     width: int | None = None
@@ -73,8 +72,7 @@ class DepthCamera(HostedCamera):
     """`with DepthCamera(DepthCameraConfig(color=True)) as camera: camera.next(1.0).depth_m()`
 
     OpenNI2 runs in a child process: a hang or crash there is a lost link here, and it is restarted. It was not tested
-    on a camera, but on OpenNI2's dummy and on recordings written for it.
-    """
+    on a camera, but on OpenNI2's dummy and on recordings written for it."""
 
     def __init__(
         self,

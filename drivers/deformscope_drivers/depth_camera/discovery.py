@@ -42,8 +42,7 @@ def discover(
     """Every connected depth camera: known ones on USB, by their socket, and others that OpenNI2 finds (a vendor's own
     build of it finds more).
 
-    devices: /sys/bus/usb/devices; list_cameras: cameras that OpenNI2 sees, None if it is not installed
-    """
+    devices: /sys/bus/usb/devices; list_cameras: cameras that OpenNI2 sees, None if it is not installed"""
     listed = list_cameras()
     found, reported = [], set()
     for folder in sorted(devices.iterdir()) if devices.is_dir() else []:

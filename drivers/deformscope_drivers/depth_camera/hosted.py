@@ -29,8 +29,7 @@ class HostedCamera(Device[DepthImage]):
 
     serve: function that runs in that process, with a channel and `_settings`; silence_s: time without a picture after
     which the camera counts as lost. A subclass gives `_settings`, the parameters of the process, and `_projection`, and
-    may override the other hooks.
-    """
+    may override the other hooks."""
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
 

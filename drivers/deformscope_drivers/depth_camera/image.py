@@ -17,8 +17,7 @@ class Intrinsics:
     the view.
 
     fx_px, fy_px: focal lengths [px]; cx_px, cy_px: principal point [px], counted from the centre of the first pixel
-    distortion: OpenCV's k1, k2, p1, p2, k3, which move x / z and y / z before; empty = none
-    """
+    distortion: OpenCV's k1, k2, p1, p2, k3, which move x / z and y / z before; empty = none"""
 
     fx_px: float
     fy_px: float
@@ -41,8 +40,7 @@ class DepthImage:
     depth: (H, W) uint16, distance along the view in units of `unit_m`; 0 where the camera measured nothing
     unit_m: 0.001 for millimetres
     color: (H', W', 3) RGB uint8 of the same time (within half a period), None without one
-    intrinsics: intrinsics of `depth`, from the camera (OpenNI2's: its field of view alone); None without them
-    """
+    intrinsics: intrinsics of `depth`, from the camera (OpenNI2's: its field of view alone); None without them"""
 
     stamp: Stamp
     depth: NDArray[np.uint16]

@@ -30,8 +30,7 @@ class RealsenseConfig(RealsenseSettings):
     global_time: time stamps that librealsense fits to the host's clock, in place of the camera's own clock
     color: colour pictures too; registered: depth in the colour camera's pixels, where there is colour
     silence_s: time without a picture after which the camera counts as lost; stuck_after_s: the same picture for this
-    long means a frozen one, None = it may
-    """
+    long means a frozen one, None = it may"""
 
     silence_s: float = 2.0
     stuck_after_s: float | None = 5.0
@@ -51,8 +50,7 @@ class Realsense(HostedCamera):
     """`with Realsense(RealsenseConfig(serial="837212070000")) as camera: camera.next(1.0).depth_m()`
 
     Never tried on a camera; tried on a double of the library, and on the library itself with a camera made of software.
-    library: the module that is imported there
-    """
+    library: the module that is imported there"""
 
     def __init__(
         self, config: RealsenseConfig, *, reconnect: Reconnect | None = RECONNECT, library: str = LIBRARY

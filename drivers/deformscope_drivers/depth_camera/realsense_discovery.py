@@ -48,8 +48,7 @@ def discover_realsense(
     """Every RealSense camera that is plugged in, by its serial number where librealsense reports it. The kernel reports
     another serial number, so that cameras which only the kernel sees are named by their socket.
 
-    devices: /sys/bus/usb/devices; list_cameras: cameras that librealsense sees, None if it is not installed
-    """
+    devices: /sys/bus/usb/devices; list_cameras: cameras that librealsense sees, None if it is not installed"""
     folders = sorted(devices.iterdir()) if devices.is_dir() else []
     plugged = [usb for folder in folders if (usb := usb_device(folder)) is not None]
     sockets = [(usb.folder, MODELS[usb.product]) for usb in plugged if usb.vendor == INTEL and usb.product in MODELS]

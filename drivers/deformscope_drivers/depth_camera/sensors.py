@@ -20,8 +20,7 @@ class TriangulatingSensor:
     focal_px: focal length of the sensor itself; step_px: step of the disparity; noise_px: deviation of disparity
     before that, which neighbours share within noise_width pixels of the picture
     bleeding: pixels of the picture next to an edge that take the depth of a neighbour at random; flying: pixels at a
-    jump have a depth between the two; grazing_deg: surfaces seen at a smaller angle than this have no depth
-    """
+    jump have a depth between the two; grazing_deg: surfaces seen at a smaller angle than this have no depth"""
 
     focal_px: float
     baseline_m: float

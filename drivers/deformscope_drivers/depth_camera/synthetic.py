@@ -24,8 +24,7 @@ class View:
     """The visible scene at one moment.
 
     depth_m: (H, W) distance along the view [m]; nan or 0 where there is nothing to measure
-    color: (H', W', 3) RGB uint8, None where there is no colour camera
-    """
+    color: (H', W', 3) RGB uint8, None where there is no colour camera"""
 
     depth_m: NDArray[np.floating]
     color: NDArray[np.uint8] | None = None
@@ -39,8 +38,7 @@ class SyntheticDepthConfig(SyntheticConfig):
     noise_m, noise_per_m: deviation of depth z is noise_m + noise_per_m z^2 [m]; the default is a first Kinect's
     (1.4 mm at 1 m, 6 mm at 2 m: Khoshelham and Oude Elberink 2012); missing: share of pixels without a distance
     near_m, far_m: beyond these nothing is measured
-    sensor: its error model, in the place of noise_m and noise_per_m; None = those
-    """
+    sensor: its error model, in the place of noise_m and noise_per_m; None = those"""
 
     name: str = "synthetic depth camera"
     unit_m: float = 0.001

@@ -24,8 +24,7 @@ class DsaConfig:
     threshold: texels below it read 0, 0 to 4095, for all or each; None = the controller's present one (firmware >= 268)
     calibration: for each matrix, or for all, the pressure of a count [Pa] or a `Curve`
     silence_s: time without a good frame during streaming after which the link is lost, and opened again
-    stuck_after_s: pressed texels with equal counts for this long mean a stuck sensor; None = no limit
-    """
+    stuck_after_s: pressed texels with equal counts for this long mean a stuck sensor; None = no limit"""
 
     port: str = ""
     rle: bool = True

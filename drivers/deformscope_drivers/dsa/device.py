@@ -77,8 +77,7 @@ class Dsa(StreamDevice[TactileReading]):
 
     The controller's description (`controller`, `sensor`, `matrices`) is there once it is open. Settings are repeated
     after a lost link, because a controller that was switched off loses them.
-    config: how it runs; transport: instead of the configuration's port
-    """
+    config: how it runs; transport: instead of the configuration's port"""
 
     def __init__(
         self,
@@ -186,8 +185,7 @@ class Dsa(StreamDevice[TactileReading]):
 
         sensitivity: 0 to 1, None = the factory's; matrix: its number, None = all; persistent: keep it without power
         (the memory bears about 100 000 writes). Raises OutOfLimits before anything is sent; CommandRefused,
-        SettingsRefused, NoReply
-        """
+        SettingsRefused, NoReply"""
         if sensitivity is not None:
             check_sensitivity(sensitivity, self.name)
         self._check_matrix(matrix)

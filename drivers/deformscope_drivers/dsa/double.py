@@ -2,8 +2,7 @@
 
 Its behaviour is that of the protocol reference (protocols.md 1a). Assumed, where that is incomplete: the error codes
 for commands that cannot be carried out, that sensitivity is a gain on the counts (0.5 = 1), that texels below the
-threshold are sent as 0, and the factory values.
-"""
+threshold are sent as 0, and the factory values."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ class DsaDouble:
     sensor; matrices: the matrices that it describes (default: the SDH's six); scene: pressures on them [Pa] (default:
     `GraspScene`); pa_per_count: pressure per count of a texel at sensitivity 0.5; noise_counts: standard deviation,
     before the threshold; bytes_per_s: the line's, None = as over TCP; boot_s: time from power-up to answers (`BOOT_S`
-    for that of a real one); seed: seed of scene and noise; first_timestamp_ms: the clock at power-up
-    """
+    for that of a real one); seed: seed of scene and noise; first_timestamp_ms: the clock at power-up"""
 
     def __init__(
         self,

@@ -1,7 +1,6 @@
 """Tactile readings out of the controller's packets: packets and their arrival in, readings and refusals out.
 
-Both the device and the replay of a recording's bytes use it: it has neither port nor thread.
-"""
+Both the device and the replay of a recording's bytes use it: it has neither port nor thread."""
 
 from __future__ import annotations
 
@@ -24,8 +23,7 @@ class TactileReading:
 
     stamp: arrival, and the controller's time in `device_ticks` [ms], without its 32-bit wrap
     texels: (n,) uint16 counts, 0 to 4095, read-only: all matrices in the controller's order, each row by row
-    pads: the same, (rows, columns) for each matrix
-    """
+    pads: the same, (rows, columns) for each matrix"""
 
     stamp: Stamp
     texels: messages.TexelArray
@@ -37,8 +35,7 @@ class TactileMeasurer:
     frames are requested.
 
     clock_fit: the controller's clock against the host's; repeated: frames that were sent twice; restarts: number of
-    restarts of its clock
-    """
+    restarts of its clock"""
 
     def __init__(self) -> None:
         self.repeated = self.restarts = 0

@@ -1,8 +1,7 @@
 """Messages between a DSACON32m and its host, and one table of each message's layout in its packet's payload.
 
 Source: Schunk's libraries as protocols.md 1a cites them (SDHLibrary-CPP, sdh/dsa.h). Little-endian throughout. Only
-messages whose payload is public are here: ids 00, 01, 02, 03, 0B, 0F, 12, 13 and 14.
-"""
+messages whose payload is public are here: ids 00, 01, 02, 03, 0B, 0F, 12, 13 and 14."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ class Acquisition(IntFlag):
 class Adjust(IntFlag):
     """Flags of `SetSensitivity` and `SetThreshold`.
 
-    PERSISTENT survives power-off; it wears the memory (about 100 000 writes) and is not answered.
-    """
+    PERSISTENT survives power-off; it wears the memory (about 100 000 writes) and is not answered."""
 
     PERSISTENT = 0x80
     ALL = 0x02
@@ -85,8 +83,7 @@ class Reading:
 
     timestamp_ms: the controller's clock, 32 bits (that it counts milliseconds is how Schunk's software takes it)
     flags: flags as sent; `FRAME_RLE` states how the texels were coded
-    texels: (n,) uint16, 0 to 4095, read-only: the matrices one after the other, each row by row
-    """
+    texels: (n,) uint16, 0 to 4095, read-only: the matrices one after the other, each row by row"""
 
     timestamp_ms: int
     flags: int
@@ -105,8 +102,7 @@ class Reading:
 class Ack:
     """The answer that holds an error code alone: to settings, and to a query that failed.
 
-    command: the request's id
-    """
+    command: the request's id"""
 
     command: int
     error: int = SUCCESS
@@ -117,8 +113,7 @@ class ControllerInfo:
     """Id 01. hardware_version: version as sent (perhaps binary-coded decimal); software_version: 268, say
 
     status: bit 7 operable, bit 6 acquiring; features: bit 6 USB, bit 5 CAN, bit 4 RS-232
-    can_id: its low byte, all that is ever sent
-    """
+    can_id: its low byte, all that is ever sent"""
 
     error: int
     serial_number: int
@@ -151,8 +146,7 @@ class MatrixInfo:
     texel_width_mm, texel_height_mm: distance between texels along x and y; cells_x, cells_y: columns and rows
     uid: 6 bytes; reserved: 2 bytes
     center, theta: where the matrix sits, and how it is turned (3,); units are not public
-    full_scale: read as a float as Schunk's C++ does (its Python reads an integer)
-    """
+    full_scale: read as a float as Schunk's C++ does (its Python reads an integer)"""
 
     error: int
     texel_width_mm: float

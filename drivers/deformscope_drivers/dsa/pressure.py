@@ -24,8 +24,7 @@ CONTACT_COUNTS = 10
 class Curve:
     """A texel's pressure by its count, straight between the points and level outside.
 
-    counts: (k,) rising, 2 or more; pressure_pa: (k,) never falling
-    """
+    counts: (k,) rising, 2 or more; pressure_pa: (k,) never falling"""
 
     counts: tuple[float, ...]
     pressure_pa: tuple[float, ...]
@@ -66,8 +65,7 @@ class PadContact:
 
     area_m2: number of texels in contact times the area of a texel; force_n: along the pad's normal; peak_pa: the
     highest pressure; center_m: (x, y) centre of pressure in the pad's frame, both nan where nothing is in contact. The
-    frame's origin is the middle of the pad, x along a row (columns rise), y along a column (rows rise)
-    """
+    frame's origin is the middle of the pad, x along a row (columns rise), y along a column (rows rise)"""
 
     area_m2: float
     force_n: float
@@ -79,8 +77,7 @@ def pad_contact(counts: TexelArray, pressure_pa: FloatArray, matrix: MatrixInfo)
     """Contact area, force and centre of pressure of one pad.
 
     counts, pressure_pa: (rows, columns); a texel is in contact above `CONTACT_COUNTS`. Force is the sum of pressure
-    times the area of a texel; Schunk's own software multiplies by the number of texels once more.
-    """
+    times the area of a texel; Schunk's own software multiplies by the number of texels once more."""
     texel_m2 = matrix.texel_width_mm * matrix.texel_height_mm * 1e-6
     held = np.where(counts > CONTACT_COUNTS, pressure_pa, 0.0)
     total_pa = float(held.sum())

@@ -7,8 +7,7 @@ This module uses no port, clock or thread. A packet is, in both directions,
 without CRC where the payload is empty. The CRC covers all from id to payload (`deformscope_drivers.weiss_crc`); it
 misses some pairs of flipped bits (counted in `tests/drivers/dsa/flips.py`). Therefore a packet must also have a known
 id, the length of that id, and texels of 12 bits, one for each cell of the sensor.
-Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a).
-"""
+Source: SDHLibrary-CPP, sdh/dsa.h and dsa.cpp (protocols.md 1a)."""
 
 from __future__ import annotations
 
@@ -124,8 +123,7 @@ class Decoder(_DsaDecoder[Reading | Reply]):
 
     cells: texels of all matrices together, as the controller reports them (it may be set later). Frames must then have
     exactly this number. While it is None, any number up to 486 passes: the SDH's, the largest sensor with a public
-    size. A bound is needed, because a damaged length must not delay the frames behind it.
-    """
+    size. A bound is needed, because a damaged length must not delay the frames behind it."""
 
     def __init__(self, cells: int | None = None) -> None:
         super().__init__()
@@ -175,8 +173,7 @@ class CommandDecoder(_DsaDecoder[Command | Faulty]):
     """The controller's end, for doubles. Yields commands, `Faulty` for damaged packets, and `Skipped`.
 
     A controller trusts the length and answers unusable packets, where the host searches on. Error codes were assigned
-    to errors by their names; only the list of codes is public.
-    """
+    to errors by their names; only the list of codes is public."""
 
     def _knows(self, id: int) -> bool:
         return True

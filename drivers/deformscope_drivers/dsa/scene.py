@@ -38,8 +38,7 @@ class GraspScene:
     """A hand that closes on something round and opens, again and again.
 
     Each pad is pressed by a patch that grows, drifts and shrinks: the distal pads first and most. At time 0 there is no
-    contact. shapes: (rows, columns) shapes of each matrix; seed: where the patches are
-    """
+    contact. shapes: (rows, columns) shapes of each matrix; seed: where the patches are"""
 
     def __init__(self, shapes: Sequence[tuple[int, int]], seed: int = 0) -> None:
         random = np.random.default_rng(seed)

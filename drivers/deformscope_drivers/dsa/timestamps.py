@@ -24,8 +24,7 @@ class TimestampGate:
     """Feed each frame's time in turn. A jump is refused, unless the next frame continues from it. Then the clock has
     changed (the controller was switched off and on), and frames count as new from that one.
 
-    Without this rule, two flipped bits that the checksum does not detect could shift the clock by weeks.
-    """
+    Without this rule, two flipped bits that the checksum does not detect could shift the clock by weeks."""
 
     def __init__(self) -> None:
         self._last: int | None = None

@@ -1,7 +1,6 @@
 """The three Jaco2 as chains of joints.
 
-Origins, limits and masses are facts of Kinova's published robot description (kinova_description, BSD-3).
-"""
+Origins, limits and masses are facts of Kinova's published robot description (kinova_description, BSD-3)."""
 
 from __future__ import annotations
 

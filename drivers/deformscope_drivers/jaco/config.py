@@ -16,8 +16,7 @@ from deformscope_drivers.jaco.structures import ZONES_MAX
 class EthernetAddresses:
     """Addresses for an arm on Ethernet; the defaults are those of the vendor's driver, except this computer's address.
 
-    local_ip: this computer's address on the arm's network
-    """
+    local_ip: this computer's address on the arm's network"""
 
     local_ip: str = "192.168.100.100"
     subnet_mask: str = "255.255.255.0"
@@ -37,8 +36,7 @@ class Workspace:
     """A box in the base frame that the end effector must not leave by a command.
 
     low_m, high_m: (x, y, z) its lower and upper corner [m]; base frame: z up from the table, origin at the
-    middle of the base
-    """
+    middle of the base"""
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
@@ -77,8 +75,7 @@ class JacoConfig:
     require_home: move it only if it says that it was homed since it was switched on (`Jaco.home`, or its joystick)
     open_attempts: how often an arm that is not found (1015) is sought before opening fails
     own_process: a child process moves a rig's arm, and loads the vendor's library. That process erases trajectories and
-    halts the arm when this program ends, and a velocity expires there when this program is stopped
-    """
+    halts the arm when this program ends, and a velocity expires there when this program is stopped"""
 
     library: str | None = None
     connection: Connection = "usb"

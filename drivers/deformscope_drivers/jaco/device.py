@@ -10,8 +10,7 @@ and never in advance. A velocity lasts only as long as its sender renews it:
 - closed, an exception, Ctrl-C, the interpreter's end: erased before the library is closed
 
 A process that is killed outright (SIGKILL) can erase nothing. The arm then carries out the waiting points: one or two
-velocity points, that is 20 ms of motion. A `move_to` in progress is one point, and continues to its target.
-"""
+velocity points, that is 20 ms of motion. A `move_to` in progress is one point, and continues to its target."""
 
 from __future__ import annotations
 
@@ -73,8 +72,7 @@ def open_jaco(config: JacoConfig) -> Arm[Any]:
 class Jaco(Arm[JacoState]):
     """`with Jaco(JacoConfig(library="/opt/kinova")) as arm:`; with the three reads that every device has.
 
-    Only one thread calls the vendor's library, which does not support several.
-    """
+    Only one thread calls the vendor's library, which does not support several."""
 
     goes_home = True
     stop_by_hand = "the emergency stop, or the arm's own joystick"
@@ -292,10 +290,9 @@ class Jaco(Arm[JacoState]):
     def move_to(self, target: Target, timeout_s: float = 30.0) -> JacoState:
         """Send the arm to a target at the configured speed limits, and wait until it is there and still.
 
-        target: CartesianTarget (the hand in the base frame) or JointTarget. The path is the arm's own choice; the
-        ends are checked (ranges, workspace, reachable), what lies between is not. Raises OutOfLimits before anything is
-        sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped.
-        """
+        target: CartesianTarget (the hand in the base frame) or JointTarget. The path is the arm's own choice; the ends
+        are checked (ranges, workspace, reachable), what lies between is not. Raises OutOfLimits before anything is
+        sent, NotReached after timeout_s; on any exception, Ctrl-C too, the arm is stopped."""
         self._require_moves()
         self._require_homed()
         commands.check_target(target, self.chain, self.config, self._fresh().joints_deg, self.name)
@@ -315,8 +312,7 @@ class Jaco(Arm[JacoState]):
         """Move the fingers to positions (3,) from 0 (open) to 6800 (closed), and wait until they are still.
 
         The joints hold their commanded angles: at the measured angles the arm would sink by its sag, in each call.
-        Fingers that hold something stop before their target: no error, the state has their positions.
-        """
+        Fingers that hold something stop before their target: no error, the state has their positions."""
         self._require_moves()
         self._require_homed()
         values = commands.check_fingers(fingers, self.name)
@@ -338,8 +334,7 @@ class Jaco(Arm[JacoState]):
     def home(self, timeout_s: float = 60.0) -> JacoState:
         """Send the arm to its own home pose, on its own path and at its own speed. Wait until it is at rest, and
         reports that it is at home. An arm needs this once after it was switched on, by this call or by its joystick's
-        home button. The arm's control is first stopped and started again, as in the vendor's driver.
-        """
+        home button. The arm's control is first stopped and started again, as in the vendor's driver."""
         self._require_moves()
         moving_ns: int | None = None
 
@@ -418,8 +413,7 @@ class Jaco(Arm[JacoState]):
     def start_force_control(self, control: Literal["cartesian", "joint"] = "cartesian") -> None:
         """Let the arm yield to pushes (admittance), at the end effector or joint by joint, until it is stopped.
 
-        Velocities and targets are added to that motion. The arm must be upright, with its torque sensors zeroed.
-        """
+        Velocities and targets are added to that motion. The arm must be upright, with its torque sensors zeroed."""
         if control not in ("cartesian", "joint"):
             raise OutOfLimits("'cartesian' or 'joint'", repr(control), "", self.name)
         self._configure("SetCartesianControl" if control == "cartesian" else "SetAngularControl")
@@ -451,8 +445,7 @@ class Jaco(Arm[JacoState]):
         """Call the torque that a joint shows now zero (1 to n; None = all, one after the other).
 
         Call it only in the candle pose, with all joints at 180 deg, where gravity turns no joint. Raises OutOfLimits
-        elsewhere.
-        """
+        elsewhere."""
         state = self._fresh()
         count = self.chain.joint_count
         if joint is not None and not 1 <= joint <= count:

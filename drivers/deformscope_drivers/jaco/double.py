@@ -1,8 +1,7 @@
 """The vendor's functions over a simulated arm: what `Library` is to a real Jaco, `JacoDouble` is to this one.
 
 The double has no thread: time passes on the given clock, a laboratory's or the host's, and each call first simulates
-the cycles since the last call.
-"""
+the cycles since the last call."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ _ADMITTANCE = {
 class JacoDouble:
     """A simulated Jaco: its methods in capitals are the vendor's, the others are for who runs the simulation.
 
-    The vendor's functions are available through `function` alone, which advances time before each call.
-    """
+    The vendor's functions are available through `function` alone, which advances time before each call."""
 
     def __init__(
         self,
@@ -68,8 +66,7 @@ class JacoDouble:
         """clock: [ns], never going back; start_deg: (n,) first joint angles (default: home)
 
         serials: serials of the arms that are plugged in (they share one body); cold_boot: the arm was just switched on:
-        it ignores the first StartControlAPI, and was not homed
-        """
+        it ignores the first StartControlAPI, and was not homed"""
         self.chain = CHAINS[model]
         self.where = f"simulated {model}"
         self._arm = SimulatedArm(self.chain, start_deg, cold_boot)

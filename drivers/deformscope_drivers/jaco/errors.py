@@ -5,8 +5,7 @@ the vendor's headers, from users' reports (kinova-ros) and from running the libr
 
 VendorError                 any of them, with `code`, `symbol`, `meaning`, `remedy`
  +- UnknownCode             a code that no header names
- +- one class for each code; some are also a NotConnected, LinkLost, NoReply or LibraryMissing of the common tree
-"""
+ +- one class for each code; some are also a NotConnected, LinkLost, NoReply or LibraryMissing of the common tree"""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ _COMM_LAYER = (
 class VendorError(CommandRefused):
     """The vendor's library answered with a code that is not success.
 
-    code: the number; symbol: its name in the vendor's header; meaning: explanation of the code; remedy: what to try
-    """
+    code: the number; symbol: its name in the vendor's header; meaning: explanation of the code; remedy: what to try"""
 
     code: int
     symbol: ClassVar[str] = ""

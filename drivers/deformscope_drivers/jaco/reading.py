@@ -2,8 +2,7 @@
 
 Over USB the vendor's library opens, claims, transfers and closes for each packet. A call takes 2.8 ms and more
 (kinova-ros issues 281, 372), a slot has 10. Therefore a state needs one call, for the joint angles, from which the pose
-follows. Other readings take turns in the remaining time, or replace the angles after too long without any.
-"""
+follows. Other readings take turns in the remaining time, or replace the angles after too long without any."""
 
 from __future__ import annotations
 
@@ -78,8 +77,7 @@ class StateReader:
     def go_on(self, until_ns: int) -> JacoState | None:
         """Make calls while they fit before `until_ns`; the state, where the angles were due by then and could be read.
 
-        Angles that are due are read even where they do not fit: without them the arm is not seen.
-        """
+        Angles that are due are read even where they do not fit: without them the arm is not seen."""
         due = self._next_ns < until_ns
         last_ns = max(time_ns for name, time_ns in self._read_ns.items() if name != _ANGLES)
         if due and self._left and self._clock() - last_ns >= TURN_NS and not self._fit(2, until_ns):

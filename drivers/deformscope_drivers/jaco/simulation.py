@@ -6,8 +6,7 @@ ignored without a report after motion by joints, and all Cartesian motion until 
 148, 269). Position points are followed at a limited speed; there are joint ranges and speeds, and fingers from 0 to
 6800. Control must be started, and its first start after a cold boot may be ignored; a push from outside causes
 admittance. If the real arm's behaviour is not published, the simplest one is modelled and marked. Joints follow at once
-unless they have greatest accelerations: there is no inertia but that of the admittance.
-"""
+unless they have greatest accelerations: there is no inertia but that of the admittance."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ class SimulatedArm:
     closed: boxes (3,), (3,) in the base frame [m] that the hand does not enter by Cartesian motions; motions by joints
     may enter
     gravity_left, torque_noise_nm: share of gravity's torques that its model leaves in those without gravity; deviation
-    homed: it was at home since it was switched on; cartesian: it executes Cartesian velocities
-    """
+    homed: it was at home since it was switched on; cartesian: it executes Cartesian velocities"""
 
     def __init__(self, chain: Chain, start_deg: npt.ArrayLike | None, cold_boot: bool) -> None:
         """start_deg: (n,) first angles of the arm (default: home); cold_boot: the first `start_control` is ignored"""
@@ -234,8 +232,7 @@ class SimulatedArm:
     def _rates_of(self, twist: FloatArray) -> FloatArray:
         """Joint rates (n,) [deg/s] of a twist (6,) [m/s, rad/s] in the base frame, slowed alike where one is too fast.
 
-        How the arm itself behaves near singularities is not public; here the pseudo-inverse is damped.
-        """
+        How the arm itself behaves near singularities is not public; here the pseudo-inverse is damped."""
         if not np.any(twist):
             return np.zeros(self.chain.joint_count)
         rates = np.degrees(kinematics.damped_joint_rates(kinematics.jacobian_of(self.links), twist))
@@ -294,8 +291,7 @@ class SimulatedArm:
     def measured_wrench(self) -> FloatArray:
         """The arm's wrench from its joints' sensors, (6,) [N, Nm]: their bias appears as a push.
 
-        The arm's sign is not verified: here the force is that of the world on the end effector.
-        """
+        The arm's sign is not verified: here the force is that of the world on the end effector."""
         if not np.any(self.torque_bias_nm):
             return self.wrench
         ghost: FloatArray = np.linalg.pinv(kinematics.jacobian_of(self.links).T, rcond=1e-2) @ self.torque_bias_nm
@@ -315,8 +311,7 @@ class SimulatedArm:
 class Admittance:
     """Inertia and damping, driven by what of a push lies beyond the least, up to the most.
 
-    Defaults are plausible, not the arm's: it keeps its own.
-    """
+    Defaults are plausible, not the arm's: it keeps its own."""
 
     def __init__(self, joint_count: int) -> None:
         self.active = False

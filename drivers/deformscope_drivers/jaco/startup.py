@@ -50,8 +50,7 @@ class JacoIdentity:
     """The arm that was opened, and its library and connection.
 
     library_version: library version of the vendor's library; firmware: version in the device list; chain: its
-    kinematics
-    """
+    kinematics"""
 
     serial: str
     model: str
@@ -92,8 +91,7 @@ def check_pose(functions: Functions, chain: Chain) -> None:
     """Raise SettingsRefused unless the arm reports its hand where its model's kinematics have it.
 
     Everything else takes the hand's pose from the joint angles. An arm of another model than it reports, or one with a
-    stored tool offset, would move and touch at wrong places.
-    """
+    stored tool offset, would move and touch at wrong places."""
     angles = read(functions, "GetAngularPosition", AngularPosition)
     pose = cartesian_values(read(functions, "GetCartesianPosition", CartesianPosition).Coordinates)
     later = read(functions, "GetAngularPosition", AngularPosition)  # it may be moved by its joystick meanwhile

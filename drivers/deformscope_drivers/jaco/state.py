@@ -16,8 +16,7 @@ class JacoState(ArmState):
     verified on an arm; fingers: (3,) from 0 open to 6800 closed
     sweep_s: by how much wrench, torques, currents and fifo_count may be older than the angles; currents_a: (n,)
     supply_v, supply_a: its main supply; temperatures_deg_c: (n,) temperatures of the joints; homed: whether it was at
-    home since it was switched on; these are read once a second
-    """
+    home since it was switched on; these are read once a second"""
 
     sweep_s: float
     currents_a: tuple[float, ...]

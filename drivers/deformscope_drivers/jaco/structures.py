@@ -2,8 +2,7 @@
 
 Layouts are facts of the published headers (KinovaTypes.h, BSD-3), naturally aligned; sizes were checked against the
 library 5.2.0. Positions are metres and radians (ThetaX, ThetaY, ThetaZ turn about x, the new y, the new z), joints
-degrees, fingers 0 (open) to 6800 (closed).
-"""
+degrees, fingers 0 (open) to 6800 (closed)."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ class PositionType(IntEnum):
 
     CARTESIAN_POSITION: metres and radians, base frame; ANGULAR_POSITION: degrees
     CARTESIAN_VELOCITY: X, Y, Z in m/s in the base frame, ThetaX, ThetaY, ThetaZ in rad/s in the end effector's frame
-    ANGULAR_VELOCITY: degrees per second; both velocities for one cycle of 10 ms
-    """
+    ANGULAR_VELOCITY: degrees per second; both velocities for one cycle of 10 ms"""
 
     NONE = 0
     CARTESIAN_POSITION = 1

@@ -2,8 +2,7 @@
 
 Zones are stored in the arm, and apply to any program or joystick that moves it later. Published facts: a zone is a
 prism on a base with four corners, and one whose speed is 0 is not entered. Cartesian motions respect them, motions by
-joints as this driver sends them do not (kinova-ros issue 386). This was not tested on a real arm.
-"""
+joints as this driver sends them do not (kinova-ros issue 386). This was not tested on a real arm."""
 
 from __future__ import annotations
 

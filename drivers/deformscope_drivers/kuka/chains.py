@@ -2,8 +2,7 @@
 
 Lengths, ranges and speeds are facts of the published description (ros-industrial kuka_experimental, kuka_kr6_support,
 BSD-3). Angles are those of the controller: at (0, -90, 90, 0, 90, 0) the upper arm is upright, the forearm level, the
-flange down.
-"""
+flange down."""
 
 from __future__ import annotations
 

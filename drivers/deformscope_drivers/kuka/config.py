@@ -21,8 +21,7 @@ class KukaConfig:
     command_deadline_s: default duration of a velocity
     wait_s: how long opening waits for the controller's program to be started
     check_pose: refuse a controller that reports the flange elsewhere than the model has it
-    own_process: a separate process answers the controller, so that it answers even while this one is busy
-    """
+    own_process: a separate process answers the controller, so that it answers even while this one is busy"""
 
     address: str = "0.0.0.0"
     port: int = 59152

@@ -4,8 +4,7 @@ Corrections are relative: an answer of zeros leaves the arm at rest, so no waiti
 correction is velocity times cycle, limited to the axes' speeds, until the velocity expires, and zero afterwards. A
 missing answer leaves the arm at rest only if the controller is configured so (HOLDON="0"). Opening tests it, with a
 correction of PROBE_DEG after which answers are left out, and refuses any other controller. After a link that was lost,
-when the tip may press something, the test waits for `acknowledge_stop`.
-"""
+when the tip may press something, the test waits for `acknowledge_stop`."""
 
 from __future__ import annotations
 
@@ -335,11 +334,7 @@ class Kuka(Arm[ArmState]):
         )
 
     def _extra_health(self) -> dict[str, float]:
-        return {
-            "commands_expired": self._expired,
-            "corrections_clamped": self._clamped,
-            "answers_late": self._late,
-        }
+        return {"commands_expired": self._expired, "corrections_clamped": self._clamped, "answers_late": self._late}
 
 
 def _by_axis(moved_deg: FloatArray) -> str:

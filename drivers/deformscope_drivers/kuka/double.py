@@ -4,8 +4,7 @@ Like a controller, it accepts an answer only within its cycle and with its IPOC,
 after too many missing answers, or for a correction that would turn an axis faster or further than its limits. A missing
 answer is a correction of zero, or the last one again (HOLDON). Relative corrections add up, absolute ones count from
 where RSI began. The behaviour of HOLDON and of both modes is from kuka_experimental (ros_rsi_ethernet.xml, pull request
-119), not from a real controller. It has neither port nor thread (`deformscope_drivers.doubles.Double`).
-"""
+119), not from a real controller. It has neither port nor thread (`deformscope_drivers.doubles.Double`)."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 XML in a datagram each. The controller's `<Rob>` has the axes' angles, the flange's pose, and IPOC, the time of its
 cycle [ms]; the answer `<Sen>` repeats IPOC and has the corrections of the axes. Other elements that a configuration
 lets the controller send are ignored. Formats: ros-industrial kuka_experimental (kuka_rsi_hw_interface,
-kuka_rsi_simulator; BSD-3), whose answers these are to the last byte.
-"""
+kuka_rsi_simulator; BSD-3), whose answers these are to the last byte."""
 
 from __future__ import annotations
 

@@ -15,8 +15,7 @@ from deformscope_drivers.wires import LOOPBACK, Wire
 class UdpPort(Transport):
     """The port to which a controller sends its datagrams; answers go to the sender of the last one.
 
-    `read` gives the newest datagram alone: an older one is answered too late in any case
-    """
+    `read` gives the newest datagram alone: an older one is answered too late in any case"""
 
     def __init__(self, address: str, port: int, peer: str = "") -> None:
         """peer: the only address that is listened to; empty = the first that speaks"""

@@ -16,8 +16,7 @@ class ManualArmConfig:
     start_m: (3,) initial place of the stick's mount, in the frame that `T_arm_surface` relates to the surface;
     theta_rad: its rotation about x, the new y, the new z; default: its z axis, along the stick, points down
     resolution_m: finest step of its scale; no finer one is requested of a person
-    state_hz: how often the pose is reported again
-    """
+    state_hz: how often the pose is reported again"""
 
     start_m: tuple[float, float, float]
     theta_rad: tuple[float, float, float] = (math.pi, 0.0, 0.0)

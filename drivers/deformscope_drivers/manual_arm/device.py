@@ -1,7 +1,6 @@
 """An arm that a person places: it is where they have confirmed that it is, and reports that until they say otherwise.
 
-Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves the arm.
-"""
+Nothing is measured here: `place` takes the values that a person reads from a scale. No command moves the arm."""
 
 from __future__ import annotations
 
@@ -35,11 +34,7 @@ class ManualArm(Arm[ArmState]):
     by_hand = True
 
     def __init__(
-        self,
-        config: ManualArmConfig,
-        *,
-        reconnect: Reconnect | None = None,
-        clock: Clock = monotonic_ns,
+        self, config: ManualArmConfig, *, reconnect: Reconnect | None = None, clock: Clock = monotonic_ns
     ) -> None:
         self.config = config
         super().__init__("arm placed by hand", reconnect=reconnect, clock=clock)

@@ -138,8 +138,7 @@ class Pairs:
     """Puts depth and colour of the same moment together: timestamps within half a period.
 
     Streams may lag behind each other. Pairs of depth and colour. A depth frame waits for its colour until a later
-    colour frame shows that there is none, or until WAITING depth frames wait.
-    """
+    colour frame shows that there is none, or until WAITING depth frames wait."""
 
     def __init__(self, fps: int, *, wanted: bool) -> None:
         self._half_us = 0.5e6 / max(fps, 1)

@@ -3,8 +3,7 @@
 The Python bindings on PyPI (`openni`, `primesense`) wrap the same functions. Both call `oniShutdown` when the
 interpreter ends, which crashes (measured with Debian's 2.2.0.33), and need a file name that Debian does not have.
 Nothing here is called in the process that records.
-Sources: OpenNI2's public headers OniCAPI.h, OniCTypes.h, OniCEnums.h, OniCProperties.h (Apache-2.0).
-"""
+Sources: OpenNI2's public headers OniCAPI.h, OniCTypes.h, OniCEnums.h, OniCProperties.h (Apache-2.0)."""
 
 from __future__ import annotations
 

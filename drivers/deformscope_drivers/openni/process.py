@@ -1,7 +1,6 @@
 """The process that reads one camera through OpenNI2: a hang or a crash of it ends neither program nor recording.
 
-`DepthCamera` starts it (`deformscope_drivers.hosted`).
-"""
+`DepthCamera` starts it (`deformscope_drivers.hosted`)."""
 
 from __future__ import annotations
 

@@ -23,8 +23,7 @@ class OptoforceConfig:
     reconnect: None = a lost link ends the session; stuck_after_s: None = readings may stay the same for ever.
 
     Raises ValueError for a rate, a filter or sensors that no DAQ has, NotConnected for a kind of port or bus that is
-    not accepted.
-    """
+    not accepted."""
 
     port: str = ""
     bus: str = ""

@@ -1,7 +1,6 @@
 """Losses by the counter that every reading carries: a u16 that wraps, whose unit is not documented.
 
-The counter may count readings, or the DAQ's samples at 1 kHz, so that its usual step is learned from the stream.
-"""
+The counter may count readings, or the DAQ's samples at 1 kHz, so that its usual step is learned from the stream."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ class Gap:
 
     lost: number of missing readings; negative for readings that were counted as missing before and were not (the sum
     over a stream is its loss). While the step is learned it is 0; the reading that completes the learning carries what
-    was lost meanwhile.
-    """
+    was lost meanwhile."""
 
     verdict: CounterStep
     lost: int = 0
@@ -57,8 +55,7 @@ class CounterTrack:
 
     period_ns: time between readings, by which a restart is distinguished from a loss; None = unknown: then a counter
     that goes back has restarted. If both are possible, it counts as a loss. A pause in which the counter goes once
-    round and more is not distinguished from a shorter one.
-    """
+    round and more is not distinguished from a shorter one."""
 
     def __init__(self, period_ns: float | None = None) -> None:
         self.lost = self.late = self.repeated = self.damaged = self.restarts = 0
@@ -79,8 +76,7 @@ class CounterTrack:
         """Interpretation of the next reading's counter.
 
         host_ns: its arrival on the host's clock [ns]; twin: the whole reading equals the one before, which was then
-        sent twice; a damaged counter may equal the one before, but the rest would differ
-        """
+        sent twice; a damaged counter may equal the one before, but the rest would differ"""
         last, self._last = self._last, counter
         if last is None:
             return Gap(CounterStep.FIRST)
@@ -199,8 +195,7 @@ class CounterTrack:
 class _Doubted:
     """The reading before, with an unusual step.
 
-    base: the counter of the one before it; verdict and lost: its interpretation
-    """
+    base: the counter of the one before it; verdict and lost: its interpretation"""
 
     base: int
     verdict: CounterStep

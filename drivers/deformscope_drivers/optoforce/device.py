@@ -52,8 +52,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
 
     Opening sends the settings and waits for the first reading. After a lost link, or a restart of the DAQ, they are
     sent again; a lost zero point is subtracted here from then on.
-    transport, clock: used instead of the configuration's port and the host's clock (in a simulated laboratory)
-    """
+    transport, clock: used instead of the configuration's port and the host's clock (in a simulated laboratory)"""
 
     _settings: DaqSettings
     _zero_in_doubt: bool
@@ -115,8 +114,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         """Take the present load for zero; returns the counts that it was, (channels, axes).
 
         still_counts: how much the readings may vary meanwhile. Raises SettingsRefused when they vary more, when the
-        sensor is not usable or overloaded, and when they are not near zero afterwards. Takes about a second.
-        """
+        sensor is not usable or overloaded, and when they are not near zero afterwards. Takes about a second."""
         return self._do(lambda: self._zero(still_counts), 60.0)
 
     def unzero(self) -> None:
@@ -205,8 +203,7 @@ class Optoforce(StreamDevice[ForceMeasurement]):
         """Send speed and filter, and see that readings come.
 
         Every `Configure` affects the zero point as well, and the effect of a second 255 on it is not documented. So it
-        is cleared, and its value is subtracted here.
-        """
+        is cleared, and its value is subtracted here."""
         self._send_settings(replace(wanted, zeroed=False))
         if wanted.speed:
             self._gather(1)

@@ -62,8 +62,7 @@ class Sensors:
     saturation_ratio: largest reading of an axis, as a multiple of its nominal load (assumed)
     clock_ppm: rate of the DAQ's clock above that of the host's
     counts_samples: the counter counts samples at 1 kHz, not readings (it is not documented which)
-    acknowledges: the DAQ answers `Configure`; some firmware does not
-    """
+    acknowledges: the DAQ answers `Configure`; some firmware does not"""
 
     kind: Kind = Kind.THREE_AXIS
     scene: Scene = _nothing_touches
@@ -94,8 +93,7 @@ class Sensors:
 class _VolatileSettings:
     """Settings that power-off loses.
 
-    cleared_ns: since when the zero point is cleared; None = it is set
-    """
+    cleared_ns: since when the zero point is cleared; None = it is set"""
 
     speed: Speed = Speed.HZ_100
     filter: Filter = Filter.HZ_15
@@ -109,8 +107,7 @@ class OptoforceDouble:
     setting is refused with result 1, which is an assumption: only 0 is documented.
 
     unplugged: channels without their sensor, which read 0 and report it; 0 is the first
-    silent: the DAQ hangs, and sends nothing
-    """
+    silent: the DAQ hangs, and sends nothing"""
 
     def __init__(self, sensors: Sensors | None = None) -> None:
         self.sensors = sensors or Sensors()

@@ -1,7 +1,6 @@
 """A DAQ's reading in physical units: forces with a sensitivity report, counts otherwise.
 
-Both the device and the replay of a recording's bytes use this module, which has neither port nor thread.
-"""
+Both the device and the replay of a recording's bytes use this module, which has neither port nor thread."""
 
 from __future__ import annotations
 
@@ -32,8 +31,7 @@ class ForceMeasurement:
     of readings missing directly before this one; negative corrects an earlier count that was too large
     follows: the counter's interpretation
     doubts: why it is unreliable: `status` and `load` are out of range, `counter` and `kind` do not follow the earlier
-    ones, `zero` = it arrived while the zero point was changed or may have been lost
-    """
+    ones, `zero` = it arrived while the zero point was changed or may have been lost"""
 
     stamp: Stamp
     kind: Kind
@@ -86,8 +84,7 @@ class ForceMeasurer:
     kind: what hangs on the DAQ, by the first reading; None before it
     offset: (channels, axes) counts to subtract where the DAQ does not do so itself; None = none
     track: the counter of the readings; doubted, unusable, overloaded: how many readings were
-    name: name of the device, for messages
-    """
+    name: name of the device, for messages"""
 
     def __init__(self, sensitivities: Sequence[Sensitivity], name: str) -> None:
         self._reports, self._name = sensitivities, name

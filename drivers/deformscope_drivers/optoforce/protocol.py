@@ -13,8 +13,7 @@ jhu-saw/sawOptoforceSensor); the vendor's own manual was not to be had.
 | `Reading`, 4 x 3  | AA 07 08 1C | 34    | counter u16, status u16, 12 x i16             |
 | `Reading`, 6 axes | AA 07 08 10 | 22    | counter u16, status u16, 6 x i16              |
 | `SerialRequest`   | AB 00 12 08 | 6     |                                               |
-| `SerialReply`     | AA 00 12 08 | 14    | 8 characters, ASCII                           |
-"""
+| `SerialReply`     | AA 00 12 08 | 14    | 8 characters, ASCII                           |"""
 
 from __future__ import annotations
 
@@ -188,8 +187,7 @@ class Reading:
 class Configure:
     """Sets speed, filter and zero point, always all three. The DAQ's settings, which cannot be read back.
 
-    speed: a `Speed`; filter: a `Filter`; zero: a `Zero`. Bytes outside these may arrive on a wire.
-    """
+    speed: a `Speed`; filter: a `Filter`; zero: a `Zero`. Bytes outside these may arrive on a wire."""
 
     speed: int
     filter: int
@@ -260,8 +258,7 @@ class _OptoforceDecoder(FrameDecoder[EventT]):
 class Decoder(_OptoforceDecoder[Reply]):
     """Messages of a DAQ. A header within a packet is found if the packet is bad, and only then.
 
-    fill_to: zeros that fill a packet up to a multiple of this belong to it (8 on CAN, where some DAQs may do so)
-    """
+    fill_to: zeros that fill a packet up to a multiple of this belong to it (8 on CAN, where some DAQs may do so)"""
 
     def __init__(self, fill_to: int = 1) -> None:
         super().__init__(

@@ -17,8 +17,7 @@ class Sensitivity:
     counts_at_nominal: what each axis reads at its nominal load: Fx Fy Fz, or Fx Fy Fz Tx Ty Tz
     nominal: nominal loads [N], [N m] for torques.
 
-    Raises ValueError unless both have 3 numbers, or both 6, all finite, the nominal ones positive.
-    """
+    Raises ValueError unless both have 3 numbers, or both 6, all finite, the nominal ones positive."""
 
     counts_at_nominal: tuple[float, ...]
     nominal: tuple[float, ...]

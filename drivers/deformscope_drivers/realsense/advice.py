@@ -19,8 +19,7 @@ def meaning(error: Exception, expected: str, where: str) -> DeviceError:
 
     librealsense words them by the failure below it: `xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or
     resource busy` and `failed to set power state` for a camera that another program uses (issues 1828, 12382, 6555).
-    Without udev rules it is `RS2_USB_STATUS_ACCESS` (issue 4951; realsense-ros 1408).
-    """
+    Without udev rules it is `RS2_USB_STATUS_ACCESS` (issue 4951; realsense-ros 1408)."""
     words = " ".join(str(error).split())
     lower = words.lower()
     if any(sign in lower for sign in _BUSY):

@@ -2,8 +2,7 @@
 
 Frames come through a frame queue. `pipeline.wait_for_frames` is not used: after the loss of a camera it blocks for up
 to 15 s, and restarts it without the settings (librealsense, src/pipeline/pipeline.cpp). `rs`: the module pyrealsense2,
-or its replacement.
-"""
+or its replacement."""
 
 from __future__ import annotations
 

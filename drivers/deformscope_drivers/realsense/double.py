@@ -5,8 +5,7 @@ It behaves as librealsense 2.59 does with a software camera, and as its source a
 - an empty queue reports that after its time; a camera that was unplugged gives no more frames, and an event
 - the hardware clock wraps after 2^32 us; without the kernel's metadata the host stamps frames
 - starting a camera that another process reads, or in an unsupported mode, raises RuntimeError with the library's words
-The file that the environment names (CAMERAS_FILE) is read again whenever it changes; without it one camera is there.
-"""
+The file that the environment names (CAMERAS_FILE) is read again whenever it changes; without it one camera is there."""
 
 from __future__ import annotations
 

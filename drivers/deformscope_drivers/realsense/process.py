@@ -1,7 +1,6 @@
 """The process that reads one RealSense camera: a hang or a crash of the library ends neither program nor recording.
 
-`Realsense` starts it (`deformscope_drivers.hosted`). module: pyrealsense2, or its replacement
-"""
+`Realsense` starts it (`deformscope_drivers.hosted`). module: pyrealsense2, or its replacement"""
 
 from __future__ import annotations
 

@@ -5,8 +5,7 @@
 
 Little-endian. `length` counts all following bytes, including the checksum, so that it shows whether there is one.
 Messages on RS-232 have a checksum over all bytes before it, those on CAN and TCP have none. Source:
-ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp.
-"""
+ipab-slmc/SDHLibrary-CPP, sdh/sdhserial.cpp."""
 
 from __future__ import annotations
 

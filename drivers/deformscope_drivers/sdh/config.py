@@ -26,8 +26,7 @@ class SdhConfig:
     rate_hz: rate of requests for positions, velocities and states (RS-232 has room for about 90 Hz)
     temperature_period_s: period of requests for temperatures
     reply_timeout_s: time limit of one attempt of a command; there are three attempts
-    leave_powered: close() leaves axes on that this session switched on (Schunk's library switches them off as well)
-    """
+    leave_powered: close() leaves axes on that this session switched on (Schunk's library switches them off as well)"""
 
     port: str = ""
     bus: str = ""

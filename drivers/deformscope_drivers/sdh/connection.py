@@ -181,8 +181,7 @@ class SdhConnection(StreamDevice[HandReading]):
     ) -> ReplyT:
         """Send a command and take its answer; again, after the line fell silent, when none comes or it is garbled.
 
-        Runs in the device's thread. Raises CommandRefused with the hand's error code, NoReply, LinkLost.
-        """
+        Runs in the device's thread. Raises CommandRefused with the hand's error code, NoReply, LinkLost."""
         timeout_s = self.config.reply_timeout_s if timeout_s is None else timeout_s
         in_binary = (
             command.name in codes.BINARY_COMMANDS

@@ -1,8 +1,7 @@
 """Schunk's SDH hand: `with Sdh(SdhConfig(port="/dev/ttyUSB0")) as hand: hand.move([0, -20, 20, -20, 20, -20, 20])`.
 
 Nothing moves without a call of a method here. The hand has no watchdog: after the loss of the host a motion continues.
-A move goes to its targets, a velocity to the ends of the axes.
-"""
+A move goes to its targets, a velocity to the ends of the axes."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ class Sdh(SdhConnection):
     """The hand. Readings (`HandReading`) come at `config.rate_hz`, with the three reads of every device.
 
     After a lost link is restored the hand is stopped, a call that waits for a motion raises LinkLost, and
-    `health().extra["stopped_after_reconnect"]` counts it. transport, clock: for a hand in memory
-    """
+    `health().extra["stopped_after_reconnect"]` counts it. transport, clock: for a hand in memory"""
 
     def __init__(self, config: SdhConfig, *, transport: Transport | None = None, clock: Clock = monotonic_ns) -> None:
         super().__init__(config, transport=transport, clock=clock)
@@ -97,8 +95,7 @@ class Sdh(SdhConnection):
         one for all (the sin² profile has no acceleration); timeout_s: time after which the hand is stopped, as by
         Ctrl-C; None = the duration that the hand reports, plus 1 s. The firmware then switches all axes on. A blocked
         axis raises nothing; `result.outcome` reports it, because contact is a hand's purpose. Raises OutOfLimits
-        (nothing was sent), CommandRefused, LinkLost, NoReply.
-        """
+        (nothing was sent), CommandRefused, LinkLost, NoReply."""
         speeds = self.limits.speeds(velocity_deg_s, self.name)
         accelerations = self.limits.accelerations(acceleration_deg_s2, self.name)
         targets = self._targets(targets_deg)
@@ -153,8 +150,7 @@ class Sdh(SdhConnection):
 
         Without a further call in time, the driver's thread sets all velocities to 0. acceleration_deg_s2: ramp, given
         once; None = as before, without a ramp at first. Firmware 0.0.2.6 and later. The hand itself would continue for
-        ever.
-        """
+        ever."""
         velocities = self.limits.velocities(velocity_deg_s, self.name)
         ramp = None if acceleration_deg_s2 is None else self.limits.accelerations(acceleration_deg_s2, self.name)
         within("time to keep a velocity", "s", keep_s, 0.0, 2.0, self.name)
@@ -181,8 +177,7 @@ class Sdh(SdhConnection):
     def power(self, on: bool | Sequence[bool]) -> None:
         """Switch axes on, so that they hold their angles, or off: one value for all, or (7,).
 
-        Raises SettingsRefused when the hand reports another value than was set, as during a grip.
-        """
+        Raises SettingsRefused when the hand reports another value than was set, as during a grip."""
         wanted = (on,) * codes.AXIS_COUNT if isinstance(on, bool) else tuple(on)
         if len(wanted) != codes.AXIS_COUNT:
             raise OutOfLimits(f"{codes.AXIS_COUNT} values, one per axis", f"{len(wanted)}", where=self.name)
@@ -210,8 +205,7 @@ class Sdh(SdhConnection):
     def reference(self, toward: Mapping[int, Toward]) -> None:
         """Drive axes, by number, against a mechanical end at 25 deg/s: for axes without absolute encoder.
 
-        The hand answers when it is done, after up to 10 s in which no readings come and nothing stops it.
-        """
+        The hand answers when it is done, after up to 10 s in which no readings come and nothing stops it."""
         if not toward or any(axis not in range(codes.AXIS_COUNT) for axis in toward):
             raise OutOfLimits(f"axes of 0 to {codes.AXIS_COUNT - 1}", f"{sorted(toward)}", where=self.name)
         senses = tuple(float(Toward(toward[axis])) if axis in toward else 0.0 for axis in range(codes.AXIS_COUNT))

@@ -1,8 +1,7 @@
 """A simulated SDH hand that speaks the real one's bytes: a state machine fed bytes and time.
 
 `firmware` carries out commands, `motion` moves the axes; here are its line and its bytes. Assumed: an empty line has no
-answer, and numbers have two decimals.
-"""
+answer, and numbers have two decimals."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class SdhDouble:
 
     firmware: determines its features: binary from 0.0.2.15 on, `con` and `rvel` from 0.0.2.6, `vlim` from 0.0.2.1,
     `alim` from 0.0.2.7; before 0.0.3.1 it adds debug lines, and answers `m`, `selgrip` and `grip` without duration
-    state_lag_s: time after a command during which it reports the old axis states (IPA's driver waits for 0.5 s)
-    """
+    state_lag_s: time after a command during which it reports the old axis states (IPA's driver waits for 0.5 s)"""
 
     def __init__(
         self,

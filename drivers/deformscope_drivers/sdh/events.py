@@ -10,8 +10,7 @@ class Command:
     """A message of the host.
 
     name: the ASCII protocol's name, lower case; also for binary requests, whose code it stands for
-    values: values to set; none = a query; axis: 0 to 6 for a command to one axis; None = all
-    """
+    values: values to set; none = a query; axis: 0 to 6 for a command to one axis; None = all"""
 
     name: str
     values: tuple[float, ...] = ()
@@ -25,8 +24,7 @@ class Reading:
     quantity: `pos`, `tpap` [deg]; `vel`, `rvel`, `tvav` [deg/s]; `state` (AxisState); `temp` [deg C]. `tpap` and `tvav`
     are the actual angles and velocities that setting a target answers with; `rvel` is the reference velocity; values: 7
     values, by axis; 9 temperatures: of the 7 motors, the FPGA and the board; 1 value if one axis was requested
-    axis: None = all
-    """
+    axis: None = all"""
 
     quantity: str
     values: tuple[float, ...]
@@ -37,8 +35,7 @@ class Reading:
 class ValueReply:
     """A command was done; the values are the new settings, or a duration [s].
 
-    name: lower case
-    """
+    name: lower case"""
 
     name: str
     values: tuple[float, ...] = ()

@@ -1,8 +1,7 @@
 """Commands of a simulated SDH hand, and its firmware's answers.
 
 Undocumented behaviour is the simplest one, marked "assumed": the answer to `stop`, that `selgrip` turns only the base
-axis, and the commands that are refused during a grip.
-"""
+axis, and the commands that are refused during a grip."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ class Firmware:
     """The commands of one release, on a hand that moves.
 
     busy_until_ns: until then it does not answer: older releases during a grip, all during referencing
-    last_line: its output then
-    """
+    last_line: its output then"""
 
     def __init__(self, version: str, texts: dict[str, str], state_lag_s: float) -> None:
         self.release = codes.release(version)

@@ -3,8 +3,7 @@
 Hand frame: origin at the foot of the palm, z away from the wrist, x from finger 2 to finger 0, y from finger 1 (the
 thumb) to the middle between the two others. The proximal joints are on an equilateral triangle with side 66 mm, 17 mm
 above the origin. Numbers and signs are those of Schunk's library (ipab-slmc/SDHLibrary-CPP, sdh.cpp); the assignment of
-the tactile controller's pads to links is an assumption there, see package `dsa`.
-"""
+the tactile controller's pads to links is an assumption there, see package `dsa`."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ class Finger:
 
     base_axis: the axis that turns it about z; None = it does not turn (the thumb)
     base_m: its proximal joint in the hand frame
-    bend_sign: direction in which positive proximal angles lean, along (x, y), before the base turns
-    """
+    bend_sign: direction in which positive proximal angles lean, along (x, y), before the base turns"""
 
     name: str
     base_axis: int | None

@@ -1,7 +1,6 @@
 """The hand's readings out of its answers: answers and their arrival in, readings out.
 
-Both the device and the replay of a recording's bytes use it: it has neither port nor thread.
-"""
+Both the device and the replay of a recording's bytes use it: it has neither port nor thread."""
 
 from __future__ import annotations
 
@@ -17,8 +16,7 @@ from deformscope_drivers.sdh.results import FloatArray, HandReading
 class HandMeasurer:
     """A reading is made of answers about states, velocities and, last, angles; temperatures come more rarely.
 
-    name: name of the device, for messages
-    """
+    name: name of the device, for messages"""
 
     def __init__(self, name: str) -> None:
         self._name = name

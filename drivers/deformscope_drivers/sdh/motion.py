@@ -5,8 +5,7 @@ grasps' angles. The sin² profile takes twice the distance over the set velocity
 points: the hand's cycle is 10 ms). Assumed: the ramp profile is a trapezoid; `stop` slows down by the set acceleration;
 "CW" is the direction of growing angles; the temperatures' time and size. Also assumed: an axis in soft contact
 continues at its set speed within its current limit, and reports to be blocked while it hardly moves; gears hold an axis
-at rest.
-"""
+at rest."""
 
 from __future__ import annotations
 

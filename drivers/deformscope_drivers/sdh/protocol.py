@@ -79,8 +79,7 @@ class Decoder(FrameDecoder[Event]):
     """Messages of the hand.
 
     checksummed: whether binary replies must have their checksum (True: RS-232), must not (False: CAN, TCP), or may
-    (None: by their length). A line with an unknown name is refused.
-    """
+    (None: by their length). A line with an unknown name is refused."""
 
     def __init__(self, *, checksummed: bool | None = None) -> None:
         super().__init__()
@@ -111,8 +110,7 @@ class Received:
     """The host's message, decoded by the hand.
 
     command: None for a line without a command of the hand; then `reason` has the cause, "empty" for an empty line
-    binary: whether it came in binary, and is answered in binary
-    """
+    binary: whether it came in binary, and is answered in binary"""
 
     command: Command | None
     binary: bool = False

@@ -21,8 +21,7 @@ class HandReading:
 
     stamp: when the angles arrived; states and velocities were requested right before them (3.4 ms each on RS-232)
     position_deg, velocity_deg_s: (7,) angles and speeds by axis; state: state of each axis
-    temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before
-    """
+    temperature_c: (9,) the 7 motors, the FPGA and the board, read more rarely: at `temperature_stamp`; None before"""
 
     stamp: Stamp
     position_deg: FloatArray
@@ -63,8 +62,7 @@ class MoveResult:
     duration_s: what the hand planned, None where old firmware does not report it
     elapsed_s: time until it was seen at rest
     blocked, limited, disabled: axes in such a state; reading: the last one, None where it was not waited for
-    error_deg: largest distance of an axis from its target, None if the hand alone has the targets
-    """
+    error_deg: largest distance of an axis from its target, None if the hand alone has the targets"""
 
     outcome: Outcome
     duration_s: float | None
@@ -81,7 +79,6 @@ class StopReport:
     """Effect of `stop`: the hand confirmed it, and a move or a velocity ends.
 
     grip_left_s: `stop` does not end a motion of `select_grip` and `grip` (nor does switching off, in Schunk's words);
-    remaining time of such a motion, 0 = there was none
-    """
+    remaining time of such a motion, 0 = there was none"""
 
     grip_left_s: float = 0.0

@@ -3,8 +3,7 @@
 OpenCV waits for an image without end, or 10 s, unless a timeout is set: `waitAny` waits for its given time. Only the
 first image after opening is waited for inside OpenCV; `OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT` bounds that [s], and is set
 to 2 unless the user has set it. The kernel's own calls (opening, setting) cannot be bounded from here.
-Sources: OpenCV's documentation and its cap_v4l.cpp; V4L2's documents for the units of controls.
-"""
+Sources: OpenCV's documentation and its cap_v4l.cpp; V4L2's documents for the units of controls."""
 
 from __future__ import annotations
 

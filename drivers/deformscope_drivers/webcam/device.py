@@ -31,8 +31,7 @@ class WebcamConfig:
     exposure_s, gain, white_balance_k, focus: None = the camera's own (most choose automatically); gain and focus are in
     the driver's own units; autofocus: False switches it off where the camera has it, for a picture whose scale stays
     silence_s: time without an image after which the camera counts as lost; stuck_after_s: the same image for this long
-    means a frozen one, None = it may
-    """
+    means a frozen one, None = it may"""
 
     port: str | int = 0
     width: int = 640
@@ -144,8 +143,7 @@ class Webcam(Device[ColorImage]):
 def apply(config: WebcamConfig, capture: Capture, where: str) -> None:
     """Set a camera as configured and read every setting back. Raises SettingsRefused.
 
-    The order matters: the format bounds the sizes that there are, and the size bounds the rates.
-    """
+    The order matters: the format bounds the sizes that there are, and the size bounds the rates."""
     asked: list[tuple[Setting, float]] = [
         (Setting.FOURCC, float(to_fourcc(config.fourcc))),
         (Setting.WIDTH, float(config.width)),

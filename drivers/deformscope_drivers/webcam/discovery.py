@@ -12,8 +12,7 @@ from deformscope_drivers.webcam.device import stable_name
 def discover(sysfs: Path = Path("/sys"), dev: Path = Path("/dev")) -> list[FoundDevice]:
     """Every V4L2 camera, by its stable name where there is one.
 
-    A camera's further nodes (metadata, which give no images) are left out. sysfs, dev: where those folders are
-    """
+    A camera's further nodes (metadata, which give no images) are left out. sysfs, dev: where those folders are"""
     nodes = sysfs / "class" / "video4linux"
     found = []
     for node in sorted(nodes.glob("video*"), key=lambda path: (len(path.name), path.name)) if nodes.is_dir() else []:

@@ -50,8 +50,7 @@ class Playback(Device[ColorImage]):
     real_time: play at that rate, like a camera, so that a slow reader loses pictures. False = as fast as the readers
     take them, and no reader loses any. No picture is read before a reader starts, and `next` advances by one picture
     loop: begin again at the end; otherwise the readers end A picture's device_ticks are its time in the file [us],
-    which continues from round to round.
-    """
+    which continues from round to round."""
 
     queue_readings: ClassVar[int] = QUEUE_IMAGES
 

@@ -15,8 +15,7 @@ class ColorImage:
     """One picture.
 
     stamp: when it arrived; its device_ticks are the camera's own timestamp [us], None where it gives none
-    image: (H, W, 3) RGB, uint8
-    """
+    image: (H, W, 3) RGB, uint8"""
 
     stamp: Stamp
     image: NDArray[np.uint8]

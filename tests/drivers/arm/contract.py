@@ -1,8 +1,7 @@
 """What every arm owes its users, beside what every device does (`tests.drivers.contract`).
 
 A subclass gives `bench`: an arm that is closed, and how time passes. On a simulated clock, so that nothing depends on
-the machine.
-"""
+the machine."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """`home` of a Jaco in its own process: a halt, a stop and the end of the program come first.
 
-Moments are those of calls to the vendor's library there, on the clock that both processes share.
-"""
+Moments are those of calls to the vendor's library there, on the clock that both processes share."""
 
 from __future__ import annotations
 

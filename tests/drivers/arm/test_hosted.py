@@ -1,7 +1,6 @@
 """An arm in a process of its own: it stands when this program is stopped or dies, and says what is wrong there.
 
-Moments are those of the double's own cycles, not of this machine.
-"""
+Moments are those of the double's own cycles, not of this machine."""
 
 from __future__ import annotations
 

@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deformscope_drivers.depth_camera import (
-    DepthImage,
-    Intrinsics,
-    SyntheticDepthCamera,
-    SyntheticDepthConfig,
-    View,
-)
+from deformscope_drivers.depth_camera import DepthImage, Intrinsics, SyntheticDepthCamera, SyntheticDepthConfig, View
 from deformscope_drivers.device import Reconnect
 from deformscope_drivers.errors import LinkLost, Stale
 from deformscope_drivers.health import Link

@@ -40,8 +40,7 @@ class PairCount:
     """What becomes of all pairs of flipped bits behind a packet's preamble (with a flip in that, none is found).
 
     bytes: the packet's length; pairs: all there are; pass_checksum: pairs that the checksum lets pass if the length is
-    left alone; refused: how many of these which other check refuses; left: how many of all pairs are taken for good
-    """
+    left alone; refused: how many of these which other check refuses; left: how many of all pairs are taken for good"""
 
     name: str
     bytes: int

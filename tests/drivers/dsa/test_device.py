@@ -381,8 +381,7 @@ def test_limits_are_checked_before_anything_is_sent(command) -> None:
 
 
 @pytest.mark.parametrize(
-    "config",
-    [{"sensitivity": 1.5}, {"sensitivity": (0.5, -0.1)}, {"threshold": 5000}, {"frame_rate_hz": 0}],
+    "config", [{"sensitivity": 1.5}, {"sensitivity": (0.5, -0.1)}, {"threshold": 5000}, {"frame_rate_hz": 0}]
 )
 def test_a_configuration_out_of_limits(config) -> None:
     with pytest.raises(OutOfLimits):

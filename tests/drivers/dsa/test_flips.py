@@ -69,12 +69,7 @@ def test_syndromes_foretell_every_pair(data: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("name", "refused", "left"),
-    [
-        ("stop", 7, 2),
-        ("ack", 5, 1),
-        ("frame of 23 texels, RLE", 73, 19),
-        ("idle frame, RLE", 1408, 1303),
-    ],
+    [("stop", 7, 2), ("ack", 5, 1), ("frame of 23 texels, RLE", 73, 19), ("idle frame, RLE", 1408, 1303)],
 )
 def test_pairs_that_are_left(name: str, refused: int, left: int) -> None:
     count = count_pairs(SUBJECTS[name])

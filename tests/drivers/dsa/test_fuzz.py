@@ -2,8 +2,7 @@
 
     PYTHONPATH=.:drivers python tests/drivers/dsa/test_fuzz.py 100000000
 
-feeds that many bytes, half of them random, half a valid stream with faults, and prints what came of it.
-"""
+feeds that many bytes, half of them random, half a valid stream with faults, and prints what came of it."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ LONGEST = 6 + 5 + 2 * SDH_CELLS + 2
 class Outcome:
     """What came of a stream. intact, found: frames sent undamaged, and those of them that came out
 
-    damaged, believed: frames sent with damage, and events that nobody sent
-    """
+    damaged, believed: frames sent with damage, and events that nobody sent"""
 
     bytes: int = 0
     intact: int = 0

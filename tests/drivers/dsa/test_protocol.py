@@ -8,16 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deformscope_drivers.dsa.messages import Ack
-from deformscope_drivers.dsa.protocol import (
-    SDH_CELLS,
-    CommandDecoder,
-    Decoder,
-    Faulty,
-    encode,
-    single,
-    stop,
-    stream,
-)
+from deformscope_drivers.dsa.protocol import SDH_CELLS, CommandDecoder, Decoder, Faulty, encode, single, stop, stream
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.weiss_crc import crc16
 from tests.drivers.dsa.packets import ACK, ANSWERS, COMMANDS, FRAME, STOP, checked, checksum, hexed, reading
@@ -162,11 +153,7 @@ def test_what_waits_is_bounded() -> None:
 
 def test_a_controller_answers_what_it_cannot_use() -> None:
     damaged = STOP[:-1] + b"\x6b"
-    unknown, short, long = (
-        checked("ab 01 00 00"),
-        checked("03 01 00 01"),
-        checked("0b 02 00 00 00"),
-    )
+    unknown, short, long = (checked("ab 01 00 00"), checked("03 01 00 01"), checked("0b 02 00 00 00"))
 
     assert fed(CommandDecoder(), damaged + unknown + short + long + STOP) == [
         Faulty(3, 11),

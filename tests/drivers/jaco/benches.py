@@ -30,8 +30,7 @@ DEVICE_TYPES = {"j2n6s300": 3, "j2s6s300": 7, "j2s7s300": 8}
 class VendorBench(Protocol):
     """A double whose time the test moves on.
 
-    functions: what the driver is given; chain: its kinematics
-    """
+    functions: what the driver is given; chain: its kinematics"""
 
     functions: Functions
     chain: Chain
@@ -75,10 +74,7 @@ class PythonBench:
         admittance = self.double._arm.admittance
         pairs = {
             6: [(admittance.force_min, admittance.force_max), (admittance.inertia, admittance.damping)],
-            7: [
-                (admittance.torque_min, admittance.torque_max),
-                (admittance.joint_inertia, admittance.joint_damping),
-            ],
+            7: [(admittance.torque_min, admittance.torque_max), (admittance.joint_inertia, admittance.joint_damping)],
         }
         # what was set by the tests is distinguished from the defaults by its first value
         for first, second in pairs[count]:

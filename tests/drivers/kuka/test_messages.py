@@ -119,10 +119,7 @@ def chain(request: pytest.FixtureRequest) -> Chain:
     return CHAINS[request.param]
 
 
-PUBLISHED = {
-    "kr6r900sixx": (0.455, 0.42),
-    "kr6r700sixx": (0.315, 0.365),
-}
+PUBLISHED = {"kr6r900sixx": (0.455, 0.42), "kr6r700sixx": (0.315, 0.365)}
 """Upper arm and forearm [m], kuka_kr6_support."""
 
 

@@ -1,8 +1,7 @@
 """Writes small recordings as OpenNI2's OniFile driver reads them: uncompressed depth, and colour beside it.
 
 The format was read in OpenNI2's Source/Drivers/OniFile (DataRecords.h, PlayerNode.cpp, PlayerDevice.cpp): a header of
-24 bytes, then records of 28 bytes of header, fields and a payload. A recording without `xnCropping` gives no frame.
-"""
+24 bytes, then records of 28 bytes of header, fields and a payload. A recording without `xnCropping` gives no frame."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ def write_oni(
 ) -> list[int]:
     """Write a recording; the times of its depth frames [us].
 
-    color_delays_us: of each colour frame behind its depth; skip: depth frames that are numbered and left out
-    """
+    color_delays_us: of each colour frame behind its depth; skip: depth frames that are numbered and left out"""
     times = [first_us + round(index * 1e6 / fps) for index in range(len(depths))]
     delays = color_delays_us or [0] * len(depths)
     color_times = [at + delay for at, delay in zip(times, delays, strict=True)]

@@ -37,8 +37,7 @@ class DamageCount:
     possible: how many there are; passed: how many of them the decoder takes for a reading
     by_status: of these, how many show another kind of sensor, or a status that is undefined or not usable
     by_counter: a counter that does not follow the one before; by_load: more than twice the nominal load
-    unseen: none of these
-    """
+    unseen: none of these"""
 
     possible: int
     passed: int = 0

@@ -80,12 +80,7 @@ def test_a_reading_that_others_overtook() -> None:
     track, last, now_ns = track_of(first=65530)
     gaps = follow(track, [last + 1, last + 3, last + 2, last + 4], start_ns=now_ns)
 
-    assert [gap.verdict for gap in gaps] == [
-        CounterStep.NEXT,
-        CounterStep.LOST,
-        CounterStep.LATE,
-        CounterStep.NEXT,
-    ]
+    assert [gap.verdict for gap in gaps] == [CounterStep.NEXT, CounterStep.LOST, CounterStep.LATE, CounterStep.NEXT]
     assert sum(gap.lost for gap in gaps) == track.lost == 0
     assert track.late == 1
 

@@ -251,10 +251,7 @@ def test_a_move_comes_to_its_targets(lab: Make, firmware: str) -> None:
 def test_a_ramp_and_speeds_by_axis(lab: Make) -> None:
     made = lab()
     result = made.hand.move(
-        [40.0] + [0.0] * 6,
-        velocity_deg_s=[20.0] + [100.0] * 6,
-        acceleration_deg_s2=100.0,
-        profile=VelocityProfile.RAMP,
+        [40.0] + [0.0] * 6, velocity_deg_s=[20.0] + [100.0] * 6, acceleration_deg_s2=100.0, profile=VelocityProfile.RAMP
     )
 
     assert result.duration_s == pytest.approx(40 / 20 + 20 / 100)

@@ -46,10 +46,7 @@ POS_VALUES = (
 TEXT_COMMANDS: list[tuple[Command, bytes]] = [
     (Command("pos"), b"pos\r\n"),
     (Command("state", axis=3), b"state(3)\r\n"),
-    (
-        Command("p", POSE),
-        b"p=0.000000,-10.000000,20.000000,-10.000000,20.000000,-10.000000,20.000000\r\n",
-    ),
+    (Command("p", POSE), b"p=0.000000,-10.000000,20.000000,-10.000000,20.000000,-10.000000,20.000000\r\n"),
     (Command("p", (1.5,), 3), b"p(3)=       1.500\r\n"),
     (Command("v", (-12.25,), 0), b"v(0)=     -12.250\r\n"),
     (Command("m"), b"m\r\n"),

@@ -70,12 +70,7 @@ def explored(robot: BumpRobot | RecordedRobot) -> tuple[Exploration, list[object
     truth = Truth(None, np.array([[*LUMP_M, RADIUS_M, 0.015]]))
     stages = ExplorationStages(UnseenSurface(SIZE_M, OPTIONS, ArmCompliance(), truth), AsMeasured(SIZE_M))
     found, heard = Exploration(), Heard()
-    run(
-        [],
-        explore(lambda: 0, within_loop(stages), found),
-        heard,
-        AtOnce(robot),
-    )
+    run([], explore(lambda: 0, within_loop(stages), found), heard, AtOnce(robot))
     assert not stages.explorer.failures
     return found, heard.results
 

@@ -564,10 +564,7 @@ def test_a_stage_of_a_squeeze_is_refused_with_the_reason(name: Any) -> None:
 # Recorded, read back, computed again ----------------------------------------------------------------------------------
 
 PADS = (Pad("thumb_distal", 4, 3, (3.4e-3, 3.4e-3), 0, 1, 1),)
-STREAMS = (
-    Stream("camera", "color", "webcam"),
-    Stream("pads", "tactile", "dsa", pads=PADS, full_scale_pa=3000.0),
-)
+STREAMS = (Stream("camera", "color", "webcam"), Stream("pads", "tactile", "dsa", pads=PADS, full_scale_pa=3000.0))
 OPTIONS = LiveOptions(("flow", "tactile"), color="camera", tactile="pads", longest_px=80)
 
 

@@ -252,8 +252,7 @@ QUICK = ("close", "pushed")
 
 
 @pytest.mark.parametrize(
-    ("phase", "fault"),
-    slow_but([QUICK], [(phase, fault) for phase in ("close", "hold") for fault in ARM_FAULTS]),
+    ("phase", "fault"), slow_but([QUICK], [(phase, fault) for phase in ("close", "hold") for fault in ARM_FAULTS])
 )
 def test_an_arm_that_does_not_stand_ends_the_squeeze_in_time(fault: str, phase: str) -> None:
     strike, noticed, within_s = ARM_FAULTS[fault]
@@ -343,10 +342,7 @@ def test_an_arm_that_was_turned_does_not_withdraw() -> None:
 LIMITS = [({"over_squeeze_m": 0.0008}, "container over-squeezed"), ({"still_timeout_s": 0.3}, "no steady state")]
 
 
-@pytest.mark.parametrize(
-    ("limit", "kind"),
-    slow_but([LIMITS[0]], LIMITS),
-)
+@pytest.mark.parametrize(("limit", "kind"), slow_but([LIMITS[0]], LIMITS))
 def test_after_a_stop_the_fingers_open_though_an_arm_carries_the_hand(limit: dict[str, float], kind: str) -> None:
     trial = PlacedTrial("kuka")
     trial.setup = replace(trial.setup, squeeze=replace(trial.setup.squeeze, **limit))

@@ -40,8 +40,7 @@ MS = 1_000_000
 class Camera:
     """Images of a container that moves in its own frame, 30 a second, with the noise of such cameras. true: its poses
 
-    step_m, step_deg: from one image to the next
-    """
+    step_m, step_deg: from one image to the next"""
 
     def __init__(
         self,

@@ -129,10 +129,7 @@ def test_the_thesiss_model_holds_its_lowest_point_and_says_what_its_trend_is(lev
     after = of_our_own(0.0, depth, 1e-4)
     tactile = tactile_points(np.array([*AT, THICKNESS - depth]), RADIUS, depth)
     touched = fit_surface(
-        after,
-        noise_m=np.full(len(after), 1e-3),
-        known_m=tactile,
-        known_noise_m=np.full(len(tactile), 2e-4),
+        after, noise_m=np.full(len(after), 1e-3), known_m=tactile, known_noise_m=np.full(len(tactile), 2e-4)
     )
     found = thesis_beta(dent_of(level, touched, AT))
     assert 0.0 <= found.beta <= found.curve.parameter[-1]

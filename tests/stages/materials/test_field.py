@@ -15,13 +15,7 @@ from deformscope.errors import InputError
 from deformscope.stages.fit.model import Observation
 from deformscope.stages.materials.field import fit_field
 from deformscope.stages.materials.field_estimate import FieldEstimate
-from deformscope.stages.materials.field_fit import (
-    FieldFit,
-    NoiseModel,
-    StiffnessPrior,
-    in_whole_cells,
-    likeliest_noise,
-)
+from deformscope.stages.materials.field_fit import FieldFit, NoiseModel, StiffnessPrior, in_whole_cells, likeliest_noise
 from deformscope.stages.materials.field_levels import border_cells, border_length, cuts, gain, neighbours, sharpened
 from studies.field_bodies import SPACING_M, elastic_pair
 from studies.independent.orthotropic_elements import OrthotropicLaw, PlateWay, isotropic, plate

@@ -37,8 +37,7 @@ def pressed(
 ) -> Motion:
     """A block on its lowest layer, pressed in the middle of its top by `depth` spacings, and let go.
 
-    noise: of every coordinate, held ones too, as a share of the depth
-    """
+    noise: of every coordinate, held ones too, as a share of the depth"""
     rng = np.random.default_rng(seed)
     rest = lattice(shape)
     low = np.flatnonzero(rest[:, -1] <= 0.0)

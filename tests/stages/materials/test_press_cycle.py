@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.stages.materials.press_cycle import (
-    PressForce,
-    course_of,
-    find_cycle,
-    frames_to_fit,
-    share_of_push,
-)
+from deformscope.stages.materials.press_cycle import PressForce, course_of, find_cycle, frames_to_fit, share_of_push
 
 HELD = np.array([0.0, 2.0, 5.0, 8.0, 10.0, 10.0, 10.0, 6.0, 3.0, 2.05, 2.0, 2.02, 2.0])
 

@@ -39,13 +39,7 @@ def pushed(
 
 
 def fitted(
-    shares: list[float],
-    times_s: list[float],
-    kept: float,
-    seed: int = 0,
-    *,
-    force: bool = False,
-    watch_s: float = 5.0,
+    shares: list[float], times_s: list[float], kept: float, seed: int = 0, *, force: bool = False, watch_s: float = 5.0
 ) -> RecoveryEstimate:
     random = np.random.default_rng(seed)
     time_s = np.arange(0.0, 2.0 + watch_s, 1.0 / 12.0)

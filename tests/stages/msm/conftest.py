@@ -21,8 +21,7 @@ MOST_SHARE = 0.5
 class Effort:
     """Shares of the allowed iterations that solves needed in which every candidate converged.
 
-    judged: whether the test rests on their having converged
-    """
+    judged: whether the test rests on their having converged"""
 
     shares: list[tuple[str, float]]
     judged: bool = True

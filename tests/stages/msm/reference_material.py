@@ -1,7 +1,6 @@
 """`materials` in float64 NumPy, boring: the specification of what the engine makes of them, cluster by cluster.
 
-Plasticity is taken literally: a cluster that has yielded is a new cluster, whose rest vectors are S^p q.
-"""
+Plasticity is taken literally: a cluster that has yielded is a new cluster, whose rest vectors are S^p q."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ class Yielding:
 def axis_weight(cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None = None) -> FloatArray:
     """W of a cluster (d, d), by its definition: the stiffness of two compliances in series, within the cluster's span.
 
-    plastic: (d, d) S^p of a cluster whose rest vectors have yielded; the material's axes yield with them.
-    """
+    plastic: (d, d) S^p of a cluster whose rest vectors have yielded; the material's axes yield with them."""
     back = np.eye(cluster.q.shape[1]) if plastic is None else np.linalg.inv(plastic)
     q = cluster.q @ back.T
     gram = np.einsum("n,ni,nj->ij", cluster.mass, q, q)

@@ -154,8 +154,7 @@ def _limit(precision: Precision, body: Body, states: FloatArray) -> float:
     """Tolerance [m]: that of the sums, and what displacements that are large lose of their last digits.
 
     Four roundings on the way from a displacement to its goal, and one for each window over which a sum slid: there
-    (along all axes but the fast one), and on the way back from clusters to particles.
-    """
+    (along all axes but the fast one), and on the way back from clusters to particles."""
     scale = clusters.spacing(body.rest)
     moved = float(np.abs(states - body.rest).max()) / scale
     slides = 0

@@ -29,8 +29,7 @@ class Pressed:
 
     aside: spacings by which that plate moves along the first axis
     missing, held: shares of particles that are holes, and that stay where they were at rest; shear: of the lattice
-    aided: preconditioned by multigrid whatever its size, where that serves it
-    """
+    aided: preconditioned by multigrid whatever its size, where that serves it"""
 
     shape: tuple[int, ...]
     size: int

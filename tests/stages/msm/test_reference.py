@@ -44,17 +44,7 @@ def test_volume_conservation_by_hand() -> None:
     """Eq. 3.17 in the plane takes the square root: A = diag(1.5, 1) at theta = 1 becomes diag(1.5, 1) / sqrt(1.5)."""
     a = reference_states.conserve_volume(np.diag([1.5, 1.0]), 1.0, np.eye(2))
     np.testing.assert_allclose(a, np.diag([1.5, 1.0]) / np.sqrt(1.5))
-    a = reference_states.conserve_volume(
-        np.diag(
-            [
-                2.0,
-                1.0,
-                0.5,
-            ][:3]
-        ),
-        1.0,
-        np.eye(3),
-    )
+    a = reference_states.conserve_volume(np.diag([2.0, 1.0, 0.5][:3]), 1.0, np.eye(3))
     np.testing.assert_allclose(np.linalg.det(a), 1.0)
     half = reference_states.conserve_volume(np.diag([8.0, 1.0, 1.0]), 0.5, np.eye(3))
     np.testing.assert_allclose(half, np.diag([8.0, 1.0, 1.0]) / 1.5)

@@ -45,8 +45,7 @@ def _rms(rows: FloatArray) -> FloatArray:
 class Press:
     """A lattice between two plates, of which the upper comes down, a little unevenly so that nothing is symmetric.
 
-    Candidates are all combinations of parameters: beta, theta (B,), and held positions (B, n, d).
-    """
+    Candidates are all combinations of parameters: beta, theta (B,), and held positions (B, n, d)."""
 
     rest: FloatArray
     grouped: Clusters
@@ -220,15 +219,7 @@ def test_what_converged_in_single_precision_is_near_what_double_precision_makes_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shape", "size"),
-    [
-        ((12, 30), 2),
-        ((6, 6, 8), 2),
-        ((6, 6, 8), 4),
-        ((5, 5, 20), 3),
-    ],
-)
+@pytest.mark.parametrize(("shape", "size"), [((12, 30), 2), ((6, 6, 8), 2), ((6, 6, 8), 4), ((5, 5, 20), 3)])
 def test_with_projection_larger_pressed_bodies_converge(device: str, shape: tuple[int, ...], size: int) -> None:
     press = _press(shape, size)
     engine = Msm(press.rest, press.grouped, press.held, device=device)

@@ -18,11 +18,7 @@ RATE_HZ, LOAD_S, SET_N, DEPTH_M, EXPONENT = 100.0, 0.8, 3.0, 0.006, 1.5
 
 
 def touch(
-    shares: tuple[float, ...],
-    times_s: tuple[float, ...],
-    hold_s: float,
-    noise_m: float = 0.0,
-    load_s: float = LOAD_S,
+    shares: tuple[float, ...], times_s: tuple[float, ...], hold_s: float, noise_m: float = 0.0, load_s: float = LOAD_S
 ) -> CreepFit:
     """A ball pressed with a force that rises and stays, on E(t) / E0 = 1 - sum g + sum g exp(-t / tau), by a Volterra
     equation in steps of 1 ms: F(t) = integral of E(t - s) d(c y(s)), y = depth^p."""

@@ -108,8 +108,7 @@ MOTIONS = {
 
 
 @pytest.mark.parametrize(
-    "name",
-    slow_but(["rest", "part of a pixel", "strain of 18 %", "turn by 10 degrees", "small waves"], MOTIONS),
+    "name", slow_but(["rest", "part of a pixel", "strain of 18 %", "turn by 10 degrees", "small waves"], MOTIONS)
 )
 def test_finds_known_motion(name: str) -> None:
     motion, bound = MOTIONS[name]

@@ -192,10 +192,7 @@ def test_advects_over_several_steps() -> None:
     def towards(matrix: Array) -> FlowField:
         a = matrix - np.eye(2)
         return analytic_flow(
-            lambda x, y: (
-                a[0, 0] * (x - 100) + a[0, 1] * (y - 60),
-                a[1, 0] * (x - 100) + a[1, 1] * (y - 60),
-            )
+            lambda x, y: (a[0, 0] * (x - 100) + a[0, 1] * (y - 60), a[1, 0] * (x - 100) + a[1, 1] * (y - 60))
         )
 
     grid = seed_grid(IMAGE, Rect(60, 30, 80, 60), shape=(6, 8))

@@ -97,11 +97,4 @@ def test_the_command_writes_what_it_names(tmp_path: Path, capsys: pytest.Capture
     assert main(["reproduce", "chapter4", "--quick", "--jobs", "1", "--out", str(tmp_path)]) == 0
     assert "homogeneous-60  n = 3 [3]" in capsys.readouterr().out
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {
-        "figure44.png",
-        "figure45.csv",
-        "figure45.png",
-        "figure46.png",
-        "figure47.png",
-        "table41.csv",
-    }
+    assert written == {"figure44.png", "figure45.csv", "figure45.png", "figure46.png", "figure47.png", "table41.csv"}
