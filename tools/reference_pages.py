@@ -315,6 +315,54 @@ def python() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+# Sources of imports ---------------------------------------------------------------------------------------------------
+
+READ_HEAD = ("source", "message, column or file", "unit", "frame", "clock", "refused or asked")
+
+
+def what_we_read() -> str:
+    """Every source of an import: how its units, frames and clock are known, and what is refused."""
+    parts = [
+        "# What we read",
+        "One row a source of `deformscope import`. Keys of the map are in [Map files](map-file.md). What a source does"
+        " not say is a key of the map, and an import without it is refused by the key's name.",
+        _table(READ_HEAD, read_rows()),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def read_rows() -> list[tuple[str, ...]]:
+    """Its rows, with the names that the code reads by."""
+    from deformscope.imports.frame_builder import CLOUDS, COLOR_ENCODINGS, DEPTH_ENCODINGS, STANDARD
+    from deformscope.imports.readers import BAGS, FILES, TABLES
+
+    def of(kind: str) -> str:
+        return ", ".join(f"`{name}`" for name, (known, columns) in STANDARD.items() if known == kind and columns)
+
+    def listed(*names: str) -> str:
+        return ", ".join(f"`{name}`" for name in names)
+
+    bag = f"bag ({listed(*BAGS)}, or a ROS 2 folder)"
+    stamps = '`header`, or `time = "log"`; of another clock: `offset_s`'
+    files = "`time`: a text file of stamps, or `rate_hz`"
+    images = [one for one in FILES if one not in CLOUDS]
+    ours = "Parquet, MCAP or CSV that `deformscope export` wrote"
+    return [
+        ("own export", ours, "in the columns' names", "as recorded", "as recorded", "a newer schema version"),
+        (bag, of("wrench"), "N, N m (REP 103)", "the sensor's", stamps, 'NaN without `nan = "keep"`'),
+        (bag, of("arm"), "m, rad (REP 103)", "`pose`, `parent`, `child`", stamps, "joint states without a `pose`"),
+        (bag, f"`Image` as {listed(*DEPTH_ENCODINGS)}", "`unit_m`, else mm, m of `32FC1`", "the camera's", stamps, ""),
+        (bag, f"`Image` as {listed(*COLOR_ENCODINGS)}; `CompressedImage`", "", "", stamps, "other encodings"),
+        (bag, "`PointCloud2`", "m", "by rows, else projected into the map's camera", stamps, "no x, y or z"),
+        (f"table ({listed(*TABLES)})", "`columns`", "`units`, or the file's own", "", "`time`, `time_unit`", "no unit"),
+        (f"folder of {listed(*images)}", "distances or colours", "`unit_m`", "the camera's", files, "no `unit_m`"),
+        (f"folder of {listed(*CLOUDS)}", "`x`, `y`, `z`", "`units.points`", "as `PointCloud2`", files, "no unit"),
+        ("bytes (`.bin`, `.raw`)", "OptoForce DAQ, DSA", "`config.sensitivity`", "the sensor's", "`rate_hz`", ""),
+        ("`candump -L` log (`.log`)", "the same on CAN", "`config.sensitivity`", "the sensor's", "the log's", ""),
+        ("folder of meshes (`--pairs`)", "meshes with forces", "m, N", "the meshes'", "none", ""),
+    ]
+
+
 # Licences -------------------------------------------------------------------------------------------------------------
 
 
@@ -417,6 +465,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "recordings": recordings,
     "quantities": quantities_page,
     "rig-file": rig_file,
+    "what-we-read": what_we_read,
     "python": python,
     "licences": licences,
     "studies": studies,
