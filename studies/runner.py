@@ -37,8 +37,7 @@ from deformscope.config.executor import ExecutorOptions
 from deformscope.config.options import OutputOptions, RecordedOptions
 from deformscope.errors import InputError
 from deformscope.executor.journal import Journal
-from deformscope.executor.local import HereWorker
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import HereWorker, open_workers
 from deformscope.executor.tasks import compute
 from deformscope.frames import StageCost
 from deformscope.pictures.findings import Findings

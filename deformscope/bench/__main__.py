@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from deformscope.bench_cases import CASES
@@ -32,32 +33,26 @@ def main() -> int:
     import warp as wp
 
     from deformscope.bench.plan import BenchPlan, default_sizes
-    from deformscope.bench.report import check, measure, read_earlier, report, require_positive
+    from deformscope.bench.report import Report, run_bench
+    from deformscope.bench.timing import TimingRow
     from deformscope.errors import InputError
     from deformscope.stages.msm.solver import pick_device
+
+    def write(found: Report, rows: Sequence[TimingRow]) -> None:
+        for row in rows:
+            print(row.case, row.what, row.who, row.median, row.unit, row.doubt, sep="\t", file=sys.stderr)
+        text = json.dumps(plain(found), indent=2, allow_nan=False) + "\n"
+        if asked.json == "-":
+            sys.stdout.write(text)
+        else:
+            Path(asked.json).write_text(text, encoding="utf-8")
 
     wp.config.log_level = wp.LOG_WARNING
     try:
         device = pick_device(asked.device)
         sizes = asked.sizes or default_sizes(device, asked.quick)
         plan = BenchPlan(device, sizes, asked.repeats, asked.quick, asked.only)
-        check(plan)
-        earlier = read_earlier(asked.against)
-        rows, complete = [], False
-        try:
-            for row in measure(plan, lambda text: print(text, file=sys.stderr, flush=True)):
-                rows.append(row)
-            complete = True
-        finally:
-            found = report(plan, rows, complete=complete, earlier=earlier)
-            for told in rows:
-                print(told.case, told.what, told.who, told.median, told.unit, told.doubt, sep="\t", file=sys.stderr)
-            text = json.dumps(plain(found), indent=2, allow_nan=False) + "\n"
-            if asked.json == "-":
-                sys.stdout.write(text)
-            else:
-                Path(asked.json).write_text(text, encoding="utf-8")
-        require_positive(rows)
+        run_bench(plan, asked.against, lambda text: print(text, file=sys.stderr, flush=True), write)
     except InputError as error:
         print(f"deformscope: error: {error}", file=sys.stderr)
         return 2

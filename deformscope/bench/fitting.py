@@ -41,10 +41,10 @@ def fit(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
         steps = [_steps_needed(engine, body.held_position, float(beta)) for beta in SWEPT]
 
         note(f"fit: {what}")
-        turn = plan.turn(partial(_follow, fit_beta, judged))
+        turn = plan.turn(judged.follow)
         ours = Contestant(what, f"{OURS}, by gradient", turn, found=partial(judged.answer, "gradient"))
         thesis = Contestant(
-            *(what, f"{OURS}, the thesis's sweep", partial(clock, partial(_sweep, judged, steps))),
+            *(what, f"{OURS}, the thesis's sweep", partial(clock, partial(judged.sweep, steps))),
             beside=ours,
             facts={"steps": sum(steps), "settled": SETTLED},
             found=partial(judged.answer, "sweep"),
@@ -74,6 +74,18 @@ class _Judged:
         found: Any = minimize_scalar(at, bounds=bounds, method="bounded", options={"xatol": 1e-8})
         return float(found.x)
 
+    def follow(self) -> None:
+        """Answer by following the gradient."""
+        self.answers["gradient"] = float(fit_beta(self.engine, self.held_position, self.observed).value)
+
+    def sweep(self, steps: list[int]) -> None:
+        """Algorithm 3: every beta from rest by time stepping, and the one of least error."""
+        errors = []
+        for beta, count in zip(SWEPT, steps, strict=True):
+            position = self.engine.step(self.engine.start(), self.held_position, float(beta), steps=count)
+            errors.append(mean_distance(position[0], self.observed))
+        self.answers["sweep"] = float(SWEPT[np.argmin(errors)])
+
     def answer(self, name: str) -> dict[str, object]:
         """Result of one of them, and its distance from the minimum."""
         away = {f"from_minimum_of_{error}": self.answers[name] - beta for error, beta in self.minimum.items()}
@@ -88,19 +100,6 @@ def mean_distance(position: FloatArray, observed: FloatArray) -> float:
 def squares(position: FloatArray, observed: FloatArray) -> float:
     """Sum of squared distances of positions (..., d), in the square of their unit."""
     return float(np.sum((position - observed) ** 2))
-
-
-def _follow(fit_beta: Callable[..., Any], judged: _Judged) -> None:
-    judged.answers["gradient"] = float(fit_beta(judged.engine, judged.held_position, judged.observed).value)
-
-
-def _sweep(judged: _Judged, steps: list[int]) -> None:
-    """Algorithm 3: every beta from rest by time stepping, and the one of least error."""
-    engine, errors = judged.engine, []
-    for beta, count in zip(SWEPT, steps, strict=True):
-        position = engine.step(engine.start(), judged.held_position, float(beta), steps=count)
-        errors.append(mean_distance(position[0], judged.observed))
-    judged.answers["sweep"] = float(SWEPT[np.argmin(errors)])
 
 
 def _steps_needed(engine: Msm, held_position: FloatArray, beta: float) -> int:

@@ -61,31 +61,39 @@ class Report:
     rows: tuple[Mapping[str, object], ...]
 
 
-def report(plan: BenchPlan, rows: Sequence[TimingRow], *, complete: bool, earlier: Earlier | None = None) -> Report:
-    """The report of a run. The machine's load is measured at the end. earlier: rows of another run, which these are
-    compared with."""
-    then = {} if earlier is None else earlier
-    plain = tuple(row.plain(then.get((row.case, row.what, row.who, row.unit))) for row in rows)
-    return Report(FORMAT, complete, machine(plan.device), plan, plain)
-
-
-def read_earlier(path: Path | None) -> Earlier | None:
-    """The rows of a run's JSON by case, what, who and unit. Raises InputError for a file without such rows."""
-    if path is None:
-        return None
+def run_bench(
+    plan: BenchPlan, against: Path | None, note: Note, done: Callable[[Report, Sequence[TimingRow]], None]
+) -> None:
+    """Measure, and pass report and rows to `done` at the end, also after an interruption. against: JSON of an earlier
+    run, which is compared. Raises InputError for unsupported cases, and for a sample of 0 or less, which no clock can
+    give."""
+    check(plan)
+    earlier = read_earlier(against)
+    rows: list[TimingRow] = []
+    complete = False
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        if told["format"] != FORMAT:
-            raise InputError(f"the JSON of a bench in format {FORMAT}", f"{told['format']} in {path}", "a bench of now")
-        return {(row["case"], row["what"], row["who"], row["unit"]): row for row in told["rows"]}
+        for row in measure(plan, note):
+            rows.append(row)
+        complete = True
+    finally:  # the machine's load is measured at the end
+        plain = tuple(row.plain(earlier.get((row.case, row.what, row.who, row.unit))) for row in rows)
+        done(Report(FORMAT, complete, machine(plan.device), plan, plain), rows)
+    if failed := [row for row in rows if not row.positive]:
+        got = "; ".join(f"{row.what} by {row.who}: {min(row.samples):.3g} {row.unit}" for row in failed)
+        raise InputError("times above 0", got, "deformscope bench again on an idle machine")
+
+
+def read_earlier(path: Path | None) -> Earlier:
+    """The rows of a run's JSON by case, what, who and unit; none without a path. Raises InputError for a file without
+    such rows."""
+    if path is None:
+        return {}
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if found["format"] != FORMAT:
+            came = f"{found['format']} in {path}"
+            raise InputError(f"the JSON of a bench in format {FORMAT}", came, "a bench of now")
+        return {(row["case"], row["what"], row["who"], row["unit"]): row for row in found["rows"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         problem = f"{path}: {type(error).__name__}: {error}"
         raise InputError("the JSON of an earlier bench", problem, "deformscope bench --json FILE") from None
-
-
-def require_positive(rows: Sequence[TimingRow]) -> None:
-    """Raises InputError if a sample is 0 or less, which no clock can give."""
-    failed = [row for row in rows if not row.positive]
-    if failed:
-        got = "; ".join(f"{row.what} by {row.who}: {min(row.samples):.3g} {row.unit}" for row in failed)
-        raise InputError("times above 0", got, "deformscope bench again on an idle machine")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
@@ -22,22 +22,18 @@ def relax(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:
     """The static state of ever larger cubes, from rest."""
     plan.engine(cube(4)).relax(cube(4).held_position, BETA)  # loads the kernels
     for make in (cube, poked):
-        yield from _growing(plan, note, make)
-
-
-def _growing(plan: BenchPlan, note: Note, make: Callable[[int], BenchBody]) -> Iterator[TimingRow]:
-    last_s, before = 0.0, 1
-    for particles in plan.sizes:
-        body = make(side_of(particles))
-        what = f"{body.named}, clusters of {CLUSTER}^3"
-        note(f"relax: {what}")
-        # Iterations grow with the side.
-        if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
-            yield TimingRow("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
-            continue
-        (row,) = compare("relax", [_relaxing(plan.engine(body), body, what, BETA)], plan.rounds)
-        last_s, before = min(row.samples) / 1e3, particles
-        yield row
+        last_s, before = 0.0, 1
+        for particles in plan.sizes:
+            body = make(side_of(particles))
+            what = f"{body.named}, clusters of {CLUSTER}^3"
+            note(f"relax: {what}")
+            # Iterations grow with the side.
+            if (expected_s := last_s * (particles / before) ** (4 / 3)) > plan.longest_s:
+                yield TimingRow("relax", what, OURS, "ms", (), note=f"left out: it would take some {expected_s:.0f} s")
+                continue
+            (row,) = compare("relax", [_relaxing(plan.engine(body), body, what, BETA)], plan.rounds)
+            last_s, before = min(row.samples) / 1e3, particles
+            yield row
 
 
 def sweep(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:

@@ -128,15 +128,11 @@ def _one_size(plan: BenchPlan, note: Note, particles: int, bandwidth: float) -> 
         yield from compare("step", contestants, plan.rounds_of_steps)
     if "call" in plan.only:
         yield TimingRow("call", f"{what}, set-up", OURS, "ms", (1e3 * setup_s,), facts={"particles": particles})
-        yield from _calls(plan, engine, stepping, what)
+        # a call of two steps, and copying the positions to the host
+        two = Contestant(f"{what}, a call of 2 steps", OURS, plan.turn(partial(stepping.waited, 2)))
+        copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
+        yield from compare("call", [two, copy], plan.rounds_of_steps)
     return setup_s
-
-
-def _calls(plan: BenchPlan, engine: Msm, stepping: Stepping, what: str) -> Iterator[TimingRow]:
-    """Time of a call of two steps, and of copying the positions to the host."""
-    two = Contestant(f"{what}, a call of 2 steps", OURS, plan.turn(partial(stepping.waited, 2)))
-    copy = Contestant(f"{what}, positions copied out", OURS, plan.turn(partial(engine.positions, stepping.state)))
-    yield from compare("call", [two, copy], plan.rounds_of_steps)
 
 
 def candidates_at_once(plan: BenchPlan, note: Note) -> Iterator[TimingRow]:

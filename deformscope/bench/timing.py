@@ -121,9 +121,9 @@ def clock(work: Callable[[], object]) -> Timing:
     """Run once, and return the time. Its return value is discarded after the clock has stopped."""
     gc.collect()
     cpu_s, wall_s = time.process_time(), time.perf_counter()
-    kept = work()
+    result = work()
     timing = Timing(time.perf_counter() - wall_s, time.process_time() - cpu_s)
-    del kept
+    del result
     return timing
 
 

@@ -1,11 +1,4 @@
-"""`deformscope arm where|files|home|go|jog`: where an arm is, and moving it without exploring.
-
-deformscope arm where rig.toml
-deformscope arm files rig.toml --out controller
-deformscope arm home rig.toml
-deformscope arm go rig.toml --above 0.30,0.20 --height 0.1
-deformscope arm jog rig.toml
-"""
+"""`deformscope arm where|files|home|go|jog`: where an arm is, and moving it without exploring."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""`deformscope bench`: cost of MSM on this machine, as a table.
-
-deformscope bench
-deformscope bench --quick --only step,relax --json -
-deformscope bench --against bench.json
-"""
+"""`deformscope bench`: cost of MSM on this machine, as a table."""
 
 from __future__ import annotations
 
@@ -15,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from deformscope.bench.plan import BenchPlan, default_sizes
-from deformscope.bench.report import Report, check, measure, read_earlier, report, require_positive
+from deformscope.bench.report import Report, run_bench
 from deformscope.bench.timing import TimingRow
 from deformscope.bench_cases import CASES
 from deformscope.cli.common import console, quiet_warp, write_json
@@ -47,25 +42,17 @@ def run(config: BenchConfig) -> None:
     """Measure, and show the results at the end, also after an interruption."""
     quiet_warp()
 
+    def done(found: Report, rows: Sequence[TimingRow]) -> None:
+        if rows:
+            show(rows, found, compared=config.against is not None)
+        write_json(found, config.json)
+
     device = pick_device(config.device)
     sizes = config.sizes or default_sizes(device, config.quick)
     plan = BenchPlan(device, sizes, config.repeats, config.quick, config.only or CASES)
-    check(plan)
-    earlier = read_earlier(config.against)
-    rows: list[TimingRow] = []
-    complete = False
     where = console()
-    try:
-        # Lines, no spinner: its thread would take its share of what is measured.
-        for row in measure(plan, lambda doing: where.print(doing, style="dim", markup=False)):
-            rows.append(row)
-        complete = True
-    finally:
-        found = report(plan, rows, complete=complete, earlier=earlier)
-        if rows:
-            show(rows, found, compared=earlier is not None)
-        write_json(found, config.json)
-    require_positive(rows)
+    # Lines, no spinner: its thread would take its share of what is measured.
+    run_bench(plan, config.against, lambda doing: where.print(doing, style="dim", markup=False), done)
 
 
 def show(rows: Sequence[TimingRow], found: Report, *, compared: bool) -> None:

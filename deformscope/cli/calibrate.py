@@ -1,11 +1,4 @@
-"""`deformscope calibrate beta|theta`: fit the model to images or to pair files, with interval and verdict.
-
-deformscope calibrate beta my_video.mp4 --roi 400,200,750,350 --grid 7x15 --held bottom,contact --contact 740,180,60,40
-deformscope calibrate beta frames/ --mask mask.tif --grid 24x12 --held top,bottom --record out.rrd --viewer native
-deformscope calibrate beta sample:tension --whole-motion --select cluster-size,held --json -
-deformscope calibrate beta pair.npz --cluster-size 3 --json -
-deformscope calibrate theta cube.npz --picture cube.png --report cube.html
-"""
+"""`deformscope calibrate beta|theta`: fit the model to images or to pair files, with interval and verdict."""
 
 from __future__ import annotations
 

@@ -1,15 +1,5 @@
 """`deformscope calibrate tip|place|camera|force|time|arm`: measure the geometry of a rig and the compliance of its arm,
-and write them into its file with intervals.
-
-deformscope calibrate tip rig.toml
-deformscope calibrate place rig.toml --touches 3
-deformscope calibrate camera rig.toml --board 5x4 --square 0.05
-deformscope calibrate force rig.toml
-deformscope calibrate time rig.toml
-deformscope calibrate time rig.toml --measured taps.rrd
-deformscope calibrate tip rig.toml --measured poses.npz --no-write --json -
-deformscope calibrate arm rig.toml --at 0.30,0.20
-"""
+and write them into its file with intervals."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""`deformscope catalog`: the recordings of a folder, listed, filtered and compared.
-
-deformscope catalog runs/ --where 'stiffness < 0.5 and verdict == "regions"' --sort=-duration_s
-deformscope catalog runs/ --serve
-deformscope catalog compare first.rrd second.rrd
-"""
+"""`deformscope catalog`: the recordings of a folder, listed, filtered and compared."""
 
 from __future__ import annotations
 

@@ -1,24 +1,19 @@
-"""`deformscope dataset`: list a data set of squeezes, correct it, and merge several.
-
-deformscope dataset list squeezes
-deformscope dataset relabel squeezes lab-0-box-07-00003 --content flour
-deformscope dataset discard squeezes lab-0-box-07-00003 --reason "it leaked"
-deformscope dataset merge all squeezes others/squeezes
-deformscope dataset repair squeezes
-"""
+"""`deformscope dataset`: list a data set of squeezes, correct it, and merge several."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import msgspec
 
 from deformscope.cli.common import say, show, write_json
 from deformscope.config import DatasetConfig, DiscardConfig, MergeConfig, RelabelConfig, RepairConfig
 from deformscope.errors import InputError
-
-if TYPE_CHECKING:
-    from deformscope.files.squeeze_dataset import SqueezeDataset, TrialRow
+from deformscope.files.squeeze_dataset import TRIALS, SqueezeDataset, TrialEntry, TrialRow
+from deformscope.pictures.findings import table_text
+from deformscope.runs.datasets import dataset_table
 
 
 def listing(config: DatasetConfig) -> None:
@@ -28,29 +23,27 @@ def listing(config: DatasetConfig) -> None:
 
 def relabel(config: RelabelConfig) -> None:
     """Correct the index's labels of trials."""
-    _dataset(config.folder).change(config.trial, **config.changes())
+    SqueezeDataset(config.folder).change(config.trial, **config.changes())
     _show(config.folder, config.json)
 
 
 def discard(config: DiscardConfig) -> None:
     """Discard trials, or restore them."""
-    _dataset(config.folder).change(config.trial, discarded=None if config.restore else config.reason)
+    SqueezeDataset(config.folder).change(config.trial, discarded=None if config.restore else config.reason)
     _show(config.folder, config.json)
 
 
 def merge(config: MergeConfig) -> None:
     """Copy the trials of other data sets."""
-    target = _dataset(config.folder)
+    target = SqueezeDataset(config.folder)
     for source in config.sources:
-        say(f"{target.merge(_dataset(source))} trials from {source}")
+        say(f"{target.merge(SqueezeDataset(source))} trials from {source}")
     _show(config.folder, config.json)
 
 
 def repair(config: RepairConfig) -> None:
     """Add recordings that the index lacks."""
-    from deformscope.files.squeeze_dataset import TRIALS
-
-    dataset = _dataset(config.folder)
+    dataset = SqueezeDataset(config.folder)
     known = {one.trial for one in dataset.entries()} if dataset.exists else set()
     files = sorted((config.folder / TRIALS).glob("*.rrd"))
     if not files and not known:
@@ -60,16 +53,13 @@ def repair(config: RepairConfig) -> None:
             say(f"{file.name} is unfinished: deformscope recover {file}")
         elif file.stem not in known:
             row, settings = _recorded(file)
-            _dataset(config.folder, settings).add([row])
+            SqueezeDataset(config.folder, settings).add([row])
             say(f"taken in: {file.stem}")
     _show(config.folder, config.json)
 
 
 def _recorded(file: Path) -> tuple[TrialRow, dict[str, Any]]:
     """A recorded trial and its features, computed again; and the features' settings."""
-    import msgspec
-
-    from deformscope.files.squeeze_dataset import TRIALS, TrialEntry, TrialRow
     from deformscope.recording.reader import Replay
     from deformscope.runs.replay_squeeze import squeeze_again
 
@@ -86,16 +76,7 @@ def _recorded(file: Path) -> tuple[TrialRow, dict[str, Any]]:
     return TrialRow(entry, again.features.modalities, again.features.series), settings
 
 
-def _dataset(folder: Path, settings: dict[str, Any] | None = None) -> SqueezeDataset:
-    from deformscope.files.squeeze_dataset import SqueezeDataset
-
-    return SqueezeDataset(folder, settings)
-
-
 def _show(folder: Path, target: str | None, *, trials: bool = False) -> None:
-    from deformscope.pictures.findings import table_text
-    from deformscope.runs.datasets import dataset_table
-
-    entries = _dataset(folder).entries()
+    entries = SqueezeDataset(folder).entries()
     show(table_text(dataset_table(folder, entries, trials=trials)))
     write_json([dataclasses.asdict(one) for one in entries], target)

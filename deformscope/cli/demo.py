@@ -1,8 +1,4 @@
-"""`deformscope demo`: the main task on simulated devices; leaves `runs/demo-<stamp>.rrd`.
-
-deformscope demo
-deformscope demo --images --viewer none --json -
-"""
+"""`deformscope demo`: the main task on simulated devices; leaves `runs/demo-<stamp>.rrd`."""
 
 from __future__ import annotations
 

@@ -1,14 +1,11 @@
-"""`deformscope devices`: connected devices, and their health.
-
-deformscope devices
-deformscope devices --no-probe --json -
-"""
+"""`deformscope devices`: connected devices, and their health."""
 
 from __future__ import annotations
 
 import dataclasses
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,9 +95,12 @@ def _ask(found: Any) -> tuple[str, str, str]:
     """Serial number, firmware and health of a device that is opened for a moment. Nothing moves."""
     driver = DRIVERS[found.driver]
     try:
-        with driver.make(_by_port(driver.config_class(), found.port)) as device:
-            known = device.identity()
-            serial = known.serial or _asked_serial(device)
+        is_bus = not found.port.startswith("/") and "://" not in found.port
+        config: Any = driver.config_class()
+        with driver.make(config(bus=found.port) if is_bus else config(port=found.port)) as device:
+            known, serial = device.identity(), ""
+            with suppress(AttributeError, DeviceError):  # some give it only on request, some not at all
+                serial = known.serial or str(device.serial_number())
             try:
                 device.next(PROBE_S)
             except DeviceError as error:
@@ -113,16 +113,3 @@ def _ask(found: Any) -> tuple[str, str, str]:
         return "", "", "in use by another program"
     except DeviceError as error:
         return "", "", f"does not answer: {error}"
-
-
-def _asked_serial(device: Any) -> str:
-    """A serial number that is given only on request; empty without one."""
-    try:
-        return str(device.serial_number())
-    except (AttributeError, DeviceError):
-        return ""
-
-
-def _by_port(config: Any, port: str) -> Any:
-    is_bus = not port.startswith("/") and "://" not in port
-    return config(bus=port) if is_bus else config(port=port)

@@ -1,8 +1,4 @@
-"""`deformscope doctor`: checks whether a rig would work, and names remedies.
-
-deformscope doctor rig.toml
-deformscope doctor --example > rig.toml
-"""
+"""`deformscope doctor`: checks whether a rig would work, and names remedies."""
 
 from __future__ import annotations
 
@@ -57,7 +53,9 @@ def run(config: DoctorConfig) -> None:
         example = Path(str(resources.files("deformscope"))) / "lab" / "rig-example.toml"
         print((resolve("sample:rig") if config.doubles else example).read_text(encoding="utf-8"), end="")
         return
-    if (step := _nothing_yet(config.rig)) is not None:
+    path = Path(config.rig).expanduser()
+    if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip():
+        step = begin(config.rig)
         doubles = step.command.replace(" >", " --doubles >")
         say(f"{config.rig} is empty. With hardware: {step.command}; without: {doubles}")
         write_json({"rig": config.rig, "findings": [], "first_day": [step], "next": step.command}, config.json)
@@ -71,7 +69,7 @@ def run(config: DoctorConfig) -> None:
     findings += _found("explore", lambda: _exploring(rig, measured))
     findings += _found("place", lambda: _placing(rig))
     findings += _found("shape", lambda: _shape(rig))
-    findings += _found("disk", lambda: [_disk(rig)])
+    findings += _found("disk", lambda: _disk(rig))
     findings += _found("real time", lambda: _real_time(rig))
     for entry in rig.devices:
         say(f"listening to {entry.name}")
@@ -92,22 +90,14 @@ def run(config: DoctorConfig) -> None:
         raise Unfit("a rig that works", f"trouble with {', '.join(failed)}", hint, config.rig)
 
 
-def _nothing_yet(name: str) -> RigStep | None:
-    """The first step of all, for a file that is empty."""
-    path = Path(name).expanduser()
-    return begin(name) if path.is_file() and not path.read_text(encoding="utf-8", errors="replace").strip() else None
-
-
 def _list_of(steps: tuple[RigStep, ...], following: str) -> str:
     """The way to an exploration, step by step, with the next step."""
     width = max(len(step.what) for step in steps)
-    lines = ["", *(f"{step.state:<8} {step.what:<{width}}  {step.words}{_minutes(step)}" for step in steps)]
+    lines = [""]
+    for step in steps:
+        minutes = f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
+        lines.append(f"{step.state:<8} {step.what:<{width}}  {step.words}{minutes}")
     return "\n".join([*lines, *([f"next: {following}"] if following else [])])
-
-
-def _minutes(step: RigStep) -> str:
-    """Duration of a step that is not done."""
-    return f" (about {step.minutes} min)" if step.minutes and step.state != "done" else ""
 
 
 def _found(what: str, look: Callable[[], list[Finding]]) -> list[Finding]:
@@ -125,32 +115,17 @@ def _sections(rig: Rig) -> list[Finding]:
     """Keys that a robot needs for motion, and the file lacks."""
     kinds = {entry.driver.kind for entry in rig.devices}
     arm, depth, real, camera = "arm" in kinds, "depth" in kinds, not rig.surface.scene, rig.camera
+    no_box = "no box: no command moves the arm. Add low_m and high_m to [workspace]"
+    no_lens = "no focal_px, center_px: the camera's own values are used, if it has any"
+    no_camera_pose = "no T_arm_camera: the arm cannot touch what the camera sees"
+    no_surface = "no T_arm_surface: explore needs the pose of the surface"
+    no_compliance = "no compliance_m_per_n: explore needs it. deformscope calibrate arm measures it"
     wanted = (
-        (
-            arm and rig.workspace.low_m is None,
-            "workspace",
-            "no box: no command moves the arm. Add low_m and high_m to [workspace]",
-        ),
-        (
-            depth and camera.focal_px is None,
-            "camera",
-            "no focal_px, center_px: the camera's own values are used, if it has any",
-        ),
-        (
-            depth and arm and real and camera.T_arm_camera is None,
-            "camera",
-            "no T_arm_camera: the arm cannot touch what the camera sees",
-        ),
-        (
-            arm and real and rig.surface.T_arm_surface is None,
-            "surface",
-            "no T_arm_surface: explore needs the pose of the surface",
-        ),
-        (
-            arm and real and rig.tool.compliance_m_per_n is None,
-            "tool",
-            "no compliance_m_per_n: explore needs it. deformscope calibrate arm measures it",
-        ),
+        (arm and rig.workspace.low_m is None, "workspace", no_box),
+        (depth and camera.focal_px is None, "camera", no_lens),
+        (depth and arm and real and camera.T_arm_camera is None, "camera", no_camera_pose),
+        (arm and real and rig.surface.T_arm_surface is None, "surface", no_surface),
+        (arm and real and rig.tool.compliance_m_per_n is None, "tool", no_compliance),
     )
     return [Finding(what, "look", words) for lacks, what, words in wanted if lacks]
 
@@ -170,9 +145,8 @@ def _exploring(rig: Rig, measured: bool) -> list[Finding]:
         if not measured:
             return []
         return [Finding("explore", "look", f"lacks {', '.join(lacks) or 'the box of [workspace]'}")]
-    return [
-        Finding("explore", "ok", "the file has all keys; whether the arm reaches the surface is checked before a touch")
-    ]
+    words = "the file has all keys; whether the arm reaches the surface is checked before a touch"
+    return [Finding("explore", "ok", words)]
 
 
 def _placing(rig: Rig) -> list[Finding]:
@@ -183,9 +157,8 @@ def _placing(rig: Rig) -> list[Finding]:
     if not arms or "hand" not in {entry.driver.kind for entry in rig.devices}:
         return []
     if lacks := lacks_to_place(rig):
-        return [
-            Finding("place", "look", f"squeeze --place {arms[0]} lacks {', '.join(lacks)}: a person places the hand")
-        ]
+        words = f"squeeze --place {arms[0]} lacks {', '.join(lacks)}: a person places the hand"
+        return [Finding("place", "look", words)]
     return [Finding("place", "ok", f"squeeze --place {arms[0]} finds all its keys in this file")]
 
 
@@ -201,14 +174,12 @@ def _shape(rig: Rig) -> list[Finding]:
     return [Finding("shape", "ok", told)]
 
 
-def _disk(rig: Rig) -> Finding:
+def _disk(rig: Rig) -> list[Finding]:
     """Whether a long recording has room."""
     folder = Path(rig.record.folder).absolute()
-    while not folder.exists():
-        folder = folder.parent
-    free = shutil.disk_usage(folder).free
+    free = shutil.disk_usage(next(one for one in (folder, *folder.parents) if one.exists())).free
     verdict: CheckStatus = "ok" if free > FREE_BYTES_WANTED else "look"
-    return Finding("disk", verdict, f"{free / 1e9:.1f} GB free for {rig.record.folder}")
+    return [Finding("disk", verdict, f"{free / 1e9:.1f} GB free for {rig.record.folder}")]
 
 
 def _real_time(rig: Rig) -> list[Finding]:

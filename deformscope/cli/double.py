@@ -1,13 +1,8 @@
-"""`deformscope double`: simulated devices on real transports, for users without hardware.
-
-deformscope double optoforce dsa
-deformscope double lab:bench
-"""
+"""`deformscope double`: simulated devices on real transports, for users without hardware."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from typing import Any
 
 from deformscope.cli.common import say
@@ -29,7 +24,14 @@ def run(config: DoubleConfig) -> None:
     if not config.what:
         raise InputError("drivers to double", "none", "deformscope double optoforce dsa, or lab:bench")
     with until_interrupted() as asked, contextlib.ExitStack() as stack:
-        for name, driver, wire in stack.enter_context(_wires(config.what)):
+        running: list[tuple[str, str, Wire]] = []
+        for name, driver, settings in _wanted(config.what):
+            if driver not in WIRED:
+                known = ", ".join(WIRED)
+                raise InputError(f"drivers with a byte protocol: {known}; a rig file; or lab:NAME", repr(driver))
+            bus = f"{SHARED_BUS}?port={FIRST_PORT + len(running)}"
+            running.append((name, driver, stack.enter_context(wire_of(driver, settings, bus))))
+        for name, driver, wire in running:
             stack.enter_context(announced(driver, wire.port, name))
             key = "bus" if wire.is_bus else "port"
             print(f'[devices.{name}]\ndriver = "{driver}"\n{key} = "{wire.port}"\n', flush=True)
@@ -37,27 +39,13 @@ def run(config: DoubleConfig) -> None:
         asked.wait(config.seconds)
 
 
-@contextlib.contextmanager
-def _wires(what: tuple[str, ...]) -> Iterator[list[tuple[str, str, Wire]]]:
-    with contextlib.ExitStack() as stack:
-        running: list[tuple[str, str, Wire]] = []
-        for name, driver, settings in _wanted(what):
-            if driver not in WIRED:
-                known = ", ".join(WIRED)
-                raise InputError(f"drivers with a byte protocol: {known}; a rig file; or lab:NAME", repr(driver))
-            config = settings if settings is not None else DRIVERS[driver].config_class()()
-            bus = f"{SHARED_BUS}?port={FIRST_PORT + len(running)}"
-            running.append((name, driver, stack.enter_context(wire_of(driver, config, bus))))
-        yield running
-
-
 def _wanted(what: tuple[str, ...]) -> list[tuple[str, str, Any]]:
-    """Name, driver and configuration of every requested double; None = the driver's default."""
+    """Name, driver and configuration of every requested double."""
     wanted: list[tuple[str, str, Any]] = []
     for word in what:
         if word in DRIVERS:
             number = sum(driver == word for _, driver, _ in wanted)
-            wanted.append((word if not number else f"{word}-{number + 1}", word, None))
+            wanted.append((word if not number else f"{word}-{number + 1}", word, DRIVERS[word].config_class()()))
         else:
             rig = load_rig(word)
             wired = [d for d in rig.devices if d.driver.name in WIRED]

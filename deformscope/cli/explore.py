@@ -1,9 +1,4 @@
-"""`deformscope explore`: map how soft a surface is, and where, by looking and touching.
-
-deformscope explore --list-scenarios
-deformscope explore lab:two-60-150 --seed 3 --record r.rrd --picture map.png
-deformscope explore lab:two-60-150 --fault force-silent@2 --record stopped.rrd
-"""
+"""`deformscope explore`: map how soft a surface is, and where, by looking and touching."""
 
 from __future__ import annotations
 

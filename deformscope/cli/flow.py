@@ -1,8 +1,4 @@
-"""`deformscope flow`: dense optical flow of two images, and its error.
-
-deformscope flow before.png after.png --out flow.npz
-deformscope flow before.png after.png --out flow.npz --picture flow.png
-"""
+"""`deformscope flow`: dense optical flow of two images, and its error."""
 
 from __future__ import annotations
 

@@ -1,16 +1,5 @@
 """`deformscope calibrate both|axes|field|yield|viscous`: beta with theta, a beta along each axis, relative stiffness of
-each place, yield strain, and relaxing share of the modulus.
-
-deformscope calibrate both pair.npz --picture both.png --json -
-deformscope calibrate both poke1.npz poke2.npz --joint --record both.rrd
-deformscope calibrate axes stretched.npz sheared.npz --turn-deg 30
-deformscope calibrate axes press.mp4 --grid 9x15 --held bottom,contact --contact 200,40,60,20
-deformscope calibrate field stretched.npz --picture field.png --record field.rrd
-deformscope calibrate yield press.npz --picture press.png
-deformscope calibrate yield press.npz --beta 0.7 --creep fit --json -
-deformscope calibrate yield press.mp4 --grid 9x15 --held bottom,contact --contact 200,40,60,20 --at 40,95
-deformscope calibrate viscous press.mp4 --grid 9x15 --held bottom,contact --contact 200,40,60,20 --record press.rrd
-"""
+each place, yield strain, and relaxing share of the modulus."""
 
 from __future__ import annotations
 

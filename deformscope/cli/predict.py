@@ -1,8 +1,4 @@
-"""`deformscope predict`: predict pokes that were not fitted.
-
-deformscope predict slab.npz --poke 'at=0.28,0.2 tip=flat size=0.03x0.03 force=5' --json -
-deformscope predict slab.npz --against poke2.npz poke3.npz --picture dents.png
-"""
+"""`deformscope predict`: predict pokes that were not fitted."""
 
 from __future__ import annotations
 

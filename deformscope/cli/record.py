@@ -1,10 +1,4 @@
-"""`deformscope record` and `deformscope live`: all devices of a rig, into a file and onto the screen.
-
-deformscope record rig.toml
-deformscope record lab:bench --seconds 20 --record r.rrd
-deformscope live rig.toml --record r.rrd
-deformscope live lab:bench --stage tactile --stage beta --viewer page
-"""
+"""`deformscope record` and `deformscope live`: all devices of a rig, into a file and onto the screen."""
 
 from __future__ import annotations
 

@@ -1,19 +1,27 @@
-"""`deformscope verify`, `recover` and `export`: check a recording, rescue a damaged one, and convert it to other
-formats.
-
-deformscope verify run.rrd
-deformscope verify run.rrd --stages
-deformscope verify run.rrd --privacy
-deformscope recover run.part.rrd --out saved.rrd
-deformscope export r.rrd --to parquet --out tables
-deformscope export r.rrd --to mcap --out bag --only wrench arm
-deformscope export r.rrd --images frames --camera front
-"""
+"""`deformscope verify`, `recover`, `discard`, `replay`, `report` and `export`: what is done with a recording."""
 
 from __future__ import annotations
 
-from deformscope.cli.common import EXIT_LOSSES, fit_progress, say, show, write_json, wrote
-from deformscope.config import ExportConfig, RecoverConfig, VerifyConfig
+from deformscope.cli.common import (
+    EXIT_LOSSES,
+    check_writable,
+    console,
+    fit_progress,
+    say,
+    show,
+    show_table,
+    write_file,
+    write_json,
+    wrote,
+)
+from deformscope.config import (
+    DiscardRecordingConfig,
+    ExportConfig,
+    RecoverConfig,
+    ReplayConfig,
+    ReportConfig,
+    VerifyConfig,
+)
 
 
 def verify(config: VerifyConfig) -> int:
@@ -54,3 +62,48 @@ def export(config: ExportConfig) -> int:
     for line in found.remarks:
         say(f"deformscope: {line}")
     return EXIT_LOSSES if found.remarks or not found.checked else 0
+
+
+def discard(config: DiscardRecordingConfig) -> None:
+    """Mark the recording, or an episode of it, as not to be used, in its ledger. Nothing is deleted."""
+    from deformscope.runs.recordings import OpenRecording
+
+    recording = OpenRecording(config.recording)
+    recording.discard(config.reason, config.episode)
+    show_table(str(config.recording), [("discarded", str(one)) for one in recording.discarded()])
+    write_json(recording.as_json(), config.json)
+
+
+def replay(config: ReplayConfig) -> int:
+    """Run the same stages on the recorded inputs; of a rig, decode its bytes again and compare frames. Raises
+    `Different` if the numbers differ from the recorded ones. Returns the command's exit status."""
+    from deformscope.pictures.findings import table_text
+    from deformscope.pictures.report import Table
+    from deformscope.recording.ledger import ledger_path
+    from deformscope.runs.replay import replay_on
+
+    with fit_progress() as progress:
+        found = replay_on(config, progress)
+    show(*(table_text(one) if isinstance(one, Table) else one for one in found.shown))
+    write_json(found.as_json(), config.output.json)
+    if found.different is not None:
+        raise found.different
+    for note in found.notes:
+        say(note)
+    if found.verdict:
+        console().print(found.verdict)
+    return 0 if ledger_path(config.recording).exists() else EXIT_LOSSES
+
+
+def report(config: ReportConfig) -> None:
+    """Draw the figures of a recording as one HTML page, and list missing stages."""
+    from deformscope.runs.recording_report import report_recording
+
+    out = config.recording.with_suffix(".html") if config.out is None else config.out
+    check_writable(out, "--out")
+    found = report_recording(config.recording)
+    write_file(out, found.page().encode())
+    show(found)
+    say(f"stages missing: {', '.join(found.lacks) or 'none'}")
+    wrote("report", out)
+    write_json({**found.to_dict(), "report": out}, config.json)

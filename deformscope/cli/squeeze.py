@@ -1,9 +1,4 @@
-"""`deformscope squeeze`: squeeze a container once, for a data set or to name its content.
-
-deformscope squeeze lab:containers --content rice --container box-07 --record r.rrd
-deformscope squeeze lab:containers --content rice --container box-07 --dataset squeezes
-deformscope squeeze lab:containers --model contents.npz --seed 5
-"""
+"""`deformscope squeeze`: squeeze a container once, for a data set or to name its content."""
 
 from __future__ import annotations
 

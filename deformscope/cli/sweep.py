@@ -1,9 +1,4 @@
-"""`deformscope sweep`: a command on every file of a folder, by many processes or on a Ray cluster, resumable.
-
-deformscope sweep pokes/ --out runs/beta -- calibrate beta
-deformscope sweep pokes/ --vary cluster-size=3,4,5 --out runs/sizes -- calibrate beta --method gradient
-deformscope sweep catalog.parquet --where 'verdict == "weak"' --out runs/again -- calibrate beta --record '{key}.rrd'
-"""
+"""`deformscope sweep`: a command on every file of a folder, by many processes or on a Ray cluster, resumable."""
 
 from __future__ import annotations
 
@@ -60,7 +55,11 @@ class SweptCommand:
 def run(options: SweepConfig) -> int:
     """Compute missing results, and report the outcome. Returns the exit status."""
     sources = find_sources(options)
-    variations = [_variation(options.command, varied, sources[0]) for varied in vary(_values(options.vary))]
+    values: dict[str, Sequence[str]] = {}
+    for one in options.vary:
+        flag, _, listed = one.partition("=")
+        values[flag.removeprefix("--")] = listed.split("|" if "|" in listed else ",")
+    variations = [_variation(options.command, varied, sources[0]) for varied in vary(values)]
     if any(one.argument.options is None for one in variations):
         make_folder(options.out / FILES)
     how = SweepOptions(options.on, options.workers, options.send, options.limit_s)
@@ -79,15 +78,6 @@ def find_sources(options: SweepConfig) -> list[Path]:
         paths = catalogued_paths(options.source, options.where)
         return in_order(paths, options.out, options.match, options.source)
     return files_in(options.source, options.out, options.match)
-
-
-def _values(varied: Sequence[str]) -> dict[str, Sequence[str]]:
-    """The values after --vary, by flag."""
-    found: dict[str, Sequence[str]] = {}
-    for one in varied:
-        name, _, values = one.partition("=")
-        found[name.removeprefix("--")] = values.split("|" if "|" in values else ",")
-    return found
 
 
 def _variation(typed: Sequence[str], varied: dict[str, Any], example: Path) -> Variation:

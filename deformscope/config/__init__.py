@@ -8,7 +8,6 @@ with one another (`InputError`). Nothing heavy is imported here: `--help` shows 
 from __future__ import annotations
 
 from deformscope.config.arm import FilesConfig, GoConfig, HomeConfig, JogConfig, MovingOptions, WhereConfig
-from deformscope.config.bench import BenchConfig
 from deformscope.config.calibrate import (
     AxesConfig,
     BetaConfig,
@@ -30,6 +29,7 @@ from deformscope.config.images import FlowConfig, ImageOptions
 from deformscope.config.options import CommandOptions, OutputOptions, RecordedOptions
 from deformscope.config.rigs import (
     ArmConfig,
+    BenchConfig,
     CompletionConfig,
     DemoConfig,
     DevicesConfig,

@@ -213,9 +213,9 @@ class Reads:
 
 @dataclass(frozen=True, slots=True)
 class Writes:
-    """An output file. kept: an existing file is refused unless --overwrite is given"""
+    """An output file. replace: an existing file is replaced without --overwrite"""
 
-    kept: bool = False
+    replace: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +279,9 @@ TimeoutFlag = Annotated[
 SeedFlag = Annotated[int, least(0)]
 CameraFlag = Annotated[str | None, one_word("NAME", str), unset]
 FileFlag = Annotated[Path | None, one_word("FILE", Path), unset, Reads()]
-FileKept = Annotated[Path | None, one_word("FILE", Path), unset, ends(".rrd"), Writes(kept=True)]
-ModelFlag = Annotated[Path | None, one_word("MODEL.npz", Path), unset, ends(".npz"), Writes(kept=True)]
+ModelFlag = Annotated[Path | None, one_word("MODEL.npz", Path), unset, ends(".npz"), Writes(replace=False)]
 ArraysFlag = Annotated[Path | None, one_word("FILE.npz", Path), unset, ends(".npz"), Writes()]
-NewRecordingFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, ends(".rrd"), Writes(kept=True)]
+NewRecordingFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, ends(".rrd"), Writes(replace=False)]
 ShareFlag = Annotated[float | None, one_word("NUMBER", float), unset, SHARE]
 PokesFlag = Annotated[tuple[PokeText, ...], one_word("POKE", lambda text: parse_pokes(text), joined("; "))]
 PictureFlag = Annotated[Path | None, one_word("FILE.png", Path), unset, ends(".png"), Writes()]
@@ -301,7 +300,8 @@ TrustFlag = Annotated[
 JsonFlag = Annotated[str | None, one_word("FILE|-", str), unset, Writes()]
 RigFlag = Annotated[str, Positional, arg(metavar="RIG"), Reads()]
 SceneFlag = Annotated[str, Positional, arg(metavar="RIG|lab:NAME"), Reads()]
-BesideFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, Reads()]
+RecordFlag = Annotated[Path | None, one_word("FILE", Path), unset, ends(".rrd"), Writes(replace=False)]
+OtherRecordingFlag = Annotated[Path | None, one_word("FILE.rrd", Path), unset, Reads()]
 RecordingFlag = Annotated[Path, Positional, arg(metavar="FILE.rrd"), Reads()]
 Folder = Annotated[Path, arg(metavar="DIR"), Makes()]
 NewFolder = Annotated[Path | None, one_word("FOLDER", Path), unset, Makes()]

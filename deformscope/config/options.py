@@ -1,4 +1,4 @@
-"""Methods that all options have, options of most commands, and the meaning of annotations."""
+"""Methods that all options have, options of most commands, the meaning of annotations, and a command's text."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
+from tyro.conf import Positional
 from tyro.constructors import PrimitiveConstructorSpec
 
 from deformscope.config import flags
@@ -98,7 +99,7 @@ class Flags:
         """The output files; all are checked before any heavy work."""
         overwrite = getattr(getattr(self, "output", self), "overwrite", False)
         found = ((flag, value, mark) for flag, value, mark in self._marked(flags.Writes) if value != "-")
-        return tuple(Written(flag, Path(value), overwrite or not mark.kept) for flag, value, mark in found)
+        return tuple(Written(flag, Path(value), overwrite or mark.replace) for flag, value, mark in found)
 
     def made(self) -> tuple[tuple[str, Path], ...]:
         """Outputs that the command has written: the flag and path of each file or folder."""
@@ -154,7 +155,7 @@ class ViewOptions(Flags):
 
     json: flags.JsonFlag = None
     """Write the result as JSON; with -, stdout is the JSON alone. An existing file is replaced."""
-    record: flags.FileKept = None
+    record: flags.RecordFlag = None
     """Write a rerun recording (.rrd). Without this flag only `deformscope record` records, under a new name in
     runs/."""
     viewer: Literal["auto", "native", "page", "none"] = "auto"
@@ -185,3 +186,34 @@ def either(first: str, second: str, *given: object) -> None:
     """Raises InputError where both flags are given."""
     if all(given):
         raise InputError(f"{first} or {second}", "both", "leave one out")
+
+
+LEFT_OUT = frozenset({"viewer", "overwrite", "adjust"})
+"""Flags of views and output, not of the computation."""
+
+
+def command_line(name: str, options: Flags) -> list[str]:
+    """The words of a command that computes the same result to the last bit, without output files and viewers. name: the
+    command, such as `calibrate beta`"""
+    return ["deformscope", *name.split(), *_arguments(options)]
+
+
+def _arguments(options: Flags) -> list[str]:
+    first: list[str] = []
+    words: list[str] = []
+    marks = marks_of(type(options))
+    for field in dataclasses.fields(options):  # type: ignore[arg-type]  # all that derive from it are dataclasses
+        value, said = getattr(options, field.name), marks[field.name]
+        if isinstance(value, Flags):
+            words += _arguments(value)
+        elif Positional in said:
+            first += map(str, value if isinstance(value, tuple) else (value,))
+        elif (
+            value != field.default
+            and field.name not in LEFT_OUT
+            and not any(isinstance(mark, flags.Writes) for mark in said)
+        ):
+            typed = next((mark for mark in said if isinstance(mark, PrimitiveConstructorSpec)), None)
+            as_typed = [str(value)] if typed is None else [str(word) for word in typed.str_from_instance(value)]
+            words += [flags_of(type(options))[field.name], *([] if value is True else as_typed)]
+    return first + words

@@ -1,4 +1,4 @@
-"""Devices and recordings of them: `deformscope devices`, `doctor`, `record`, `live`, `explore`, `replay`..."""
+"""Devices and recordings of them, `deformscope devices`, `doctor`, `record`, `live`, `replay`...; and `bench`."""
 
 from __future__ import annotations
 
@@ -330,7 +330,27 @@ class ReplayConfig(RecordedOptions):
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE", help_behavior_hint="(repeatable)")] = ()
     """Change a setting of an exploration: the new result is printed with the recorded one, and not compared to the bit.
     Several: --set beta_model=none --set threshold=0.1"""
-    beside: flags.BesideFlag = None
+    beside: flags.OtherRecordingFlag = None
     """With --viewer page: the devices of this other recording in the same plots, both from their first contact on.
     Nothing is computed again."""
     output: OmitArgPrefixes[OutputOptions] = field(default_factory=OutputOptions)
+
+
+@dataclass(frozen=True, slots=True)
+class BenchConfig(CommandOptions):
+    """Measure the cost of MSM on this machine. Ctrl-C ends it and prints the measurements so far."""
+
+    quick: bool = False
+    """Smaller and fewer cases, in about 20 s."""
+    only: flags.CasesFlag = None
+    """Measure only these, of step, call, memory, relax, sweep, gradient, fit and cold."""
+    sizes: flags.SizesFlag = None
+    """Particles of the cubes that are stepped and relaxed; default: 216 to a million, on a GPU to ten."""
+    repeats: flags.SomeFlag = None
+    """Rounds of every comparison; default: as many as fit into a few seconds, 9 at most."""
+    against: flags.FileFlag = None
+    """The JSON of an earlier bench: each row's time is compared with it."""
+    device: flags.Device = "auto"
+    """Where the simulation runs; auto: on the GPU where there is one."""
+    json: flags.JsonFlag = None
+    """Write all results as JSON; with -, stdout is the JSON alone. An existing file is replaced."""

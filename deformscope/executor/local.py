@@ -1,17 +1,18 @@
-"""Workers of this machine: lasting processes with one thread each, threads, or this process."""
+"""Workers of this machine: lasting processes with one thread each, threads, or this process; opening any workers."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from concurrent import futures
 from concurrent.futures import Future
+from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from multiprocessing.pool import ThreadPool
 from typing import Any
 
-from deformscope.executor.tasks import WorkerLost
+from deformscope.executor.tasks import WorkerLost, Workers
 from deformscope.processes import RENEW_S, SPAWN, follow_parent, starting
 
 
@@ -143,3 +144,27 @@ def one_thread() -> None:
 def core_count() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def open_workers(
+    executor: str, address: str | None, workers: int | None, tasks: int | None = None, *, apart: bool = False
+) -> Iterator[Workers]:
+    """The workers, which are ended at the end of the context, even during a computation.
+
+    executor: `local`, or `ray` at this address; workers: most workers, default: one for each core of this machine or of
+    the cluster; tasks: how many there are, None = not known; apart: use a child process even for a single worker.
+    Raises InputError if nothing answers at the address."""
+    made: Workers
+    if executor == "ray":
+        from deformscope.executor.ray_cluster import RayWorkers
+
+        made = RayWorkers(address or "", workers)
+    else:
+        count = core_count() if workers is None else workers
+        count = max(count if tasks is None else min(count, tasks), 1)
+        made = LocalWorkers(count) if apart or count > 1 else HereWorker()
+    try:
+        yield made
+    finally:
+        made.close()

@@ -18,7 +18,7 @@ import numpy as np
 
 from deformscope.arrays import FloatArray
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.config.command_line import command_line
+from deformscope.config.options import command_line
 from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import fit_options, images_of
 from deformscope.page.fit_settings import IN_PICTURE, images_with

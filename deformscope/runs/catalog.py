@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from deformscope.errors import InputError
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import open_workers
 from deformscope.executor.tasks import compute
 from deformscope.file_io import nearest_file
 from deformscope.files.result_table import make_table, read_table, select_rows, to_utf8, write_table

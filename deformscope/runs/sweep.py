@@ -29,7 +29,7 @@ from deformscope.config.executor import ExecutorOptions
 from deformscope.errors import InputError, printable
 from deformscope.executor.journal import Journal
 from deformscope.executor.local import one_thread as one_thread
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import open_workers
 from deformscope.executor.tasks import TaskOutcome, compute
 from deformscope.file_io import make_folder, nearest_file, replacing, resolve
 from deformscope.files.result_table import make_table, write_table

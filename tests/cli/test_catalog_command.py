@@ -24,7 +24,7 @@ pytest.importorskip("tyro")
 from deformscope.cli import main
 from deformscope.cli.sweep import find_sources
 from deformscope.config import SweepConfig
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import open_workers
 from deformscope.page.catalog_page import serve_catalog
 from deformscope.recording.ledger import add_discard
 from deformscope.runs.catalog import catalogue

@@ -26,7 +26,7 @@ from ray.cluster_utils import Cluster
 
 import deformscope as ds
 from deformscope.errors import InputError
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import open_workers
 from deformscope.executor.tasks import OtherVersion, TaskOutcome, compute, run_attempt
 from deformscope.file_io import sample_path
 from deformscope.files.result_table import read_table

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from deformscope.errors import InputError
-from deformscope.executor.local import HereWorker, LocalWorkers, ThreadWorkers
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import HereWorker, LocalWorkers, ThreadWorkers, open_workers
 from deformscope.executor.tasks import ATTEMPTS, OtherVersion, Workers, compute, compute_all, run_attempt
 from deformscope.processes import BLAS_THREADS
 from tests.patience import PATIENCE_S

@@ -22,8 +22,8 @@ pytest.importorskip("rerun")
 
 from deformscope.cli import main, parse
 from deformscope.config import BetaConfig, ThetaConfig
-from deformscope.config.command_line import command_line
 from deformscope.config.images import ImageOptions
+from deformscope.config.options import command_line
 from deformscope.errors import InputError
 from deformscope.page import fit, fit_process
 from deformscope.page.fit import VALUES, PageFit

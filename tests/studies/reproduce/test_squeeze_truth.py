@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deformscope.executor.opened import open_workers
+from deformscope.executor.local import open_workers
 from deformscope.executor.tasks import compute
 from deformscope.stages.squeeze.events import SqueezeEvents
 from deformscope.stages.squeeze.track import PoseEstimate
