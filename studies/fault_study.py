@@ -23,9 +23,9 @@ from deformscope.robot.robot import Robot
 from deformscope.robot.setup import T_BASE_SURFACE
 from deformscope.robot.supervisor import Fault, Limits, SafetyDecision
 from deformscope.robot.touch import TouchPlan, run_touch
-from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.kinematics import FloatArray, rotation_vector
 from deformscope_drivers.depth_camera.synthetic import View
+from deformscope_drivers.errors import NotStopped
 from deformscope_drivers.jaco.chains import J2N6S300
 from studies.reach import reach
 from studies.springy_foam import SpringyFoam

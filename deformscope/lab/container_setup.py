@@ -21,7 +21,7 @@ from deformscope.lab.carried_hand import (
 from deformscope.lab.container_constants import CONTENTS
 from deformscope.lab.container_shell import SHAPES, ContainerShape
 from deformscope.lab.squeeze_lab import NAMES, ContainerCase, SqueezeLab, container_of
-from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
+from deformscope.rig.sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.placement import Placement
 from deformscope.robot.placing import PlacingSetup, hand_tool
 from deformscope.robot.setup import CameraView

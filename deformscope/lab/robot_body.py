@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from deformscope.capsule import Capsule
-from deformscope.rig.shape_section import CableSection, ShapeSection
+from deformscope.rig.sections import CableSection, ShapeSection
 from deformscope.robot.description import Removal, RobotDescription, describe
 from deformscope.robot.placement import Placement
 from deformscope.robot.shape import arm_shape

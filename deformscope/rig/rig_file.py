@@ -22,8 +22,7 @@ from deformscope.file_io import SAMPLE_SCHEME, nearest, resolve, sample_names
 from deformscope.rig.calibrated import CalibratedSection
 from deformscope.rig.checks import check, check_orthogonal, check_transform
 from deformscope.rig.driver_table import DRIVERS, Driver
-from deformscope.rig.shape_section import ShapeSection
-from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
+from deformscope.rig.sections import ContainerSection, HandSection, ShapeSection, SqueezeSection
 from deformscope.rig.vendor_library import system_library
 from deformscope_drivers.device import Device
 from deformscope_drivers.errors import DeviceError

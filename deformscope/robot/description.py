@@ -21,7 +21,7 @@ import numpy as np
 
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.rig.shape_section import ShapeSection
+from deformscope.rig.sections import ShapeSection
 from deformscope.robot.placement import Placement
 from deformscope.robot.urdf_shapes import UrdfShapes, read_urdf
 from deformscope.solid import PosedSolid, Solid

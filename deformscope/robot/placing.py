@@ -16,7 +16,7 @@ from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule, moved, outside_m
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.rig_file import Tool, Workspace
-from deformscope.rig.squeeze_sections import SqueezeSection
+from deformscope.rig.sections import SqueezeSection
 from deformscope.robot.checks import Check
 from deformscope.robot.clearance import ArmClearance
 from deformscope.robot.placement import WAY_M, Placement, best_joints, lead, towards

@@ -18,7 +18,7 @@ from deformscope.errors import InputError
 from deformscope.rig.calibrated import CalibrationAge
 from deformscope.rig.driver_table import DRIVERS
 from deformscope.rig.rig_file import Rig, RigDevice, Workspace
-from deformscope.rig.shape_section import ShapeSection
+from deformscope.rig.sections import ShapeSection
 from deformscope.rig.source import RigMember, RigSource
 from deformscope.robot.advice import advice
 from deformscope.robot.by_hand import Person

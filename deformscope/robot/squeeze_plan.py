@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from deformscope.arrays import FloatArray
 from deformscope.capsule import Capsule
 from deformscope.errors import InputError
-from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
+from deformscope.rig.sections import ContainerSection, SqueezeSection
 from deformscope_drivers.arm.kinematics import transform
 from deformscope_drivers.sdh.kinematics import (
     BASE_HEIGHT_M,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deformscope.arrays import FloatArray, IntArray
-from deformscope.rig.squeeze_sections import HandSection, SqueezeSection
+from deformscope.rig.sections import HandSection, SqueezeSection
 from deformscope.robot.robot import Waits, taken
 from deformscope.robot.squeeze_plan import CLOSING_AXES, GripShape
 from deformscope.robot.squeeze_supervisor import SqueezeDecision, SqueezeFault, SqueezeObservation, SqueezeSupervisor

@@ -14,8 +14,8 @@ import numpy as np
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
 from deformscope.rig.rig_file import Rig, RigDevice
+from deformscope.rig.sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.rig.source import RigMember, RigSource
-from deformscope.rig.squeeze_sections import ContainerSection, HandSection, SqueezeSection
 from deformscope.robot.placement import Placement
 from deformscope.robot.placing import PlacingSetup, hand_tool
 from deformscope.robot.robot import Waits, sleep_until

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from deformscope.arrays import FloatArray
-from deformscope.rig.squeeze_sections import SqueezeSection
+from deformscope.rig.sections import SqueezeSection
 from deformscope.robot.latch import Action, Decision, LatchingSupervisor
 from deformscope.robot.squeeze_plan import CLOSING_AXES
 from deformscope_drivers.sdh.kinematics import fingertips

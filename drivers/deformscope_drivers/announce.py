@@ -53,10 +53,14 @@ def running_doubles() -> list[RunningDouble]:
             double = RunningDouble(**json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError, TypeError):
             continue
-        if _lives(double.pid):
-            found.append(double)
-        else:
+        try:
+            os.kill(double.pid, 0)
+        except ProcessLookupError:
             path.unlink(missing_ok=True)
+            continue
+        except PermissionError:  # it lives, and is another user's
+            pass
+        found.append(double)
     return found
 
 
@@ -66,13 +70,3 @@ def _is_ours(folder: Path) -> bool:
     except OSError:
         return False
     return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
-
-
-def _lives(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -280,7 +280,7 @@ class Device(ABC, Generic[MeasurementT]):
             self._report_link(Link.LOST, str(error))
             raise
         except EndOfReadings as end:
-            self._finish(str(end))
+            self._end(None, str(end))
             return []
         for reading in found:
             self._publish(reading)
@@ -485,12 +485,6 @@ class Device(ABC, Generic[MeasurementT]):
                 self._tally.reconnects += 1
             self._report_link(Link.CONNECTED)
             return
-
-    def _finish(self, reason: str) -> None:
-        """End the session of a device that was opened without its own thread. reason: reported as that of the closed
-        link"""
-        self._closing.set()
-        self._end(None, reason)
 
     def _end(self, failure: BaseException | None, reason: str = "") -> None:
         self._closing.set()

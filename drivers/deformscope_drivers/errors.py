@@ -85,3 +85,15 @@ class Stale(DeviceError):
 
 class LibraryMissing(DeviceError):
     """Software of the vendor's, or an optional package, is not installed."""
+
+
+class MotionStopped(DeviceError):
+    """The arm was stopped, and refuses commands until a person acknowledges the reason."""
+
+
+class NotStopped(DeviceError):
+    """The arm was moving, and the stop command did not reach it."""
+
+
+class NotMovedByCommands(DeviceError):
+    """The arm takes no velocities: a person places it."""

@@ -51,24 +51,24 @@ class FrameDecoder(ABC, Generic[EventT]):
     The buffer between calls is shorter than the longest frame."""
 
     def __init__(self) -> None:
-        self._kept = b""
+        self._buffered = b""
 
     @property
     def pending(self) -> int:
         """Number of buffered bytes of an incomplete frame."""
-        return len(self._kept)
+        return len(self._buffered)
 
     def feed(self, data: bytes) -> Iterator[EventT | Skipped]:
         """The events that these bytes complete, in the order of the stream. All of `data` is taken at once."""
-        buffer = self._kept + bytes(data)
-        events, kept_from = self._scan(buffer, ended=False)
-        self._kept = buffer[kept_from:]
+        buffer = self._buffered + bytes(data)
+        events, rest_from = self._scan(buffer, ended=False)
+        self._buffered = buffer[rest_from:]
         return iter(events)
 
     def finish(self) -> Iterator[EventT | Skipped]:
         """The stream has ended: what waited for more is refused as `cut off`, and good frames behind it come out."""
-        events, _ = self._scan(self._kept, ended=True)
-        self._kept = b""
+        events, _ = self._scan(self._buffered, ended=True)
+        self._buffered = b""
         return iter(events)
 
     @abstractmethod

@@ -117,7 +117,7 @@ def _child(seed: int, folder: Path) -> None:
 def _describe(folder: Path, name: str) -> int:
     """The status of a command that reads a rig file whose [shape] names a gripper."""
     from deformscope.errors import InputError
-    from deformscope.rig.shape_section import ShapeSection
+    from deformscope.rig.sections import ShapeSection
     from deformscope.robot.description import describe
 
     try:

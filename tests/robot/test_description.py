@@ -14,7 +14,7 @@ import pytest
 from deformscope.errors import InputError
 from deformscope.lab.robot_body import FOLDER, described_robot
 from deformscope.rig.rig_file import Tool, load_rig
-from deformscope.rig.shape_section import CableSection, ShapeSection
+from deformscope.rig.sections import CableSection, ShapeSection
 from deformscope.robot.description import AS_CAPSULES, DescribedCable, RobotDescription, describe
 from deformscope.robot.placement import Placement
 from deformscope.robot.preflight import _hand

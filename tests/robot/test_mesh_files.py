@@ -12,7 +12,7 @@ import pytest
 
 from deformscope.errors import InputError
 from deformscope.experiments.squeeze.tracking import container_model
-from deformscope.rig.squeeze_sections import ContainerSection
+from deformscope.rig.sections import ContainerSection
 from deformscope.robot import mesh_files
 from deformscope.robot.mesh_files import MESH_ENDINGS, Mesh, read_meshes
 

@@ -7,7 +7,7 @@ import pytest
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
+from deformscope.rig.sections import ContainerSection, SqueezeSection
 from deformscope.robot.squeeze_plan import PAD_ALONG_M, PAD_M, GripShape, draw_grasp, grasp_middle
 from deformscope_drivers.sdh.kinematics import DISTAL_LINK_M, finger_points, fingertips
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deformscope.rig.squeeze_sections import ContainerSection, SqueezeSection
+from deformscope.rig.sections import ContainerSection, SqueezeSection
 from deformscope.robot.squeeze_plan import GripShape
 from deformscope.robot.squeeze_supervisor import SqueezeFault, SqueezeObservation, SqueezeSupervisor
 

@@ -18,7 +18,7 @@ from deformscope.experiments.squeeze.frames import SqueezeFrames, frame_ns
 from deformscope.experiments.squeeze.tracking import REST_IMAGES, ContainerImage, ContainerTracker, TrackedImage
 from deformscope.frames import HandFrame
 from deformscope.results.declared import reported
-from deformscope.rig.squeeze_sections import ContainerSection, HandSection
+from deformscope.rig.sections import ContainerSection, HandSection
 from deformscope.robot.setup import CameraView
 from deformscope.robot.squeeze_setup import SqueezeSetup
 from deformscope.robot.squeeze_supervisor import gap_m

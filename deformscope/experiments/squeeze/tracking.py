@@ -16,7 +16,7 @@ from deformscope.arrays import FloatArray
 from deformscope.capsule import moved
 from deformscope.errors import InputError
 from deformscope.frames import DepthFrame, StageCost
-from deformscope.rig.squeeze_sections import ContainerSection
+from deformscope.rig.sections import ContainerSection
 from deformscope.robot.mesh_files import read_meshes
 from deformscope.robot.squeeze_plan import PAD_ALONG_M, hand_capsules
 from deformscope.session import measuring

@@ -14,12 +14,11 @@ from typing import Any, ClassVar, Self, TypeVar
 
 from deformscope_drivers.arm import commands
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
-from deformscope_drivers.arm.errors import MotionStopped, NotMovedByCommands, NotStopped
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
-from deformscope_drivers.errors import DeviceError, LinkLost, OutOfLimits
+from deformscope_drivers.errors import DeviceError, LinkLost, MotionStopped, NotMovedByCommands, NotStopped, OutOfLimits
 from deformscope_drivers.health import Link
 
 LONGEST_S = 60.0

@@ -35,19 +35,14 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class InverseResult:
-    """Result of inverse kinematics.
-
-    joints_deg: (n,) the best joint angles found, within the limits, whether or not they reach the target [deg]
-    converged: both errors are within the requested tolerances
-    position_error_m, rotation_error_rad: residuals at joints_deg
-    iterations: steps taken over all starts; starts: how many starting points were tried"""
+    """Result of inverse kinematics. joints_deg: (n,) the best joint angles found, within the limits, whether or not
+    they reach the target [deg]; converged: both errors are within the requested tolerances; position_error_m,
+    rotation_error_rad: residuals at joints_deg"""
 
     joints_deg: FloatArray
     converged: bool
     position_error_m: float
     rotation_error_rad: float
-    iterations: int
-    starts: int
 
 
 class Chain:
@@ -170,13 +165,10 @@ class Chain:
         upper = np.where(np.isfinite(self.upper_deg), self.upper_deg - margin_deg, 360.0)
         joints = self.clip(self.home_deg if start_deg is None else start_deg, margin_deg)
         best: tuple[float, FloatArray, FloatArray] | None = None
-        taken = tried = 0
-        while tried < max(starts, 1):
-            tried += 1
-            (found,), (error,), (used,) = self._descend(
+        for _ in range(max(starts, 1)):
+            (found,), (error,) = self._descend(
                 target[None], joints[None], margin_deg, position_tolerance_m, rotation_tolerance_rad, iterations
             )
-            taken += int(used)
             cost = float(error @ error)
             if best is None or cost < best[0]:
                 best = cost, found, error
@@ -190,8 +182,6 @@ class Chain:
             converged=bool(_within(error, position_tolerance_m, rotation_tolerance_rad)),
             position_error_m=float(np.linalg.norm(error[:3])),
             rotation_error_rad=float(np.linalg.norm(error[3:])),
-            iterations=taken,
-            starts=tried,
         )
 
     def inverse_near(
@@ -207,7 +197,7 @@ class Chain:
         converged (k,). start_deg: (n,), or (k, n) for each its own"""
         tolerances = position_tolerance_m, rotation_tolerance_rad
         start = np.broadcast_to(self.clip(start_deg, margin_deg), (len(T_base_end_effectors), self.joint_count))
-        found, error, _ = self._descend(T_base_end_effectors, start, margin_deg, *tolerances, 100)
+        found, error = self._descend(T_base_end_effectors, start, margin_deg, *tolerances, 100)
         return found, _within(error, *tolerances)
 
     def _descend(
@@ -218,18 +208,16 @@ class Chain:
         position_m: float,
         rotation_rad: float,
         iterations: int,
-    ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
+    ) -> tuple[FloatArray, FloatArray]:
         """Levenberg-Marquardt from one start (k, n) for each target (k, 4, 4), joints at a limit held there; returns
-        joints (k, n), error twists (k, 6) and steps (k,)."""
+        joints (k, n) and error twists (k, 6)."""
         lower, upper = self.lower_deg + margin_deg, self.upper_deg - margin_deg
         ended_deg, ended_error = np.empty(start_deg.shape), np.empty((len(target), 6))
-        steps = np.full(len(target), iterations)
         going, joints_deg, links = np.arange(len(target)), start_deg, self.forward(start_deg)
         error, damping = pose_error(links[:, -1], target), np.full(len(target), 1e-2)
-        for step in range(iterations):
+        for _ in range(iterations):
             ended = _within(error, position_m, rotation_rad) | (damping > 1e6)
             if ended.any():
-                steps[going[ended]] = step
                 ended_deg[going[ended]], ended_error[going[ended]] = joints_deg[ended], error[ended]
                 on = ~ended
                 going, target, joints_deg, links = going[on], target[on], joints_deg[on], links[on]
@@ -255,7 +243,7 @@ class Chain:
             error = np.where(better[:, None], tried_error, error)
             damping = np.where(better, np.maximum(damping / 5.0, 1e-9), damping * 4.0)
         ended_deg[going], ended_error[going] = joints_deg, error
-        return ended_deg, ended_error, steps
+        return ended_deg, ended_error
 
     def _joints(self, joints_deg: npt.ArrayLike) -> FloatArray:
         """(..., n) joint angles [deg], checked."""
@@ -332,12 +320,12 @@ def transform(rotation: FloatArray, translation_m: npt.ArrayLike) -> FloatArray:
 
 def rotation_from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> FloatArray:
     """Rotation (3, 3) of a URDF's roll, pitch and yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
-    return _rotation_z(yaw_rad) @ _rotation_y(pitch_rad) @ _rotation_x(roll_rad)
+    return _rotation(2, yaw_rad) @ _rotation(1, pitch_rad) @ _rotation(0, roll_rad)
 
 
 def rotation_from_euler_xyz(theta_x_rad: float, theta_y_rad: float, theta_z_rad: float) -> FloatArray:
     """Rotation (3, 3) of the vendor's ThetaX, ThetaY, ThetaZ: Rx Ry Rz (as kinova_driver states for its poses)."""
-    return _rotation_x(theta_x_rad) @ _rotation_y(theta_y_rad) @ _rotation_z(theta_z_rad)
+    return _rotation(0, theta_x_rad) @ _rotation(1, theta_y_rad) @ _rotation(2, theta_z_rad)
 
 
 def euler_xyz_from_rotation(rotation: FloatArray) -> FloatArray:
@@ -364,16 +352,13 @@ def rotation_vector(rotation: FloatArray) -> FloatArray:
         twice_sine * np.where(small, 0.5, 0.5 * np.arctan2(sine, cosine) / np.where(small, 1.0, sine))[..., None]
     )
     if (half := small & (cosine <= 0)).any():
-        vector[half] = [_half_turn(one) for one in rotation[half]]
+        vector[half] = [_half_turn(*both) for both in zip(rotation[half], twice_sine[half], strict=True)]
     return vector
 
 
-def _half_turn(rotation: FloatArray) -> FloatArray:
+def _half_turn(rotation: FloatArray, twice_sine: FloatArray) -> FloatArray:
     """`rotation_vector` (3,) of a rotation (3, 3) so near half a turn that its skew part vanishes: the axis is then the
     greatest column of R + 1."""
-    twice_sine = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
     angle = np.arctan2(0.5 * np.sqrt(squared(twice_sine)), 0.5 * (np.trace(rotation) - 1.0))
     outer = 0.5 * (rotation + np.eye(3))
     column = outer[:, int(np.argmax(np.diag(outer)))]
@@ -391,6 +376,16 @@ def _within(error: FloatArray, position_m: float, rotation_rad: float) -> npt.ND
     return np.asarray((squared(error[..., :3]) <= position_m**2) & (squared(error[..., 3:]) <= rotation_rad**2))
 
 
+def _rotation(axis: int, angle_rad: float) -> FloatArray:
+    """(3, 3) rotation about x, y or z."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[[first, second], [first, second]] = cosine
+    matrix[first, second], matrix[second, first] = -sine, sine
+    return matrix
+
+
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross products of (..., 3) with (..., 3); np.cross costs more than a whole Jacobian at this size."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
@@ -398,21 +393,3 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     product[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
     product[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return product
-
-
-def _rotation_x(angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about x."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-
-
-def _rotation_y(angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about y."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _rotation_z(angle_rad: float) -> FloatArray:
-    """(3, 3) rotation about z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -8,11 +8,11 @@ with DepthCamera(DepthCameraConfig(width=640, height=480, fps=30, color=True)) a
 from deformscope_drivers.depth_camera.device import DepthCamera as DepthCamera
 from deformscope_drivers.depth_camera.device import DepthCameraConfig as DepthCameraConfig
 from deformscope_drivers.depth_camera.discovery import discover as discover
+from deformscope_drivers.depth_camera.discovery import discover_realsense as discover_realsense
 from deformscope_drivers.depth_camera.image import DepthImage as DepthImage
 from deformscope_drivers.depth_camera.image import Intrinsics as Intrinsics
 from deformscope_drivers.depth_camera.realsense import Realsense as Realsense
 from deformscope_drivers.depth_camera.realsense import RealsenseConfig as RealsenseConfig
-from deformscope_drivers.depth_camera.realsense_discovery import discover_realsense as discover_realsense
 from deformscope_drivers.depth_camera.sensors import SENSORS as SENSORS
 from deformscope_drivers.depth_camera.sensors import TriangulatingSensor as TriangulatingSensor
 from deformscope_drivers.depth_camera.synthetic import SyntheticDepthCamera as SyntheticDepthCamera

@@ -154,7 +154,10 @@ class HostedCamera(Device[DepthImage]):
         return report
 
     def _picture(self, frame: FrameMessage) -> Iterable[DepthImage]:
-        self._count(frame.index)
+        # what is missing before a frame, by the camera's counter, which begins again where it was reset
+        index, last, self._last_index = frame.index, self._last_index, frame.index
+        if last is not None and index > (last := self._before(index, last)) + 1:
+            self._count_lost(index - last - 1)
         if (frame.width, frame.height) != (self._reported["width"], self._reported["height"]):
             self._count_refused(WRONG_SIZE)
             return []
@@ -166,12 +169,6 @@ class HostedCamera(Device[DepthImage]):
         if frame.color:
             color = np.frombuffer(frame.color, np.uint8).reshape(frame.color_height, frame.color_width, 3)
         return [DepthImage(stamp, depth, float(self._reported["unit_m"]), color, self._intrinsics)]
-
-    def _count(self, index: int) -> None:
-        """Count what is missing before a frame, by the camera's counter, which begins again where it was reset."""
-        last, self._last_index = self._last_index, index
-        if last is not None and index > (last := self._before(index, last)) + 1:
-            self._count_lost(index - last - 1)
 
     def _before(self, index: int, last: int) -> int:
         """The index that the last frame would have, had the counter not begun again."""

@@ -61,10 +61,14 @@ class TriangulatingSensor:
         if not self.bleeding:
             return disparity
         reach = [step for step in range(-self.bleeding, self.bleeding + 1) if step]
-        around = [_shifted(disparity, step, axis) for step in reach for axis in (0, 1)]
-        beside = [np.where(one > 0.0, one, disparity) for one in around]
-        edge = seen & (np.max(beside, axis=0) - np.min(beside, axis=0) > JUMP * disparity)
-        taken = np.take_along_axis(np.stack(beside), random.integers(len(beside), size=(1, *seen.shape)), axis=0)[0]
+        neighbours = []
+        for step in reach:
+            for axis, side in enumerate(disparity.shape):  # at the border, the border's own
+                one = np.take(disparity, np.clip(np.arange(side) + step, 0, side - 1), axis)
+                neighbours.append(np.where(one > 0.0, one, disparity))
+        edge = seen & (np.max(neighbours, axis=0) - np.min(neighbours, axis=0) > JUMP * disparity)
+        chosen = random.integers(len(neighbours), size=(1, *seen.shape))
+        taken = np.take_along_axis(np.stack(neighbours), chosen, axis=0)[0]
         share = random.random(seen.shape) if self.flying else 1.0
         return np.where(edge, disparity + share * (taken - disparity), disparity)
 
@@ -96,9 +100,3 @@ REALSENSE = TriangulatingSensor(
 (Grunnet-Jepsen, Sweetser and Woodfill, Best-Known-Methods for Tuning Intel RealSense D400 Depth Cameras, Intel), in
 1/32 px."""
 SENSORS = {"primesense": PRIMESENSE, "realsense": REALSENSE}
-
-
-def _shifted(values: NDArray[np.float64], step: int, axis: int) -> NDArray[np.float64]:
-    """(rows, columns) for each pixel the value `step` pixels further along the axis; at the border the border's own."""
-    index = np.clip(np.arange(values.shape[axis]) + step, 0, values.shape[axis] - 1)
-    return np.take(values, index, axis)

@@ -79,7 +79,7 @@ class DsaDouble:
         self._random = np.random.default_rng(seed)
         self._boot_ns = round(boot_s * 1e9)
         self._first_timestamp_ms = first_timestamp_ms
-        self._kept = [_MatrixSettings() for _ in self.matrices]
+        self._stored = [_MatrixSettings() for _ in self.matrices]
         self._line = Line(bytes_per_s)
         self._acquisition = 0
         self._once = False
@@ -151,7 +151,7 @@ class DsaDouble:
         self._power_ns = now_ns
         self._ready_ns = now_ns + self._boot_ns
         self._decoder = CommandDecoder()
-        self._settings = [_MatrixSettings(kept.sensitivity, kept.threshold) for kept in self._kept]
+        self._settings = [_MatrixSettings(one.sensitivity, one.threshold) for one in self._stored]
         self._acquisition = 0
         self._once = False
         self._frame_ns = now_ns
@@ -170,7 +170,19 @@ class DsaDouble:
                 self._frame_ns = max(self._frame_ns, now_ns)
                 return messages.Ack(messages.Id.ACQUISITION)
             case messages.QueryController():
-                return self._controller()
+                acquiring = 0x40 if self._acquisition & messages.Acquisition.ON else 0
+                return messages.ControllerInfo(
+                    error=messages.SUCCESS,
+                    serial_number=self._serial_number,
+                    hardware_version=0x10,
+                    software_version=self._software_version,
+                    status=0x80 | acquiring,
+                    features=0x10,  # RS-232
+                    sensor_controller_type=0,
+                    active_interface=0,
+                    can_baud=0,
+                    can_id=0,
+                )
             case messages.QuerySensor():
                 return messages.SensorInfo(messages.SUCCESS, len(self.matrices), 0, 1, self._serial_number, 0)
             case messages.QueryMatrix():
@@ -187,23 +199,12 @@ class DsaDouble:
                 value = FACTORY_SENSITIVITY if command.flags & messages.Adjust.FACTORY else command.sensitivity
                 return self._set(messages.Id.SET_SENSITIVITY, command.flags, command.matrix, sensitivity=value)
             case messages.SetThreshold():
-                return self._set_threshold(command)
-
-    def _controller(self) -> messages.ControllerInfo:
-        acquiring = 0x40 if self._acquisition & messages.Acquisition.ON else 0
-        rs232 = 0x10
-        return messages.ControllerInfo(
-            error=messages.SUCCESS,
-            serial_number=self._serial_number,
-            hardware_version=0x10,
-            software_version=self._software_version,
-            status=0x80 | acquiring,
-            features=rs232,
-            sensor_controller_type=0,
-            active_interface=0,
-            can_baud=0,
-            can_id=0,
-        )
+                if self._software_version < _THRESHOLD_FROM:
+                    return messages.Ack(messages.Id.SET_THRESHOLD, messages.UNKNOWN_COMMAND)
+                if command.threshold > TEXEL_MAX:
+                    return messages.Ack(messages.Id.SET_THRESHOLD, messages.WRONG_PARAMETER)
+                threshold = FACTORY_THRESHOLD if command.flags & messages.Adjust.FACTORY else command.threshold
+                return self._set(messages.Id.SET_THRESHOLD, command.flags, command.matrix, threshold=threshold)
 
     def _matrix_reply(self, id: messages.Id, matrix: int) -> messages.Reply:
         if matrix >= len(self.matrices):
@@ -217,21 +218,13 @@ class DsaDouble:
         current = FACTORY_SENSITIVITY if broken else settings.sensitivity
         return messages.SensitivityInfo(messages.SUCCESS, 0x02, current, FACTORY_SENSITIVITY)
 
-    def _set_threshold(self, command: messages.SetThreshold) -> messages.Ack | None:
-        if self._software_version < _THRESHOLD_FROM:
-            return messages.Ack(messages.Id.SET_THRESHOLD, messages.UNKNOWN_COMMAND)
-        if command.threshold > TEXEL_MAX:
-            return messages.Ack(messages.Id.SET_THRESHOLD, messages.WRONG_PARAMETER)
-        value = FACTORY_THRESHOLD if command.flags & messages.Adjust.FACTORY else command.threshold
-        return self._set(messages.Id.SET_THRESHOLD, command.flags, command.matrix, threshold=value)
-
     def _set(self, id: messages.Id, flags: int, matrix: int, **values: float) -> messages.Ack | None:
         if matrix >= len(self.matrices):
             return messages.Ack(id, messages.INDEX)
         persistent = bool(flags & messages.Adjust.PERSISTENT)
         chosen = range(len(self.matrices)) if flags & messages.Adjust.ALL else (matrix,)
-        for settings in [self._settings, self._kept] if persistent else [self._settings]:
+        for settings in [self._settings, self._stored] if persistent else [self._settings]:
             for index in chosen:
                 for name, value in values.items():
                     setattr(settings[index], name, value)
-        return None if persistent else messages.Ack(id)  # the firmware does not answer what it keeps
+        return None if persistent else messages.Ack(id)  # the firmware does not answer what it stores

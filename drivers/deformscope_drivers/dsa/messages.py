@@ -279,35 +279,34 @@ class Layout(NamedTuple):
 
     def pack(self, message: Command | Reply) -> bytes:
         """The payload that holds a message."""
-        return self.fields.pack(*_flat(astuple(message)))
+        values = astuple(message)
+        return self.fields.pack(*(one for value in values for one in (value if isinstance(value, tuple) else (value,))))
 
 
-def _flat(values: tuple[Any, ...]) -> list[Any]:
-    return [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
-
-
-def _table(*rows: tuple[Id, type[Any], str]) -> tuple[Layout, ...]:
-    return tuple(Layout(id, kind, struct.Struct("<" + fields)) for id, kind, fields in rows)
-
-
-REPLIES = _table(
-    (Id.CONTROLLER, ControllerInfo, "HIBHBBBBIB"),
-    (Id.SENSOR, SensorInfo, "HHHBIB"),
-    (Id.MATRIX, MatrixInfo, "HffHH6s2sB3f3ffB"),
-    (Id.SENSITIVITY, SensitivityInfo, "HBff"),
-    (Id.THRESHOLD, ThresholdInfo, "HH"),
+REPLIES = tuple(
+    Layout(id, kind, struct.Struct("<" + fields))
+    for id, kind, fields in (
+        (Id.CONTROLLER, ControllerInfo, "HIBHBBBBIB"),
+        (Id.SENSOR, SensorInfo, "HHHBIB"),
+        (Id.MATRIX, MatrixInfo, "HffHH6s2sB3f3ffB"),
+        (Id.SENSITIVITY, SensitivityInfo, "HBff"),
+        (Id.THRESHOLD, ThresholdInfo, "HH"),
+    )
 )
 """Replies that hold more than an error code."""
 
-COMMANDS = _table(
-    (Id.CONTROLLER, QueryController, ""),
-    (Id.SENSOR, QuerySensor, ""),
-    (Id.ACQUISITION, ConfigureAcquisition, "BH"),
-    (Id.MATRIX, QueryMatrix, "B"),
-    (Id.SET_SENSITIVITY, SetSensitivity, "BBf"),
-    (Id.SENSITIVITY, QuerySensitivity, "B"),
-    (Id.SET_THRESHOLD, SetThreshold, "BBH"),
-    (Id.THRESHOLD, QueryThreshold, "B"),
+COMMANDS = tuple(
+    Layout(id, kind, struct.Struct("<" + fields))
+    for id, kind, fields in (
+        (Id.CONTROLLER, QueryController, ""),
+        (Id.SENSOR, QuerySensor, ""),
+        (Id.ACQUISITION, ConfigureAcquisition, "BH"),
+        (Id.MATRIX, QueryMatrix, "B"),
+        (Id.SET_SENSITIVITY, SetSensitivity, "BBf"),
+        (Id.SENSITIVITY, QuerySensitivity, "B"),
+        (Id.SET_THRESHOLD, SetThreshold, "BBH"),
+        (Id.THRESHOLD, QueryThreshold, "B"),
+    )
 )
 
 LAYOUT_OF: dict[type[Any], Layout] = {layout.kind: layout for layout in (*REPLIES, *COMMANDS)}

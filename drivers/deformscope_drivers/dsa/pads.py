@@ -54,14 +54,12 @@ class Pad:
 def thesis_feature(pads: Sequence[TexelValues], fingers: tuple[int, int] = FEATURE_FINGERS) -> npt.NDArray[np.float64]:
     """(72,) the first 36 texels, row by row, of the distal pads of two fingers (thesis ch. 2). pads: (rows, columns)
     layout of each matrix in the controller's order, in counts or Pa"""
-    return np.concatenate([_first_cells(pads, Pad(finger, Part.DISTAL)) for finger in fingers])
-
-
-def _first_cells(pads: Sequence[TexelValues], pad: Pad) -> npt.NDArray[np.float64]:
-    """(FEATURE_CELLS,) first texels of a pad, row after row."""
-    if pad.matrix >= len(pads):
-        raise ValueError(f"expected a sensor with a {pad.name} pad (matrix {pad.matrix}); got {len(pads)} matrices")
-    cells = np.asarray(pads[pad.matrix], np.float64).ravel()
-    if cells.size < FEATURE_CELLS:
-        raise ValueError(f"expected {FEATURE_CELLS} texels or more on the {pad.name} pad; got {cells.size}")
-    return cells[:FEATURE_CELLS]
+    found = []
+    for pad in (Pad(finger, Part.DISTAL) for finger in fingers):
+        if pad.matrix >= len(pads):
+            raise ValueError(f"expected a sensor with a {pad.name} pad (matrix {pad.matrix}); got {len(pads)} matrices")
+        cells = np.asarray(pads[pad.matrix], np.float64).ravel()
+        if cells.size < FEATURE_CELLS:
+            raise ValueError(f"expected {FEATURE_CELLS} texels or more on the {pad.name} pad; got {cells.size}")
+        found.append(cells[:FEATURE_CELLS])
+    return np.concatenate(found)

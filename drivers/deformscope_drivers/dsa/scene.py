@@ -25,13 +25,11 @@ GRASP_PRESSURE_PA = 2400.0
 
 def sdh_matrices() -> list[MatrixInfo]:
     """The six matrices of an SDH, as its controller might describe them."""
-    return [_matrix(ROWS_PROXIMAL if part == 0 else ROWS_DISTAL, index) for index, part in enumerate((0, 1) * 3)]
-
-
-def _matrix(rows: int, index: int) -> MatrixInfo:
     zero = (0.0, 0.0, 0.0)
-    uid = bytes([index]) * 6
-    return MatrixInfo(0, TEXEL_PITCH_MM, TEXEL_PITCH_MM, COLUMNS, rows, uid, bytes(2), 1, zero, zero, 0.0, 0)
+    return [
+        MatrixInfo(0, TEXEL_PITCH_MM, TEXEL_PITCH_MM, COLUMNS, rows, bytes([i]) * 6, bytes(2), 1, zero, zero, 0.0, 0)
+        for i, rows in enumerate((ROWS_PROXIMAL, ROWS_DISTAL) * 3)
+    ]
 
 
 class GraspScene:

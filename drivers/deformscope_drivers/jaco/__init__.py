@@ -2,8 +2,9 @@
 
 from deformscope_drivers.arm.commands import CartesianVelocity as CartesianVelocity
 from deformscope_drivers.arm.commands import JointVelocity as JointVelocity
-from deformscope_drivers.arm.errors import MotionStopped as MotionStopped
-from deformscope_drivers.arm.errors import NotStopped as NotStopped
+from deformscope_drivers.errors import MotionStopped as MotionStopped
+from deformscope_drivers.errors import NotStopped as NotStopped
+from deformscope_drivers.jaco.chains import urdf_path as urdf_path
 from deformscope_drivers.jaco.commands import CartesianTarget as CartesianTarget
 from deformscope_drivers.jaco.commands import JointTarget as JointTarget
 from deformscope_drivers.jaco.config import EthernetAddresses as EthernetAddresses
@@ -20,5 +21,4 @@ from deformscope_drivers.jaco.errors import NotReached as NotReached
 from deformscope_drivers.jaco.errors import SymbolMissing as SymbolMissing
 from deformscope_drivers.jaco.errors import UnknownCode as UnknownCode
 from deformscope_drivers.jaco.errors import VendorError as VendorError
-from deformscope_drivers.jaco.state import JacoState as JacoState
-from deformscope_drivers.jaco.urdf import urdf_path as urdf_path
+from deformscope_drivers.jaco.reading import JacoState as JacoState

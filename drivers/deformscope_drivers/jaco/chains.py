@@ -1,8 +1,10 @@
-"""The three Jaco2 as chains of joints.
+"""The three Jaco2 as chains of joints, and the files that describe them to viewers.
 
 Origins, limits and masses are facts of Kinova's published robot description (kinova_description, BSD-3)."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 
@@ -62,3 +64,12 @@ J2S7S300 = Chain(
 )
 
 CHAINS = {chain.name: chain for chain in (J2N6S300, J2S6S300, J2S7S300)}
+
+
+def urdf_path(model: str) -> Path:
+    """File of an arm's URDF: simple shapes, the joints of `kinematics`, links and joints named `<model>_...`.
+
+    Joint angles in it are the vendor's: `<model>_joint_1` and so on, at radians(degrees)."""
+    if model not in CHAINS:
+        raise ValueError(f"expected a model among {', '.join(sorted(CHAINS))}; came {model!r}")
+    return Path(__file__).parent / f"{model}.urdf"

@@ -48,12 +48,9 @@ class Workspace:
         ):
             raise ValueError(f"expected a box with low below high on each axis; came {self.low_m} and {self.high_m}")
 
-    def contains(self, position_m: tuple[float, float, float], slack_m: float = 0.0) -> bool:
-        """Whether a position (x, y, z) [m] is within the box made larger by a slack."""
-        return all(
-            low - slack_m <= value <= high + slack_m
-            for low, value, high in zip(self.low_m, position_m, self.high_m, strict=True)
-        )
+    def contains(self, position_m: tuple[float, float, float]) -> bool:
+        """Whether a position (x, y, z) [m] is within the box."""
+        return all(low <= value <= high for low, value, high in zip(self.low_m, position_m, self.high_m, strict=True))
 
 
 @dataclass(frozen=True, slots=True)

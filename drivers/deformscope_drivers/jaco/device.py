@@ -22,22 +22,20 @@ from typing import Any, Literal, Self
 
 from deformscope_drivers.arm.commands import JointVelocity, Velocity, by_joints, finite, linear_velocity_of
 from deformscope_drivers.arm.device import CALL_MS, Arm
-from deformscope_drivers.arm.errors import MotionStopped
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import Chain
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
-from deformscope_drivers.errors import LinkLost, NotConnected, OutOfLimits, Stale
+from deformscope_drivers.errors import LinkLost, MotionStopped, NotConnected, OutOfLimits, Stale
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.jaco import commands
+from deformscope_drivers.jaco.chains import urdf_path
 from deformscope_drivers.jaco.commands import JointTarget, Target
 from deformscope_drivers.jaco.config import JacoConfig
 from deformscope_drivers.jaco.errors import NotHomed, NotReached, VendorError
 from deformscope_drivers.jaco.library import Functions, Library, call, read
-from deformscope_drivers.jaco.pacing import SlotPacer
-from deformscope_drivers.jaco.reading import StateReader
+from deformscope_drivers.jaco.reading import JacoState, StateReader
 from deformscope_drivers.jaco.startup import CONFIGURATION_GAP_S, JacoIdentity, bring_up, check_pose, let_go
-from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import (
     ACTUATOR_ADDRESSES,
     AngularInfo,
@@ -46,9 +44,8 @@ from deformscope_drivers.jaco.structures import (
     TrajectoryPoint,
     actuator_values,
 )
-from deformscope_drivers.jaco.urdf import urdf_path
 from deformscope_drivers.memory import SimulatedClock
-from deformscope_drivers.pacing import Pacer
+from deformscope_drivers.pacing import Pacer, SlotPacer
 
 PERIOD_NS = 10_000_000
 FIFO_AHEAD = 2  # points that may wait in the arm before a slot is left out: its clock is not this computer's

@@ -5,10 +5,11 @@ the cycles since the last call."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -87,8 +88,7 @@ class JacoDouble:
         method: Callable[..., int | None] = self._function(name)
 
         def called(*arguments: Any) -> int:
-            with self._lock:
-                self._live()
+            with self._present():
                 code = self._refusal(name)
                 if code == OK:
                     found = method(*arguments)
@@ -115,20 +115,17 @@ class JacoDouble:
 
     def unplug(self) -> None:
         """Pull the cable: calls time out, no arm is found. The arm itself carries out its waiting points."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._unplugged = True
 
     def plug(self) -> None:
         """Put the cable back."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._unplugged = False
 
     def power_up(self, cold_boot: bool = True) -> None:
         """Switch the arm off and on."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.power_up(cold_boot)
 
     def push(self, wrench: npt.ArrayLike) -> None:
@@ -136,46 +133,39 @@ class JacoDouble:
         pushed = np.asarray(wrench, dtype=float)
         if pushed.shape != (6,) or not np.all(np.isfinite(pushed)):
             raise ValueError(f"expected a finite wrench of 6; came {wrench!r}")
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.wrench = pushed.copy()
 
     def push_link(self, link: int, force_n: npt.ArrayLike | None) -> None:
         """Push the far end of a link (counted from 0) from now on: force (3,) [N] in the base frame; None = stop
         pushing."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.link_push = None if force_n is None else (link, np.array(force_n, dtype=float))
 
     def accelerate(self, at_most_deg_s2: float) -> None:
         """Let no joint speed up or slow down faster than this, as real ones cannot."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.acceleration_deg_s2 = at_most_deg_s2
 
     def put(self, joints_deg: npt.ArrayLike) -> None:
         """Bring the joints to these angles, (n,) [deg], as a person does by the joystick, but immediately."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.joints_deg = self.chain.clip(joints_deg)
             self._arm.links = self.chain.forward(self._arm.joints_deg)
 
     def put_between_fingers(self, at: npt.ArrayLike) -> None:
         """Put an obstacle between the fingers at these positions, (3,) from 0 to 6800: they close no further."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.grip = np.array(at, dtype=float)
 
     def sag(self, sag_deg: npt.ArrayLike) -> None:
         """Offset of the joints from their commanded angles, (n,) [deg], as by weight."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.sag_deg = np.array(sag_deg, dtype=float)
 
     def late(self, seconds: float) -> None:
         """Let the arm follow its commands so late, as its inertia and its own control have it do."""
-        with self._lock:
-            self._live()
+        with self._present():
             cycles = round(seconds * 1e9) // CYCLE_NS
             self._arm.lag = deque(np.zeros(self.chain.joint_count) for _ in range(cycles))
 
@@ -187,58 +177,50 @@ class JacoDouble:
 
     def bias(self, torque_nm: npt.ArrayLike) -> None:
         """Let the joints' torque sensors show this much too much, (n,) [Nm]: real ones drift."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.torque_bias_nm = np.array(torque_nm, dtype=float)
 
     def blur_torques(self, noise_nm: float, gravity_left: float) -> None:
         """Add noise of this standard deviation [Nm] to the joints' torques without gravity, and this share of
         gravity's, as with a tool that is missing in the arm's settings."""
-        with self._lock:
-            self._live()
+        with self._present():
             self._arm.torque_noise_nm, self._arm.gravity_left = noise_nm, gravity_left
 
     @property
     def rates_deg_s(self) -> FloatArray:
         """Present speeds of the joints, (n,) [deg/s]."""
-        with self._lock:
-            self._live()
+        with self._present():
             return self._arm.rates_deg_s.copy()
 
     @property
     def joints_deg(self) -> FloatArray:
         """Present angles of the joints, (n,) [deg]."""
-        with self._lock:
-            self._live()
+        with self._present():
             return self._arm.joints_deg.copy()
 
     @property
     def T_base_links(self) -> FloatArray:
         """Present poses of every joint's link and, last, of the end effector, (n + 1, 4, 4) [m]."""
-        with self._lock:
-            self._live()
+        with self._present():
             return np.array(self._arm.links)
 
     @property
     def T_base_end_effector(self) -> FloatArray:
         """Present pose of the end effector, (4, 4) [m]."""
-        with self._lock:
-            self._live()
+        with self._present():
             pose: FloatArray = self._arm.links[-1].copy()
             return pose
 
     @property
     def fingers(self) -> FloatArray:
         """Present positions of the fingers, (3,) from 0 open to 6800 closed."""
-        with self._lock:
-            self._live()
+        with self._present():
             return self._arm.fingers.copy()
 
     @property
     def fifo_count(self) -> int:
         """Number of trajectory points in the arm's queue."""
-        with self._lock:
-            self._live()
+        with self._present():
             return len(self._arm.fifo)
 
     def _refusal(self, name: str) -> int:
@@ -251,14 +233,17 @@ class JacoDouble:
             return _TIMEOUT
         return OK
 
-    def _live(self) -> None:
-        """Compute the arm's 10 ms cycles up to now by the clock."""
-        due = (self._clock() - self._then_ns) // CYCLE_NS
-        self._then_ns += max(0, due) * CYCLE_NS
-        self._arm.cycles += max(0, due)
-        while due > 0 and not self._arm.at_rest:
-            self._arm.cycle()
-            due -= 1
+    @contextlib.contextmanager
+    def _present(self) -> Iterator[None]:
+        """For one thread at a time, the arm after its 10 ms cycles up to now by the clock."""
+        with self._lock:
+            due = (self._clock() - self._then_ns) // CYCLE_NS
+            self._then_ns += max(0, due) * CYCLE_NS
+            self._arm.cycles += max(0, due)
+            while due > 0 and not self._arm.at_rest:
+                self._arm.cycle()
+                due -= 1
+            yield
 
     # The vendor's functions: the library and its devices -------------------------------------------------------------
 
@@ -311,9 +296,9 @@ class JacoDouble:
 
     def SendBasicTrajectory(self, point: structures.TrajectoryPoint) -> int:
         """A basic point carries no limitations."""
-        kept = structures.TrajectoryPoint.from_buffer_copy(point)
-        kept.LimitationsActive = 0
-        return self._queue(kept)
+        basic = structures.TrajectoryPoint.from_buffer_copy(point)
+        basic.LimitationsActive = 0
+        return self._queue(basic)
 
     def SendAdvanceTrajectory(self, point: structures.TrajectoryPoint) -> int:
         return self._queue(structures.TrajectoryPoint.from_buffer_copy(point))

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import ctypes
 from collections import deque
+from dataclasses import dataclass
 from typing import cast
 
 from deformscope_drivers.arm.kinematics import Chain, euler_xyz_from_rotation
+from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp
 from deformscope_drivers.jaco.library import Functions, read
-from deformscope_drivers.jaco.state import JacoState
 from deformscope_drivers.jaco.structures import (
     HOMED,
     AngularPosition,
@@ -26,6 +27,26 @@ from deformscope_drivers.jaco.structures import (
     finger_values,
     sensor_temperatures,
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JacoState(ArmState):
+    """The state of a Jaco at one time; a six-joint arm has six values, never a meaningless seventh.
+
+    Rates are from the angles of the last 40 ms, the pose is from the angles. wrench: force and torque at the end
+    effector. The joints' torque sensors drift, so that it is some newtons without contact; its direction was not
+    verified on an arm; fingers: (3,) from 0 open to 6800 closed
+    sweep_s: by how much wrench, torques, currents and fifo_count may be older than the angles; currents_a: (n,)
+    supply_v, supply_a: its main supply; temperatures_deg_c: (n,) temperatures of the joints; homed: whether it was at
+    home since it was switched on; these are read once a second"""
+
+    sweep_s: float
+    currents_a: tuple[float, ...]
+    supply_v: float
+    supply_a: float
+    temperatures_deg_c: tuple[float, ...]
+    homed: bool
+
 
 SELDOM_NS = 1_000_000_000
 SLACK_NS = 1_000_000

@@ -52,11 +52,11 @@ def set_zones(functions: Functions, boxes: Sequence[Workspace], pause: Callable[
     if boxes:
         call(functions, "SetProtectionZone", zone_list(boxes))
         pause()
-    kept = read(functions, "GetProtectionZone", ZoneList)
-    if not _alike(boxes, kept):
+    stored = read(functions, "GetProtectionZone", ZoneList)
+    if not _alike(boxes, stored):
         raise SettingsRefused(
             f"an arm that stores {len(boxes)} protection zones",
-            f"one that reports {len(_closed(kept))}, or others",
+            f"one that reports {len(_closed(stored))}, or others",
             "check them in Kinova's Development Center; or leave protection_zones out of the rig file",
             functions.where,
         )

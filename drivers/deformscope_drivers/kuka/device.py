@@ -17,7 +17,6 @@ import numpy as np
 
 from deformscope_drivers.arm.commands import by_joints
 from deformscope_drivers.arm.device import Arm
-from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import (
     Chain,
@@ -30,7 +29,14 @@ from deformscope_drivers.arm.kinematics import (
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, ROUND_S, Reconnect
-from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, ProtocolViolation, SettingsRefused
+from deformscope_drivers.errors import (
+    DeviceError,
+    LinkLost,
+    NotConnected,
+    NotStopped,
+    ProtocolViolation,
+    SettingsRefused,
+)
 from deformscope_drivers.health import Identity, Link
 from deformscope_drivers.kuka.chains import CHAINS
 from deformscope_drivers.kuka.config import KukaConfig

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from deformscope_drivers.arm.commands import SpeedLimits, Velocity
 from deformscope_drivers.arm.device import Arm
-from deformscope_drivers.arm.errors import MotionStopped, NotMovedByCommands
 from deformscope_drivers.arm.kinematics import (
     Chain,
     FloatArray,
@@ -22,7 +21,7 @@ from deformscope_drivers.arm.kinematics import (
 from deformscope_drivers.arm.state import ArmState
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import Reconnect
-from deformscope_drivers.errors import OutOfLimits
+from deformscope_drivers.errors import MotionStopped, NotMovedByCommands, OutOfLimits
 from deformscope_drivers.health import Identity
 from deformscope_drivers.manual_arm.config import MANUAL, ManualArmConfig
 from deformscope_drivers.pacing import Pacer

@@ -5,12 +5,12 @@ with Webcam(WebcamConfig(port="/dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920-video-
         print(picture.stamp.host_ns, picture.image.shape)
 """
 
+from deformscope_drivers.images import ColorImage as ColorImage
 from deformscope_drivers.webcam.device import Webcam as Webcam
 from deformscope_drivers.webcam.device import WebcamConfig as WebcamConfig
 from deformscope_drivers.webcam.discovery import discover as discover
 from deformscope_drivers.webcam.files import ImageFolder as ImageFolder
 from deformscope_drivers.webcam.files import PlaybackConfig as PlaybackConfig
 from deformscope_drivers.webcam.files import VideoFile as VideoFile
-from deformscope_drivers.webcam.image import ColorImage as ColorImage
 from deformscope_drivers.webcam.synthetic import SyntheticCamera as SyntheticCamera
 from deformscope_drivers.webcam.synthetic import SyntheticCameraConfig as SyntheticCameraConfig

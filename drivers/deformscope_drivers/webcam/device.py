@@ -10,9 +10,8 @@ from typing import ClassVar
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Device, Reconnect
 from deformscope_drivers.errors import LinkLost, NotConnected, SettingsRefused
-from deformscope_drivers.images import QUEUE_IMAGES, fingerprint
+from deformscope_drivers.images import QUEUE_IMAGES, ColorImage, fingerprint
 from deformscope_drivers.webcam.capture import Capture, Setting, open_v4l2
-from deformscope_drivers.webcam.image import ColorImage
 
 EXPOSURE_UNIT_S = 1e-4
 MANUAL_EXPOSURE = 1

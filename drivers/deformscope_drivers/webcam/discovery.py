@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deformscope_drivers.ports import FoundDevice
-from deformscope_drivers.usb import UsbDevice, sysfs_text, usb_device
+from deformscope_drivers.ports import FoundDevice, UsbDevice, sysfs_text, usb_device
 from deformscope_drivers.webcam.device import stable_name
 
 

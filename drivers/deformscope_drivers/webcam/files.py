@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from deformscope_drivers.clock import Clock, ClockFit, Stamp, monotonic_ns
 from deformscope_drivers.device import Device, EndOfReadings
 from deformscope_drivers.errors import NotConnected
-from deformscope_drivers.images import QUEUE_IMAGES
+from deformscope_drivers.images import QUEUE_IMAGES, ColorImage
 from deformscope_drivers.pacing import Pacer
-from deformscope_drivers.webcam.image import ColorImage
 
 if TYPE_CHECKING:
     import cv2

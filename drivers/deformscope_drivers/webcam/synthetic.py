@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from deformscope_drivers.clock import Clock, Stamp, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect
-from deformscope_drivers.images import fingerprint
+from deformscope_drivers.images import ColorImage, fingerprint
 from deformscope_drivers.synthetic import SyntheticConfig, SyntheticSource
-from deformscope_drivers.webcam.image import ColorImage
 
 Picture = NDArray[np.uint8]
 

@@ -19,9 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.dsa.double import DsaDouble
+from deformscope_drivers.dsa.measurer import TimestampGate, TimestampStatus
 from deformscope_drivers.dsa.messages import FRAME_RLE, Ack, Command, Id, Reading, Reply
 from deformscope_drivers.dsa.protocol import PREAMBLE, CommandDecoder, Decoder, Faulty, encode, stop
-from deformscope_drivers.dsa.timestamps import TimestampGate, TimestampStatus
 from deformscope_drivers.framing import Skipped
 from deformscope_drivers.weiss_crc import crc16
 

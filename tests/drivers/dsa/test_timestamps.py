@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from deformscope_drivers.dsa.timestamps import STEP_MAX_MS, TimestampGate, TimestampStatus
+from deformscope_drivers.dsa.measurer import STEP_MAX_MS, TimestampGate, TimestampStatus
 
 NEW, REPEATED, JUMPED, RESTARTED = map(TimestampStatus, ("new", "repeated", "jumped", "restarted"))
 

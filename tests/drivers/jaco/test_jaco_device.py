@@ -45,7 +45,6 @@ from deformscope_drivers.jaco import errors as vendor_errors
 from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
 from deformscope_drivers.jaco.commands import velocity_point
 from deformscope_drivers.jaco.library import Functions, Library, call, read
-from deformscope_drivers.jaco.pacing import SlotPacer
 from deformscope_drivers.jaco.startup import check_pose
 from deformscope_drivers.jaco.structures import (
     AngularPosition,
@@ -55,6 +54,7 @@ from deformscope_drivers.jaco.structures import (
     cartesian_values,
 )
 from deformscope_drivers.memory import SimulatedClock
+from deformscope_drivers.pacing import SlotPacer
 from tests.drivers.contract import Bench, DeviceContract, wait_until
 from tests.drivers.jaco.benches import CBench, build
 

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deformscope_drivers.arm.kinematics import Chain, FloatArray
-from deformscope_drivers.jaco.chains import CHAINS, J2N6S300
-from deformscope_drivers.jaco.urdf import urdf_path
+from deformscope_drivers.jaco.chains import CHAINS, J2N6S300, urdf_path
 
 MODELS = sorted(CHAINS)
 

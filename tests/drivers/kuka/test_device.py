@@ -13,7 +13,7 @@ from deformscope_drivers.arm.kinematics import FloatArray
 from deformscope_drivers.errors import DeviceError, LinkLost, NotConnected, SettingsRefused
 from deformscope_drivers.health import Link
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble
-from deformscope_drivers.kuka.currents import UNIT_NM
+from deformscope_drivers.kuka.double import UNIT_NM
 from deformscope_drivers.kuka.messages import SenMessage, decode_sen
 from deformscope_drivers.memory import MemoryTransport, SimulatedClock
 from tests.drivers.arm.test_contract import polled

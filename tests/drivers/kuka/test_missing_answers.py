@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from deformscope_drivers.arm import JointVelocity
-from deformscope_drivers.arm.errors import NotStopped
 from deformscope_drivers.arm.hosted import HostedArm
 from deformscope_drivers.arm.kinematics import FloatArray
-from deformscope_drivers.errors import SettingsRefused
+from deformscope_drivers.errors import NotStopped, SettingsRefused
 from deformscope_drivers.kuka import Kuka, KukaConfig, KukaDouble, UdpWire
 from deformscope_drivers.kuka.messages import SenMessage, decode_rob, decode_sen, encode_sen
 from deformscope_drivers.kuka.port import free_port

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deformscope_drivers.optoforce import protocol
-from deformscope_drivers.optoforce.plausibility import doubts
+from deformscope_drivers.optoforce.measurement import doubts
 
 KNOWN_HEADERS = {*protocol.HEADERS.values(), protocol.CONFIG_REPLY, protocol.SERIAL_REPLY}
 SIZE = 16

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from deformscope_drivers.optoforce.plausibility import doubts
+from deformscope_drivers.optoforce.measurement import doubts
 from deformscope_drivers.optoforce.protocol import Decoder, Kind, Reading, Skipped, Status, encode
 from tests.drivers.optoforce import flips
 from tests.drivers.optoforce.flips import DamageCount, table

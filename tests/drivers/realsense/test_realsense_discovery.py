@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deformscope_drivers.depth_camera import discover_realsense
-from deformscope_drivers.depth_camera.realsense_discovery import list_by_librealsense
+from deformscope_drivers.depth_camera.discovery import list_by_librealsense
 from deformscope_drivers.ports import FoundDevice
 from deformscope_drivers.realsense.camera import ListedRealsense, listed
 from deformscope_drivers.realsense.double import CAMERAS_FILE, DoubleCamera, plug

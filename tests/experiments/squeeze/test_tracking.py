@@ -18,7 +18,7 @@ from deformscope.experiments.squeeze.frames import SqueezeFrames, TactileSource
 from deformscope.experiments.squeeze.live import LiveTracking, RecordedTracking, live_tracking
 from deformscope.experiments.squeeze.tracking import REST_IMAGES, ContainerImage, TrackedImage
 from deformscope.frames import DepthFrame, HandFrame
-from deformscope.rig.squeeze_sections import ContainerSection, HandSection
+from deformscope.rig.sections import ContainerSection, HandSection
 from deformscope.robot.setup import CameraView
 from deformscope.session import Inline
 from deformscope.stages.see.cloud import axial_noise_m
