@@ -41,9 +41,11 @@ class DsaConfig:
         if not 1 <= self.frame_rate_hz <= 0xFFFF:
             raise OutOfLimits("a frame rate from 1 to 65535 Hz", f"{self.frame_rate_hz}", where=self.port)
         for sensitivity in each(self.sensitivity):
-            check_sensitivity(sensitivity, self.port)
+            if not 0.0 <= sensitivity <= 1.0:
+                raise OutOfLimits("a sensitivity from 0 to 1", f"{sensitivity:g}", where=self.port)
         for threshold in each(self.threshold):
-            check_threshold(threshold, self.port)
+            if not 0 <= threshold <= TEXEL_MAX:
+                raise OutOfLimits(f"a threshold from 0 to {TEXEL_MAX}", f"{threshold}", where=self.port)
 
 
 def each(value: T | tuple[T, ...] | None) -> tuple[T, ...]:
@@ -51,15 +53,3 @@ def each(value: T | tuple[T, ...] | None) -> tuple[T, ...]:
     if value is None:
         return ()
     return value if isinstance(value, tuple) else (value,)
-
-
-def check_sensitivity(sensitivity: float, where: str) -> None:
-    """Raises OutOfLimits."""
-    if not 0.0 <= sensitivity <= 1.0:
-        raise OutOfLimits("a sensitivity from 0 to 1", f"{sensitivity:g}", where=where)
-
-
-def check_threshold(threshold: int, where: str) -> None:
-    """Raises OutOfLimits."""
-    if not 0 <= threshold <= TEXEL_MAX:
-        raise OutOfLimits(f"a threshold from 0 to {TEXEL_MAX}", f"{threshold}", where=where)

@@ -8,8 +8,7 @@ with Dsa(DsaConfig(port="/dev/ttyUSB0")) as dsa:
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Iterable
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -17,7 +16,7 @@ import numpy as np
 from deformscope_drivers.clock import Clock, monotonic_ns
 from deformscope_drivers.device import RECONNECT, Reconnect, StreamDevice
 from deformscope_drivers.dsa import messages
-from deformscope_drivers.dsa.config import DsaConfig, check_sensitivity, check_threshold
+from deformscope_drivers.dsa.config import DsaConfig
 from deformscope_drivers.dsa.measurer import TactileMeasurer, TactileReading, TimestampStatus
 from deformscope_drivers.dsa.pads import Pad
 from deformscope_drivers.dsa.pressure import FloatArray, PadContact, pad_contact, to_pressure
@@ -28,7 +27,6 @@ from deformscope_drivers.errors import (
     LinkLost,
     NoReply,
     NotConnected,
-    OutOfLimits,
     ProtocolViolation,
     SettingsRefused,
 )
@@ -58,24 +56,14 @@ _SINGLE_FRAME_FROM, _SINGLE_FRAME_ALSO = 289, 269
 COMMAND_TIMEOUT_S = 30.0
 
 ReplyT = TypeVar("ReplyT", bound=messages.Reply)
-ResultT = TypeVar("ResultT")
-
-
-@dataclass
-class _WantedSettings:
-    """The requested settings, repeated after every reconnection: by matrix, None = of all."""
-
-    streaming: bool
-    rle: bool
-    sensitivity: dict[int | None, float | None] = field(default_factory=dict)
-    threshold: dict[int | None, int | None] = field(default_factory=dict)
+T = TypeVar("T")
 
 
 class Dsa(StreamDevice[TactileReading]):
     """The Weiss DSACON32m tactile controller of a Schunk SDH.
 
-    The controller's description (`controller`, `sensor`, `matrices`) is there once it is open. Settings are repeated
-    after a lost link, because a controller that was switched off loses them.
+    The controller's description (`controller`, `sensor`, `matrices`) is there once it is open. The configured settings
+    are set at every connection: a controller that was switched off loses them.
     config: how it runs; transport: instead of the configuration's port"""
 
     def __init__(
@@ -142,83 +130,37 @@ class Dsa(StreamDevice[TactileReading]):
             for counts, pressure_pa, matrix in zip(reading.pads, pressures_pa, self._matrices, strict=True)
         ]
 
-    # Commands: may be called from any thread, also while it streams --------------------------------------------------
-
-    def start_streaming(self, *, rle: bool | None = None) -> None:
-        """Have frames sent. rle: run-length encoded or not, None = as before. Raises CommandRefused, NoReply."""
-
-        def start() -> None:
-            self._settings.rle = self._settings.rle if rle is None else rle
-            self._settings.streaming = True
-            self._stream()
-            self._expect(0.0)
-
-        self._command(start)
-
-    def stop_streaming(self) -> None:
-        """Stop the stream of frames. Raises CommandRefused, NoReply."""
-
-        def end() -> None:
-            self._settings.streaming = False
-            self._silence_ns = None
-            self._expect(None)
-            self._acknowledged(stop(), "stop")
-            self._settle(SETTLE_S)
-
-        self._command(end)
+    # Commands: may be called from any thread -------------------------------------------------------------------------
 
     def single_frame(self) -> TactileReading:
         """One frame of a device that does not stream; readers get it too. Raises DeviceError while it streams."""
 
         def take() -> TactileReading:
-            if self._settings.streaming:
-                raise DeviceError("a device that does not stream", "one that does", "next(), or stop_streaming()")
-            return self._take_single()
+            if self.config.streaming:
+                raise DeviceError("a device that does not stream", "one that does", "next()", self.name)
+            self._begin_stream()
+            packet = encode(single(rle=self.config.rle))
+            try:
+                found: messages.Reading | messages.Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
+            except NoReply:
+                self._stop()
+                raise
+            if isinstance(found, messages.Ack):
+                raise self._refusal(found.error, "taking one frame")
+            reading = next(iter(self._measure(found, self._heard_ns)))
+            self._publish(reading)
+            version = self.controller.software_version
+            if version < _SINGLE_FRAME_FROM and version != _SINGLE_FRAME_ALSO:  # it has started to stream
+                self._acknowledged(stop(), "stop")
+                self._settle(SETTLE_S)
+            return reading
 
-        return self._command(take)
+        def accept(event: messages.Reading | messages.Reply) -> Any:
+            if isinstance(event, messages.Ack):
+                return event if _is_answer(event, messages.Id.ACQUISITION) and event.error != messages.SUCCESS else None
+            return event if isinstance(event, messages.Reading) else None
 
-    def set_sensitivity(
-        self, sensitivity: float | None, *, matrix: int | None = None, persistent: bool = False
-    ) -> None:
-        """Set 0 to 1, and read it back where the firmware can.
-
-        sensitivity: 0 to 1, None = the factory's; matrix: its number, None = all; persistent: keep it without power
-        (the memory bears about 100 000 writes). Raises OutOfLimits before anything is sent; CommandRefused,
-        SettingsRefused, NoReply"""
-        if sensitivity is not None:
-            check_sensitivity(sensitivity, self.name)
-        self._check_matrix(matrix)
-
-        def set_it() -> None:
-            self._apply_sensitivity(matrix, sensitivity, persistent)
-            _remember(self._settings.sensitivity, matrix, sensitivity)
-
-        self._command(set_it)
-
-    def set_threshold(self, threshold: int | None, *, matrix: int | None = None, persistent: bool = False) -> None:
-        """Set 0 to 4095, below which texels read 0, and read it back. Arguments and errors as `set_sensitivity`; needs
-        firmware 268."""
-        if threshold is not None:
-            check_threshold(threshold, self.name)
-        self._check_matrix(matrix)
-
-        def set_it() -> None:
-            self._apply_threshold(matrix, threshold, persistent)
-            _remember(self._settings.threshold, matrix, threshold)
-
-        self._command(set_it)
-
-    def sensitivity(self, matrix: int) -> messages.SensitivityInfo:
-        """A matrix's sensitivity as the controller reports it; firmware up to 218 always reports 0.5."""
-        self._check_matrix(matrix)
-        return self._command(
-            lambda: self._query(messages.QuerySensitivity(matrix), messages.SensitivityInfo, "query of sensitivity")
-        )
-
-    def threshold(self, matrix: int) -> int:
-        """A matrix's threshold as the controller reports it. Needs firmware 268, else raises SettingsRefused."""
-        self._check_matrix(matrix)
-        return self._command(lambda: self._read_threshold(matrix))
+        return self._do(take, COMMAND_TIMEOUT_S)
 
     def identity(self) -> Identity:
         """Identity that the controller reported while connecting."""
@@ -244,9 +186,12 @@ class Dsa(StreamDevice[TactileReading]):
             raise ProtocolViolation(f"matrices of 1 to {CELLS_MAX} texels in all", f"{cells}", where=self.name)
         self._matrices = matrices
         self._measurer.describe([(matrix.cells_y, matrix.cells_x) for matrix in matrices])
-        self._set_all()
-        self._expect(0.0 if self._settings.streaming else None)
-        if self._settings.streaming:
+        for matrix, sensitivity in self._by_matrix("sensitivity", self.config.sensitivity):
+            self._set_sensitivity(matrix, sensitivity)
+        for matrix, threshold in self._by_matrix("threshold", self.config.threshold):
+            self._set_threshold(matrix, threshold)
+        self._expect(0.0 if self.config.streaming else None)
+        if self.config.streaming:
             self._stream()
 
     def _stop(self) -> None:
@@ -287,98 +232,46 @@ class Dsa(StreamDevice[TactileReading]):
             raise ProtocolViolation(f"texels and their size for matrix {index}", came, where=self.name)
         return matrix
 
-    def _set_all(self) -> None:
-        configured: tuple[tuple[str, Any, dict[int | None, Any], Callable[..., None]], ...] = (
-            ("sensitivity", self.config.sensitivity, self._settings.sensitivity, self._apply_sensitivity),
-            ("threshold", self.config.threshold, self._settings.threshold, self._apply_threshold),
-        )
-        for name, value, set_since, apply in configured:
-            for matrix, one in [*self._by_matrix(name, value).items(), *set_since.items()]:
-                apply(matrix, one, False)
-
-    def _by_matrix(self, name: str, value: object) -> dict[int | None, Any]:
+    def _by_matrix(self, name: str, value: T | tuple[T, ...] | None) -> list[tuple[int | None, T]]:
+        """The configured values, each with its matrix; None = all of them."""
         if not isinstance(value, tuple):
-            return {} if value is None else {None: value}
+            return [] if value is None else [(None, value)]
         if len(value) != len(self._matrices):
             expected = f"a {name} for each of {len(self._matrices)} matrices"
             raise SettingsRefused(expected, f"{len(value)}", "one number for all", self.name)
-        return dict(enumerate(value))
+        return list(enumerate(value))
 
-    def _apply_sensitivity(self, matrix: int | None, value: float | None, persistent: bool) -> None:
-        command = messages.SetSensitivity(_adjust(matrix, value, persistent), matrix or 0, value or 0.0)
-        self._set(command, "set sensitivity", persistent)
+    def _set_sensitivity(self, matrix: int | None, wanted: float) -> None:
+        """Set it, and read it back where the firmware can."""
+        flags = messages.Adjust.ALL if matrix is None else 0
+        self._acknowledged(messages.SetSensitivity(flags, matrix or 0, wanted), "set sensitivity")
         if self.controller.software_version < SENSITIVITY_READ_BACK_FROM:
             return
-        for index in self._chosen(matrix):
+        for index in range(len(self._matrices)) if matrix is None else (matrix,):
             reported = self._query(messages.QuerySensitivity(index), messages.SensitivityInfo, "query of sensitivity")
-            wanted = reported.factory if value is None else value
             if not abs(reported.current - wanted) <= SENSITIVITY_TOLERANCE:
-                raise SettingsRefused(
-                    f"sensitivity {wanted:g} of matrix {index}", f"{reported.current:g}", where=self.name
-                )
+                expected = f"sensitivity {wanted:g} of matrix {index}"
+                raise SettingsRefused(expected, f"{reported.current:g}", where=self.name)
 
-    def _apply_threshold(self, matrix: int | None, value: int | None, persistent: bool) -> None:
-        self._require_thresholds()
-        self._set(
-            messages.SetThreshold(_adjust(matrix, value, persistent), matrix or 0, value or 0),
-            "set threshold",
-            persistent,
-        )
-        for index in self._chosen(matrix) if value is not None else ():
-            reported = self._read_threshold(index)
-            if reported != value:
-                raise SettingsRefused(f"threshold {value} of matrix {index}", f"{reported}", where=self.name)
-
-    def _read_threshold(self, matrix: int) -> int:
-        self._require_thresholds()
-        return self._query(messages.QueryThreshold(matrix), messages.ThresholdInfo, "query of threshold").threshold
-
-    def _require_thresholds(self) -> None:
+    def _set_threshold(self, matrix: int | None, wanted: int) -> None:
+        """Set it, and read it back."""
         version = self.controller.software_version
         if version < THRESHOLD_FROM:
             advice = "no threshold in the configuration"
             raise SettingsRefused(f"firmware {THRESHOLD_FROM} for thresholds", f"{version}", advice, self.name)
-
-    def _chosen(self, matrix: int | None) -> Sequence[int]:
-        return range(len(self._matrices)) if matrix is None else (matrix,)
-
-    def _set(self, command: messages.SetSensitivity | messages.SetThreshold, doing: str, persistent: bool) -> None:
-        if persistent:
-            self._send(encode(command))
-            self._settle(SETTLE_S)  # known firmware does not answer; one that does must not confuse what follows
-        else:
-            self._acknowledged(command, doing)
+        flags = messages.Adjust.ALL if matrix is None else 0
+        self._acknowledged(messages.SetThreshold(flags, matrix or 0, wanted), "set threshold")
+        for index in range(len(self._matrices)) if matrix is None else (matrix,):
+            reported = self._query(messages.QueryThreshold(index), messages.ThresholdInfo, "query of threshold")
+            if reported.threshold != wanted:
+                raise SettingsRefused(f"threshold {wanted} of matrix {index}", f"{reported.threshold}", where=self.name)
 
     def _stream(self) -> None:
         self._begin_stream()
-        command = stream(rle=self._settings.rle, frame_rate_hz=self.config.frame_rate_hz)
+        command = stream(rle=self.config.rle, frame_rate_hz=self.config.frame_rate_hz)
         self._acknowledged(command, "start of streaming")
         self._silence_ns = round(self.config.silence_s * 1e9)
         self._measured_ns = self._clock()
-
-    def _take_single(self) -> TactileReading:
-        self._begin_stream()
-
-        def accept(event: messages.Reading | messages.Reply) -> Any:
-            if isinstance(event, messages.Ack):
-                return event if _is_answer(event, messages.Id.ACQUISITION) and event.error != messages.SUCCESS else None
-            return event if isinstance(event, messages.Reading) else None
-
-        packet = encode(single(rle=self._settings.rle))
-        try:
-            found: messages.Reading | messages.Ack = self._ask(packet, accept, REPLY_TIMEOUT_S, what="a frame")
-        except NoReply:
-            self._stop()
-            raise
-        if isinstance(found, messages.Ack):
-            raise self._refusal(found.error, "taking one frame")
-        reading = next(iter(self._measure(found, self._heard_ns)))
-        self._publish(reading)
-        version = self.controller.software_version
-        if version < _SINGLE_FRAME_FROM and version != _SINGLE_FRAME_ALSO:  # it has started to stream
-            self._acknowledged(stop(), "stop")
-            self._settle(SETTLE_S)
-        return reading
 
     def _acknowledged(
         self, command: messages.Command, doing: str, timeout_s: float = REPLY_TIMEOUT_S, tries: int = REPLY_TRIES
@@ -430,8 +323,6 @@ class Dsa(StreamDevice[TactileReading]):
                     self._publish(reading)
 
     def _begin(self) -> None:
-        """Take the settings of the configuration, whatever was set since, and begin the stream."""
-        self._settings = _WantedSettings(self.config.streaming, self.config.rle)
         self._measurer = TactileMeasurer()
         self._measured_ns = 0
         self._begin_stream()
@@ -441,15 +332,7 @@ class Dsa(StreamDevice[TactileReading]):
         self._measurer.begin_stream()
         self._clock_fit = self._measurer.clock_fit
 
-    def _command(self, action: Callable[[], ResultT]) -> ResultT:
-        return self._do(action, COMMAND_TIMEOUT_S)
-
-    def _check_matrix(self, matrix: int | None) -> None:
-        self._require_open()
-        if matrix is not None and not 0 <= matrix < len(self._matrices):
-            raise OutOfLimits(f"a matrix from 0 to {len(self._matrices) - 1}", f"{matrix}", where=self.name)
-
-    def _known(self, reported: ResultT | None) -> ResultT:
+    def _known(self, reported: T | None) -> T:
         if reported is None:
             raise NotConnected("a device that was opened", "one that was not", "open() it", self.name)
         return reported
@@ -460,20 +343,3 @@ def _is_answer(event: messages.Reading | messages.Reply, id: int) -> bool:
     if isinstance(event, messages.Reading) or event.error == messages.PENDING:
         return False
     return (event.command if isinstance(event, messages.Ack) else messages.LAYOUT_OF[type(event)].id) == id
-
-
-def _adjust(matrix: int | None, value: float | None, persistent: bool) -> int:
-    flags = messages.Adjust(0)
-    if matrix is None:
-        flags |= messages.Adjust.ALL
-    if value is None:
-        flags |= messages.Adjust.FACTORY
-    return flags | (messages.Adjust.PERSISTENT if persistent else 0)
-
-
-def _remember(settings: dict[int | None, ResultT], matrix: int | None, value: ResultT) -> None:
-    """The latest counts, and what is set for all counts for each."""
-    if matrix is None:
-        settings.clear()
-    settings.pop(matrix, None)
-    settings[matrix] = value

@@ -79,6 +79,11 @@ class Ears(DsaDouble):
         return super()._carry_out(command, now_ns)
 
 
+def settings(double: DsaDouble) -> list[tuple[float, int]]:
+    """Sensitivity and threshold of each matrix."""
+    return [(matrix.sensitivity, matrix.threshold) for matrix in double._settings]
+
+
 # Start-up --------------------------------------------------------------------------------------------------------
 
 
@@ -104,8 +109,7 @@ def test_it_asks_what_it_is_before_it_streams() -> None:
         assert [(matrix.cells_y, matrix.cells_x) for matrix in device.matrices] == [(14, 6), (13, 6)] * 3
         assert [pad.name for pad in device.pads][2:4] == ["thumb_proximal", "thumb_distal"]
         assert device.identity().serial == "4321"
-        assert [device.sensitivity(matrix).current for matrix in range(6)] == [0.75] * 6
-        assert [device.threshold(matrix) for matrix in range(6)] == [1, 2, 3, 4, 5, 6]
+        assert settings(desk.double) == [(0.75, threshold) for threshold in range(1, 7)]
 
 
 def test_before_it_is_opened_nothing_is_known() -> None:
@@ -114,8 +118,6 @@ def test_before_it_is_opened_nothing_is_known() -> None:
     assert device.matrices == ()
     with pytest.raises(NotConnected):
         _ = device.controller
-    with pytest.raises(NotConnected):
-        device.threshold(0)
 
 
 def test_a_controller_that_is_still_starting() -> None:
@@ -292,23 +294,7 @@ def test_nothing_pressed_is_not_stuck() -> None:
         device.latest(1.0)
 
 
-# Commands ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("rle", [True, False])
-def test_commands_while_it_streams_lose_no_frame(rle: bool) -> None:
-    desk = Desk(Ears(), rle=rle)
-    with desk as device:
-        readings = device.readings()
-        for step in range(5):
-            desk.run(0.1)
-            device.set_sensitivity(0.1 * step)
-            assert device.sensitivity(2).current == pytest.approx(0.1 * step)
-        desk.run(0.2)
-        ticks = [reading.stamp.device_ticks for reading in readings.take()]
-
-        assert max(np.diff(ticks)) < 90
-        assert device.health().refused == {}
+# Settings ----------------------------------------------------------------------------------------------------------
 
 
 def test_five_frames_may_come_before_an_answer() -> None:
@@ -321,67 +307,36 @@ def test_five_frames_may_come_before_an_answer() -> None:
                     self._line.send(encode(frame), now_ns)
             return answer
 
-    desk = Desk(Late(), streaming=False)
-    with desk as device:
-        readings = device.readings()
-        device.set_sensitivity(0.25)
-
+    desk = Desk(Late(), streaming=False, sensitivity=0.25)
+    readings = desk.device.readings()
+    with desk:
         assert len(readings.take()) == 5
 
 
 def test_sensitivity_acts() -> None:
-    desk = Desk(DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0))
-    with desk as device:
-        device.set_sensitivity(0.25, matrix=3)
+    double = DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0)
+    desk = Desk(double, sensitivity=(0.5, 0.5, 0.5, 0.25, 0.5, 0.5))
+    with desk:
         assert desk.run(0.2)[-1].pads[3].max() == 1000
-        device.set_sensitivity(None, matrix=3)
-        assert desk.run(0.2)[-1].pads[3].max() == 2000
 
 
 def test_threshold_acts() -> None:
-    desk = Desk(DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0))
-    with desk as device:
-        device.set_threshold(2001)
-        assert desk.run(0.2)[-1].pads[3].max() == 0
-        device.set_threshold(None)
-        assert desk.run(0.2)[-1].pads[3].max() == 2000
-
-
-def test_what_is_kept_is_not_answered() -> None:
-    desk = Desk(streaming=False)
-    with desk as device:
-        device.set_threshold(77, persistent=True)
-        device.set_sensitivity(0.25, matrix=1, persistent=True)
-        desk.double.power_up(desk.clock())
-
-        assert device.threshold(0) == 77
-        assert device.sensitivity(1).current == 0.25
-        assert device.sensitivity(0).current == 0.5
+    for threshold, seen in ((2000, 2000), (2001, 0)):
+        desk = Desk(DsaDouble(scene=press, noise_counts=0, pa_per_count=1.0), threshold=threshold)
+        with desk:
+            assert desk.run(0.2)[-1].pads[3].max() == seen
 
 
 @pytest.mark.parametrize(
-    "command",
+    "config",
     [
-        lambda device: device.set_sensitivity(1.01),
-        lambda device: device.set_sensitivity(float("nan")),
-        lambda device: device.set_threshold(4096),
-        lambda device: device.set_threshold(-1),
-        lambda device: device.set_sensitivity(0.5, matrix=6),
-        lambda device: device.threshold(-1),
+        {"sensitivity": 1.5},
+        {"sensitivity": (0.5, -0.1)},
+        {"sensitivity": float("nan")},
+        {"threshold": 5000},
+        {"threshold": -1},
+        {"frame_rate_hz": 0},
     ],
-)
-def test_limits_are_checked_before_anything_is_sent(command) -> None:
-    desk = Desk(Ears())
-    with desk as device:
-        heard = len(desk.double.heard)
-        with pytest.raises(OutOfLimits):
-            command(device)
-
-        assert len(desk.double.heard) == heard
-
-
-@pytest.mark.parametrize(
-    "config", [{"sensitivity": 1.5}, {"sensitivity": (0.5, -0.1)}, {"threshold": 5000}, {"frame_rate_hz": 0}]
 )
 def test_a_configuration_out_of_limits(config) -> None:
     with pytest.raises(OutOfLimits):
@@ -394,13 +349,12 @@ def test_settings_for_other_matrices_than_there_are() -> None:
 
 
 def test_an_error_code_has_its_name() -> None:
-    desk = Desk(Ears())
-    with desk as device:
-        desk.double.answers[SetSensitivity] = [Ack(0x0F, 15)]
-        with pytest.raises(CommandRefused, match="access denied") as caught:
-            device.set_sensitivity(0.5)
+    desk = Desk(Ears(), sensitivity=0.5)
+    desk.double.answers[SetSensitivity] = [Ack(0x0F, 15)]
+    with pytest.raises(CommandRefused, match="access denied") as caught, desk:
+        pass
 
-        assert (caught.value.code, caught.value.name) == (15, "access denied")
+    assert (caught.value.code, caught.value.name) == (15, "access denied")
 
 
 def test_the_first_stop_may_end_half_a_command_of_another() -> None:
@@ -411,12 +365,10 @@ def test_the_first_stop_may_end_half_a_command_of_another() -> None:
 
 
 def test_a_command_that_came_damaged_is_sent_again() -> None:
-    desk = Desk(Ears())
-    with desk as device:
-        desk.double.answers[SetSensitivity] = [Ack(0x0F, 11)]
-        device.set_sensitivity(0.75)
-
-        assert device.sensitivity(0).current == 0.75
+    desk = Desk(Ears(), sensitivity=0.75)
+    desk.double.answers[SetSensitivity] = [Ack(0x0F, 11)]
+    with desk:
+        assert settings(desk.double)[0][0] == 0.75
 
 
 def test_pending_is_no_answer_yet() -> None:
@@ -426,19 +378,16 @@ def test_pending_is_no_answer_yet() -> None:
                 self._line.send(encode(Ack(0x0F, 25)), now_ns)
             return super()._carry_out(command, now_ns)
 
-    desk = Desk(Slow())
-    with desk as device:
-        device.set_sensitivity(0.75)
-
-        assert device.sensitivity(0).current == 0.75
+    desk = Desk(Slow(), sensitivity=0.75)
+    with desk:
+        assert settings(desk.double)[0][0] == 0.75
 
 
 def test_settings_that_did_not_take_are_refused() -> None:
-    desk = Desk(Ears())
-    with desk as device:
-        desk.double.answers[SetSensitivity] = [Ack(0x0F)]
-        with pytest.raises(SettingsRefused, match=r"sensitivity 0\.75 of matrix 0"):
-            device.set_sensitivity(0.75)
+    desk = Desk(Ears(), sensitivity=0.75)
+    desk.double.answers[SetSensitivity] = [Ack(0x0F)]
+    with pytest.raises(SettingsRefused, match=r"sensitivity 0\.75 of matrix 0"), desk:
+        pass
 
 
 # Firmware ----------------------------------------------------------------------------------------------------------
@@ -457,29 +406,19 @@ def test_a_single_frame_whatever_the_firmware(version: int) -> None:
 
 def test_no_single_frame_while_it_streams() -> None:
     desk = Desk()
-    with desk as device:
-        with pytest.raises(DeviceError, match="does not stream"):
-            device.single_frame()
-        device.stop_streaming()
-        assert desk.run(0.5) == []
-        assert device.single_frame().texels.size == 486
-        device.start_streaming(rle=False)
-        assert len(desk.run(1.0)) == 11
+    with desk as device, pytest.raises(DeviceError, match="does not stream"):
+        device.single_frame()
 
 
 @pytest.mark.parametrize("version", [218, 267])
 def test_thresholds_that_the_firmware_does_not_have(version: int) -> None:
     with pytest.raises(SettingsRefused, match="firmware 268"), Desk(DsaDouble(software_version=version), threshold=5):
         pass
-    desk = Desk(DsaDouble(software_version=version))
-    with desk as device, pytest.raises(SettingsRefused, match="firmware 268"):
-        device.threshold(0)
 
 
 def test_a_read_back_that_is_broken_is_not_believed() -> None:
     desk = Desk(DsaDouble(software_version=218), sensitivity=0.75)
-    with desk as device:
-        assert device.sensitivity(0).current == 0.5
+    with desk:
         assert desk.run(0.2)
 
 
@@ -520,21 +459,17 @@ def test_a_link_on_which_only_rubbish_comes_is_lost() -> None:
 
 
 def test_after_power_was_lost_everything_is_set_again() -> None:
-    with PtyWire(DsaDouble()) as wire:
-        config = DsaConfig(port=wire.port, sensitivity=0.75, rle=False)
+    double = DsaDouble()
+    with PtyWire(double) as wire:
+        config = DsaConfig(port=wire.port, sensitivity=0.75, threshold=(20, 20, 55, 20, 20, 20))
         with Dsa(config, reconnect=QUICK) as device:
-            device.set_threshold(55, matrix=2)
-            device.set_sensitivity(0.25, matrix=4)
-            device.start_streaming(rle=True)
             wire.unplug()
             wait_until(lambda: device.link != "connected")
-            with pytest.raises((LinkLost, NotConnected)):
-                device.set_sensitivity(0.1)
+            double.power_up(time.monotonic_ns())
             wire.plug()
             wait_until(lambda: device.link == "connected")
 
-            assert [device.sensitivity(matrix).current for matrix in range(6)] == [0.75] * 4 + [0.25, 0.75]
-            assert device.threshold(2) == 55
+            assert settings(double) == [(0.75, 20)] * 2 + [(0.75, 55)] + [(0.75, 20)] * 3
             assert device.next(5.0).texels.size == 486
             assert device.health().reconnects == 1
 
@@ -553,8 +488,6 @@ def test_over_tcp() -> None:
     with TcpWire(DsaDouble(bytes_per_s=None)) as wire, Dsa(DsaConfig(port=wire.port, rle=False)) as device:
         assert wire.port.startswith("socket://")
         assert device.next(5.0).texels.size == 486
-        device.set_threshold(5)
-        assert device.threshold(5) == 5
 
 
 @pytest.mark.realtime
