@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 CAMERAS_FILE = "DEFORMSCOPE_REALSENSE_DOUBLE"
@@ -107,13 +108,14 @@ class _World:
             raise RuntimeError("xioctl(VIDIOC_S_FMT) failed, errno=16 Last Error: Device or resource busy") from error
         self._locks.append(handle)
 
-    def unlock(self) -> None:
-        """Let others have the cameras, without an end of this process."""
-        while self._locks:
-            os.close(self._locks.pop())
-
 
 _world = _World()
+
+
+def _answers(**values: Any) -> Any:
+    """An object of the library whose methods, without arguments, return these values."""
+    return SimpleNamespace(**{name: lambda value=value: value for name, value in values.items()})
+
 
 # The library's names -------------------------------------------------------------------------------------------------
 
@@ -168,35 +170,15 @@ class distortion(IntEnum):
     brown_conrady = 4
 
 
-class intrinsics:
-    def __init__(self, width: int, height: int, coeffs: tuple[float, ...], model: distortion) -> None:
-        self.fx = self.fy = FOCAL_OF_WIDTH * width
-        self.ppx, self.ppy = width / 2 - 1.6, height / 2 - 6.2
-        self.coeffs, self.model = list(coeffs), model
-
-
-class video_stream_profile:
-    def __init__(self, of: stream, width: int, height: int, fps: int, coeffs: tuple[float, ...] = (0.0,) * 5) -> None:
-        self._of, self._size, self._fps, self._coeffs = of, (width, height), fps, coeffs
-
-    def stream_type(self) -> stream:
-        return self._of
-
-    def as_video_stream_profile(self) -> video_stream_profile:
-        return self
-
-    def width(self) -> int:
-        return self._size[0]
-
-    def height(self) -> int:
-        return self._size[1]
-
-    def fps(self) -> int:
-        return self._fps
-
-    def get_intrinsics(self) -> intrinsics:
-        model = distortion.brown_conrady if self._of is stream.depth else distortion.inverse_brown_conrady
-        return intrinsics(*self._size, self._coeffs, model)
+def video_stream_profile(of: stream, width: int, height: int, fps: int, coeffs: tuple[float, ...] = (0.0,) * 5) -> Any:
+    """Mode of one stream; coeffs: distortion of its lens."""
+    focal = FOCAL_OF_WIDTH * width
+    model = distortion.brown_conrady if of is stream.depth else distortion.inverse_brown_conrady
+    lens = {"fx": focal, "fy": focal, "ppx": width / 2 - 1.6, "ppy": height / 2 - 6.2}
+    intrinsics = SimpleNamespace(**lens, coeffs=list(coeffs), model=model)
+    profile = _answers(stream_type=of, width=width, height=height, fps=fps, get_intrinsics=intrinsics)
+    profile.as_video_stream_profile = lambda: profile
+    return profile
 
 
 class sensor:
@@ -231,21 +213,13 @@ class sensor:
     def get_depth_scale(self) -> float:
         return self.get_option(option.depth_units)
 
-    def get_stream_profiles(self) -> list[video_stream_profile]:
+    def get_stream_profiles(self) -> list[Any]:
         camera = _world.camera(self._serial)
         modes = () if camera is None else MODES[camera.usb]
         return [video_stream_profile(self._of, *mode) for mode in modes]
 
     def set_notifications_callback(self, callback: Callable[[Any], None]) -> None:
         self.noted = callback
-
-
-class notification:
-    def __init__(self, description: str) -> None:
-        self._description = description
-
-    def get_description(self) -> str:
-        return self._description
 
 
 class device:
@@ -280,28 +254,20 @@ class device:
         return [self.depth, self.color]
 
 
-class event_information:
-    def __init__(self, removed: set[str]) -> None:
-        self._removed = removed
-
-    def was_removed(self, one: device) -> bool:
-        return one.serial in self._removed
-
-
 class context:
     def __init__(self) -> None:
-        self._callback: Callable[[event_information], None] | None = None
+        self._callback: Callable[[Any], None] | None = None
 
     def query_devices(self) -> list[device]:
         return [device(one.serial) for one in _world.cameras()]
 
-    def set_devices_changed_callback(self, callback: Callable[[event_information], None]) -> None:
+    def set_devices_changed_callback(self, callback: Callable[[Any], None]) -> None:
         self._callback = callback
 
     def lose(self, serial: str) -> None:
         """A camera was unplugged."""
         if self._callback is not None:
-            self._callback(event_information({serial}))
+            self._callback(SimpleNamespace(was_removed=lambda one: one.serial == serial))
 
 
 class config:
@@ -316,52 +282,26 @@ class config:
         self.streams[of] = (width, height, fps)
 
 
-class frame:
+def frame(
+    data: bytes, size: tuple[int, int], number: int, ms: float, domain: timestamp_domain, unit_m: float = 0.0
+) -> Any:
     """Depth or colour of one moment."""
-
-    def __init__(
-        self, data: bytes, size: tuple[int, int], number: int, ms: float, domain: timestamp_domain, unit_m: float = 0.0
-    ) -> None:
-        self._data, self._size, self._number, self._ms, self._domain = data, size, number, ms, domain
-        self._unit_m = unit_m
-
-    def get_data(self) -> bytes:
-        return self._data
-
-    def get_frame_number(self) -> int:
-        return self._number
-
-    def get_timestamp(self) -> float:
-        return self._ms
-
-    def get_frame_timestamp_domain(self) -> timestamp_domain:
-        return self._domain
-
-    def get_units(self) -> float:
-        return self._unit_m
-
-    def get_width(self) -> int:
-        return self._size[0]
-
-    def get_height(self) -> int:
-        return self._size[1]
-
-    def get_stride_in_bytes(self) -> int:
-        return len(self._data) // self._size[1]
+    return _answers(
+        get_data=data,
+        get_frame_number=number,
+        get_timestamp=ms,
+        get_frame_timestamp_domain=domain,
+        get_units=unit_m,
+        get_width=size[0],
+        get_height=size[1],
+        get_stride_in_bytes=len(data) // max(size[1], 1),
+    )
 
 
-class frameset:
-    def __init__(self, depth: frame, color: frame | None) -> None:
-        self._depth, self._color = depth, color
-
-    def as_frameset(self) -> frameset:
-        return self
-
-    def get_depth_frame(self) -> frame:
-        return self._depth
-
-    def get_color_frame(self) -> frame | None:
-        return self._color
+def frameset(depth: Any, color: Any) -> Any:
+    frames = _answers(get_depth_frame=depth, get_color_frame=color)
+    frames.as_frameset = lambda: frames
+    return frames
 
 
 class align:
@@ -370,26 +310,15 @@ class align:
     def __init__(self, _: stream) -> None:
         pass
 
-    def process(self, frames: frameset) -> frameset:
+    def process(self, frames: Any) -> Any:
         return frames
-
-
-class pipeline_profile:
-    def __init__(self, of: device, streams: dict[stream, video_stream_profile]) -> None:
-        self._device, self._streams = of, streams
-
-    def get_device(self) -> device:
-        return self._device
-
-    def get_stream(self, of: stream) -> video_stream_profile:
-        return self._streams[of]
 
 
 class pipeline:
     def __init__(self, of: context) -> None:
         self._context = of
 
-    def start(self, asked: config, queue: frame_queue) -> pipeline_profile:
+    def start(self, asked: config, queue: frame_queue) -> Any:
         camera = _world.camera(asked.serial)
         if camera is None:
             raise RuntimeError("No device connected")
@@ -401,9 +330,9 @@ class pipeline:
         _world.lock(camera.serial)
         lens = {stream.color: camera.lens}
         streams = {of: video_stream_profile(of, *mode, lens.get(of, (0.0,) * 5)) for of, mode in asked.streams.items()}
-        profile = pipeline_profile(device(camera.serial), streams)
-        queue.source = Streaming(profile, self._context)
-        return profile
+        opened = device(camera.serial)
+        queue.source = Streaming(opened, streams, self._context)
+        return SimpleNamespace(get_device=lambda: opened, get_stream=streams.__getitem__)
 
     def stop(self) -> None:
         pass
@@ -414,7 +343,7 @@ class frame_queue:
         self._capacity = capacity
         self.source: Streaming | None = None
 
-    def try_wait_for_frame(self, timeout_ms: int) -> tuple[bool, frameset | None]:
+    def try_wait_for_frame(self, timeout_ms: int) -> tuple[bool, Any]:
         if self.source is None:
             time.sleep(timeout_ms / 1e3)
             return False, None
@@ -425,15 +354,15 @@ class frame_queue:
 class Streaming:
     """A camera that runs: its next frame when it is due."""
 
-    def __init__(self, profile: pipeline_profile, of: context) -> None:
-        self._device, self._context = profile.get_device(), of
-        self._depth = profile.get_stream(stream.depth)
-        self._color = stream.color in profile._streams
+    def __init__(self, opened: device, streams: dict[stream, Any], of: context) -> None:
+        self._device, self._context = opened, of
+        self._depth = streams[stream.depth]
+        self._color = stream.color in streams
         self._start_s, self._number = time.monotonic(), 0
         self._noted: set[str] = set()
         self._lines: dict[float, bytes] = {}
 
-    def next(self, until_s: float, capacity: int) -> frameset | None:
+    def next(self, until_s: float, capacity: int) -> Any:
         """The next frames, None when none are due in time. capacity: largest number of frames that wait"""
         fps = self._depth.fps()
         camera = _world.camera(self._device.serial)
@@ -451,10 +380,10 @@ class Streaming:
         for words in camera.notes:
             if words not in self._noted:
                 self._noted.add(words)
-                self._device.depth.noted(notification(words))
+                self._device.depth.noted(_answers(get_description=words))
         return self._seen(camera, due, due_s)
 
-    def _seen(self, camera: DoubleCamera, due: int, due_s: float) -> frameset:
+    def _seen(self, camera: DoubleCamera, due: int, due_s: float) -> Any:
         options = self._device.depth.options
         unit_m = camera.drifting_unit_m or self._device.depth.get_depth_scale()
         domain, ms = timestamp_domain.hardware_clock, (camera.clock_us + due_s * 1e6) % CLOCK_ROUND_US / 1e3

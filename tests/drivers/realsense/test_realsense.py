@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -149,7 +150,8 @@ def here(cameras: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> Itera
     monkeypatch.setattr(double, "_world", double._World())
     monkeypatch.setattr(reading, "FIRST_FRAME_S", 0.2)
     yield cameras
-    double._world.unlock()
+    for lock in double._world._locks:
+        os.close(lock)
 
 
 ASKED = RealsenseSettings(width=64, height=48, fps=100, warm_up_s=0.0)
