@@ -333,7 +333,8 @@ def what_we_read() -> str:
 
 def read_rows() -> list[tuple[str, ...]]:
     """Its rows, with the names that the code reads by."""
-    from deformscope.imports.frame_builder import CLOUDS, COLOR_ENCODINGS, DEPTH_ENCODINGS, STANDARD
+    from deformscope.imports.frame_builder import CLOUDS, STANDARD
+    from deformscope.imports.image_messages import COLOR_ENCODINGS, DEPTH_ENCODINGS
     from deformscope.imports.readers import BAGS, FILES, TABLES
 
     def of(kind: str) -> str:
@@ -347,16 +348,52 @@ def read_rows() -> list[tuple[str, ...]]:
     files = "`time`: a text file of stamps, or `rate_hz`"
     images = [one for one in FILES if one not in CLOUDS]
     ours = "Parquet, MCAP or CSV that `deformscope export` wrote"
+    turned = "`rotation`; Universal Robots' `actual_TCP_pose_3..5` is a vector"
+    counted = "`16UC1` mm (REP 118), `mono16` by the camera's topic (`.../option/Depth_Units/value`), else `unit_m`"
+    axes = "by rows, else projected into the map's camera; `axes`"
+    behind = "points behind the camera, or whose order is not that of an image"
+    nothing = "8 bits, JPEG, an unknown format, units that contradict"
     return [
         ("own export", ours, "in the columns' names", "as recorded", "as recorded", "a newer schema version"),
         (bag, of("wrench"), "N, N m (REP 103)", "the sensor's", stamps, 'NaN without `nan = "keep"`'),
-        (bag, of("arm"), "m, rad (REP 103)", "`pose`, `parent`, `child`", stamps, "joint states without a `pose`"),
-        (bag, f"`Image` as {listed(*DEPTH_ENCODINGS)}", "`unit_m`, else mm, m of `32FC1`", "the camera's", stamps, ""),
+        (bag, of("arm"), "m, rad (REP 103)", "that of the message", stamps, "no unit quaternion"),
+        (
+            bag,
+            "`JointState` with a topic of poses, or of transforms of any type (`transforms`, and `tf_static`)",
+            "m, rad (REP 103)",
+            "`pose`, `parent`, `child`",
+            stamps,
+            "no chain from `child` up to `parent`; states beyond `pose_age_s` are losses",
+        ),
+        (bag, f"`Image` as {listed(*DEPTH_ENCODINGS)}", f"{counted}; `32FC1` m", "the camera's", stamps, nothing),
+        (
+            bag,
+            "`CompressedImage`: `16UC1; png compressed`, `16UC1` or `32FC1; compressedDepth` with `png` or `rvl`",
+            f"{counted}; `32FC1` by the two numbers of its head",
+            "the camera's",
+            stamps,
+            nothing,
+        ),
         (bag, f"`Image` as {listed(*COLOR_ENCODINGS)}; `CompressedImage`", "", "", stamps, "other encodings"),
-        (bag, "`PointCloud2`", "m", "by rows, else projected into the map's camera", stamps, "no x, y or z"),
-        (f"table ({listed(*TABLES)})", "`columns`", "`units`, or the file's own", "", "`time`, `time_unit`", "no unit"),
-        (f"folder of {listed(*images)}", "distances or colours", "`unit_m`", "the camera's", files, "no `unit_m`"),
-        (f"folder of {listed(*CLOUDS)}", "`x`, `y`, `z`", "`units.points`", "as `PointCloud2`", files, "no unit"),
+        (bag, "`PointCloud2`", "m; beyond 20 m `units.points` is asked for", axes, stamps, behind),
+        (bag, "lists of matrices, as `LIST.FIELD`", "`units`", "`pads`", stamps, "sizes in another order; NaN"),
+        (
+            f"table ({listed(*TABLES)})",
+            "`columns`",
+            "`units`, or the file's own",
+            turned,
+            "`time`, `time_unit`",
+            "no unit",
+        ),
+        (
+            f"folder of {listed(*images)}",
+            "distances or colours",
+            "`unit_m`",
+            "the camera's",
+            files,
+            "no `unit_m`; JPEG",
+        ),
+        (f"folder of {listed(*CLOUDS)}", "`x`, `y`, `z`", "`units.points`", axes, files, f"no unit; {behind}"),
         ("bytes (`.bin`, `.raw`)", "OptoForce DAQ, DSA", "`config.sensitivity`", "the sensor's", "`rate_hz`", ""),
         ("`candump -L` log (`.log`)", "the same on CAN", "`config.sensitivity`", "the sensor's", "the log's", ""),
         ("folder of meshes (`--pairs`)", "meshes with forces", "m, N", "the meshes'", "none", ""),

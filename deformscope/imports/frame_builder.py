@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -11,15 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from deformscope.arrays import FloatArray
 from deformscope.errors import InputError
-from deformscope.file_io import check_size
 from deformscope.frames import ArmFrame, ColorFrame, DepthFrame, Frame, HandFrame, Kind, TactileFrame, WrenchFrame
-from deformscope.images import PNG_SIGNATURE, decode_image, read_image
+from deformscope.images import decode_image, read_image
+from deformscope.imports.image_messages import cloud_depth, compressed_depth, depth_of_points, is_depth, raw_image
 from deformscope.imports.import_map import ASKED, MappedStream
 from deformscope.imports.point_files import read_points
+from deformscope.imports.poses import Pose, check_rotation, pose_from, rotation_from
 from deformscope.imports.readers import TABLE_TYPES, Message, Topic
 from deformscope.recording.streams import UNITS, columns_of, split_unit
 from deformscope_drivers.clock import Stamp
@@ -46,11 +48,19 @@ STANDARD: dict[str, tuple[Kind, dict[str, tuple[str, str]]]] = {
             "joint_torque_nm": ("effort", "N m"),
         },
     ),
-    "geometry_msgs/msg/PoseStamped": (
-        "arm",
-        {f"position_{axis}_m": (f"pose.position.{axis}", "m") for axis in "xyz"}
-        | {f"q{axis}": (f"pose.orientation.{axis}", "") for axis in "xyzw"},
-    ),
+    **{
+        name: (
+            "arm",
+            {f"position_{axis}_m": (f"{place}.{axis}", "m") for axis in "xyz"}
+            | {f"q{axis}": (f"{turn}.{axis}", "") for axis in "xyzw"},
+        )
+        for name, place, turn in (
+            ("geometry_msgs/msg/PoseStamped", "pose.position", "pose.orientation"),
+            ("geometry_msgs/msg/PoseWithCovarianceStamped", "pose.pose.position", "pose.pose.orientation"),
+            ("nav_msgs/msg/Odometry", "pose.pose.position", "pose.pose.orientation"),
+            ("geometry_msgs/msg/TransformStamped", "transform.translation", "transform.rotation"),
+        )
+    },
     "sensor_msgs/msg/Image": ("depth", {}),
     "sensor_msgs/msg/CompressedImage": ("color", {}),
     "sensor_msgs/msg/PointCloud2": ("depth", {}),
@@ -70,8 +80,15 @@ SI = {
     for name, factor in names.items()
 }
 """Quantity of each unit, and its factor."""
-Pose = npt.NDArray[np.float64]
-"""Pose (4, 4) of the arm's end in the base frame [m]."""
+VENDORS = tuple(
+    (re.compile(rf"(actual|target)_{name}[_.]?\[?{places}\]?"), unit, rotation)
+    for name, places, unit, rotation in (
+        ("TCP_pose", "[0-2]", "m", ""),
+        ("TCP_pose", "[3-5]", "rad", "vector"),
+        ("q", "[0-5]", "rad", ""),
+    )
+)
+"""Names of a vendor's columns, their unit, and the form of the rotation that they have: of Universal Robots' RTDE."""
 Row = dict[str, Any]
 CLOUDS = (".pcd", ".ply")
 REAL_STEP_M = 1e-4
@@ -79,12 +96,14 @@ REAL_STEP_M = 1e-4
 TIME_NS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
 ARM_SIZES: dict[str, int | None] = {"position_m": None, "rotation_rad": None, "force_n": 3, "torque_nm": 3, "finger": 0}
 """Vectors of an arm's frame, and the length of those that a source may lack."""
-DEPTH_ENCODINGS = ("16UC1", "mono16", "32FC1")
-COLOR_ENCODINGS = {"rgb8": 3, "bgr8": 3, "mono8": 1, "rgba8": 4, "bgra8": 4}
-AXES = ("x", "y", "z")
+STEP_M = {"16UC1": 1e-3}
+"""Step of counts of an encoding (REP 118)."""
+FAR_M = 20.0
+"""Distance that half of an image of a thing to press is not beyond: its numbers are of another unit."""
 LONGEST_PX = 65_500
 """Longest side of an image: that of a JPEG."""
-POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+DEPTH_UNIT = re.compile(r"(.*/)(?:option/)?[^/]*depth[_/]?(?:units?|scale)\b", re.IGNORECASE)
+"""A topic with the unit of a camera, after the camera's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +117,17 @@ class At:
 
 
 class FrameBuilder:
-    """Makes a stream's frames. topics: topics of the source. Raises InputError for missing keys of the map."""
+    """Makes a stream's frames. topics: topics of the source. Raises InputError for missing keys of the map.
+
+    left_out: messages of other robots; missed: counts of distances and points that no frame has, by reason
+    stated_m: units of depth cameras that topics of the source state, by their names [m]"""
 
     def __init__(self, stream: MappedStream, topics: Mapping[str, Topic]) -> None:
         self.stream = stream
         of = [topics[name] for name in stream.topics]
         self.joints: tuple[str, ...] = stream.joints
+        self.left_out, self.missed, self.rotation, self.axes = 0, Counter[str](), "", ""
+        self.stated_m: dict[str, float] = {}
         self.own = any(one.kind == KINDS[stream.kind].__name__ for one in of)
         standard: dict[str, tuple[str, str]] = {}
         units: dict[str, str] = {}
@@ -123,7 +147,20 @@ class FrameBuilder:
         for name, field in stream.columns.items():
             if is_table and field not in units:
                 raise stream.missing(f"columns.{name}", f"one of {', '.join(units)}", field)
-            self._fields[name] = field, self._factor(name, field, units.get(field, ""))
+            self._fields[name] = field, self._factor(name, field, units.get(field) or _vendor(field)[0])
+        if stream.kind == "arm":
+            self._check_rotation()
+
+    def _check_rotation(self) -> None:
+        """Find the form of a rotation of three or four numbers, or ask for it."""
+        fields = self._fields or {}
+        if columns := columns_of("q", fields) or columns_of("rotation_rad", fields):
+            self.axes = "xyz" if columns[0] == "rotation_x_rad" else ""
+            known = {_vendor(fields[one][0])[1] for one in columns}
+            of_vendor = known.pop() if len(known) == 1 else ""
+            self.rotation = check_rotation(self.stream, 4 if columns[0][0] == "q" else 3, self.axes, of_vendor)
+        elif self.stream.rotation:
+            raise self.stream.missing("rotation", "none: no column is a rotation of three or four numbers", "")
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -134,7 +171,7 @@ class FrameBuilder:
         """Refuse columns that no frame of the kind has, and vectors that lack a part. standard: its messages'"""
         stream, names = self.stream, {*standard, *self.stream.columns}
         known = [one.name for one in fields(KINDS[stream.kind]) if one.name not in ("stamp", "index", "device")]
-        other = {*standard, *(f"q{axis}" for axis in "xyzw" if stream.kind == "arm")}
+        other = {*standard, *(f"q{one}" for one in ("", *"xyzw", "_0", "_1", "_2", "_3") if stream.kind == "arm")}
         for field in known:
             found, (base, unit) = columns_of(field, names), split_unit(field)
             of_axes = (f"{at}_{axis}" for at in range(len(found) // 3) for axis in "xyz")
@@ -193,7 +230,7 @@ class FrameBuilder:
                 if name in found:
                     found[name] = found[name][0] if len(found[name]) else None
             return found
-        row = {}
+        row: Row = {}
         for name, (field, factor) in (fields or {}).items():
             try:
                 value = message.get(field)
@@ -201,7 +238,10 @@ class FrameBuilder:
                 continue
             if isinstance(value, str) and value.startswith("["):
                 value = json.loads(value)
-            row[name] = value if factor == 1.0 or value is None else np.asarray(value, np.float64) * factor
+            if factor != 1.0 and _is_of_matrices(value):
+                row[name] = tuple(np.asarray(one, np.float64) * factor for one in value)
+            else:
+                row[name] = value if factor == 1.0 or value is None else np.asarray(value, np.float64) * factor
         return row
 
     def values(self, row: Mapping[str, Any], name: str, kind: Any = np.float64, size: int | None = None) -> Any:
@@ -214,8 +254,82 @@ class FrameBuilder:
                 raise KeyError(name)
             return np.full(size, np.nan if kind is np.float64 else 0, kind)
         if columns == [name]:
+            if _is_of_matrices(row[name]):
+                return np.concatenate([np.asarray(one, kind).ravel() for one in row[name]])
             return np.asarray(row[name], kind).ravel()
         return np.array([np.nan if row[one] is None else row[one] for one in columns], kind)
+
+    def check_numbers(self, row: Row, name: str, values: FloatArray, at: At) -> None:
+        """Refuse values that are no numbers, unless the map keeps them. name: their field"""
+        if self.stream.nan == "refuse" and not self.own and not np.isfinite(values).all():
+            is_empty = any(row[one] is None for one in columns_of(name, row))
+            came = "nothing, or NaN," if is_empty else "inf" if np.isinf(values).any() else "NaN"
+            words = {"force_n": "forces", "pressure_pa": "pressures"}[name]
+            raise InputError(
+                f"{words} of {self.stream.device} that are numbers", f"{came} in frame {at.index}", 'nan = "keep"'
+            )
+
+    def of_file(self, path: Path) -> Any:
+        """An image file, or the distances of one of points [m]."""
+        stream = self.stream
+        if path.suffix.lower() not in CLOUDS:
+            if stream.kind == "depth" and not stream.step_m:
+                raise stream.missing("unit_m", "the step of its images [m]: 0.001 for mm", "")
+            return read_image(path)
+        if not stream.units.get("points"):
+            raise stream.missing("units.points", "m, cm, mm or um", "")
+        return self.in_metres("points", depth_of_points(stream, read_points(path), self.missed))
+
+    def step_m(self, encoding: str) -> float:
+        """Step of counts [m]: stated by the map, by a topic of the camera, or by the encoding."""
+        stream, stated = self.stream, self.stated_m
+        of = {name: DEPTH_UNIT.match(name)[1].removesuffix("option/") for name in stated}  # type: ignore[index]
+        of = {name: place for name, place in of.items() if stream.topics[0].startswith(place)}
+        nearest = {stated[name] for name, place in of.items() if place == max(of.values(), key=len)}
+        usual = {STEP_M[encoding]} if encoding in STEP_M else set()
+        known = nearest | usual or {*stated.values()}
+        if stream.step_m and (not nearest or stream.step_m in known):
+            return stream.step_m
+        if not stream.step_m and len(known) == 1 and (nearest or (usual and known >= {*stated.values()})):
+            return known.pop()
+        said = ", ".join(
+            [*(f"{value:g} by {name}" for name, value in stated.items()), *(f"{one:g} by {encoding}" for one in usual)]
+        )
+        expected = (
+            f"the step of its distances [m]{said and ': '}{said or f', which {encoding!r} does not say: 0.001 for mm'}"
+        )
+        raise stream.missing("unit_m", expected, stream.unit_m or "")
+
+    def in_metres(self, key: str, distances: FloatArray) -> FloatArray:
+        """Real numbers as metres. key: the map's key in `units`"""
+        unit = self.stream.units.get(key, "")
+        if unit and SI.get(unit, ("",))[0] == "m":
+            return distances * SI[unit][1]
+        known = ", ".join(name for name, (of, _) in SI.items() if of == "m")
+        far = np.count_nonzero(np.isfinite(distances) & (distances > FAR_M))
+        if unit or 2 * far > np.count_nonzero(np.isfinite(distances) & (distances > 0)):
+            came = f"none, and most of its distances are above {FAR_M:g}"
+            raise self.stream.missing(f"units.{key}", f"one of {known}", unit or came)
+        return distances
+
+
+def _vendor(field: str) -> tuple[str, str]:
+    """Unit and form of rotation of a vendor's column; both empty for others."""
+    return next(((unit, form) for pattern, unit, form in VENDORS if pattern.fullmatch(field)), ("", ""))
+
+
+def _is_of_matrices(value: Any) -> bool:
+    """Whether it is of a list of messages, each with an array of its own size."""
+    return isinstance(value, tuple) and len(value) > 0 and np.ndim(value[0]) > 0
+
+
+def valid_of(frame: Frame) -> tuple[int, int]:
+    """How many values of a frame are valid, and how many it has; 1 of 1 where every value is."""
+    if isinstance(frame, DepthFrame):
+        return int(np.count_nonzero(frame.depth)), frame.depth.size
+    values = frame.force_n if isinstance(frame, WrenchFrame) else getattr(frame, "position_m", None)
+    values = np.concatenate([one.ravel() for one in frame.pressure_pa]) if isinstance(frame, TactileFrame) else values
+    return (1, 1) if values is None else (int(np.isfinite(values).sum()), values.size)
 
 
 _columns_of = lru_cache(columns_of)
@@ -225,12 +339,7 @@ _columns_of = lru_cache(columns_of)
 def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     force = self.values(row, "force_n").reshape(-1, 3)
     torque = self.values(row, "torque_nm", size=force.size).reshape(-1, 3)
-    if self.stream.nan == "refuse" and not self.own and not np.isfinite(force).all():
-        is_empty = any(row[one] is None for one in columns_of("force_n", row))
-        came = "nothing, or NaN," if is_empty else "inf" if np.isinf(force).any() else "NaN"
-        raise InputError(
-            f"forces of {self.stream.device} that are numbers", f"{came} in frame {at.index}", 'nan = "keep"'
-        )
+    self.check_numbers(row, "force_n", force, at)
     counts = self.values(row, "counts", np.int64, 0)
     flags = bool(row.get("overload", False)), bool(row.get("usable", True))
     known = None if np.isnan(torque).all() else torque
@@ -239,6 +348,11 @@ def _wrench(self: FrameBuilder, row: Row, at: At) -> Frame | None:
 
 def _tactile(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     shapes, pressure = [(pad.rows, pad.columns) for pad in self.stream.pads], self.values(row, "pressure_pa")
+    self.check_numbers(row, "pressure_pa", pressure, at)
+    if shapes and _is_of_matrices(parts := row.get("pressure_pa")):
+        sizes, wanted = [np.size(one) for one in parts or ()], [rows * columns for rows, columns in shapes]
+        if sizes != wanted:
+            raise self.stream.missing("pads", f"in the order of its matrices, of {sizes} texels", wanted)
     ends = np.cumsum([rows * columns for rows, columns in shapes])
     if not shapes or len(pressure) != ends[-1]:
         about = f"name, rows, columns, texel_m, index, finger, part of each, {len(pressure)} texels in all"
@@ -253,7 +367,8 @@ def _arm(self: FrameBuilder, row: Row, at: At) -> Frame | None:
     if named := next((list(one.name) for one in at.values if hasattr(one, "name")), []):
         self.joints = self.joints or tuple(named)
         if self.stream.joints and not set(self.joints) <= set(named):
-            return None  # another robot's, or another part's
+            self.left_out += not set(self.joints) & set(named)  # another robot's, or another part's
+            return None
         if set(self.joints) != set(named) and not self.stream.joints:
             came = f"{', '.join(self.joints)}, then {', '.join(named)}"
             raise self.stream.missing("joints", "names of the arm's, in their order", came)
@@ -262,7 +377,13 @@ def _arm(self: FrameBuilder, row: Row, at: At) -> Frame | None:
         row = {name: np.asarray(value)[order] if np.size(value) > 1 else value for name, value in row.items()}
     row, pose = {name: value for name, value in row.items() if np.size(value)}, at.pose
     if "qw" in row:
-        pose = _pose([row.pop(f"q{axis}") for axis in "xyzw"], [row.pop(f"position_{axis}_m") for axis in "xyz"])
+        pose = pose_from([row.pop(f"q{axis}") for axis in "xyzw"], [row.pop(f"position_{axis}_m") for axis in "xyz"])
+    elif self.rotation:
+        turn = rotation_from(
+            self.rotation, self.values(row, "q" if "q" in row or "q_0" in row else "rotation_rad"), self.axes
+        )
+        row = {name: value for name, value in row.items() if not name.startswith(("q", "rotation"))}
+        row["rotation_rad"] = euler_xyz_from_rotation(np.asarray(turn, np.float64))
     if pose is not None:
         row |= {"position_m": pose[:3, 3], "rotation_rad": euler_xyz_from_rotation(pose[:3, :3])}
     elif not columns_of("position_m", row):
@@ -285,146 +406,67 @@ def _hand(self: FrameBuilder, row: Row, at: At) -> Frame | None:
 
 
 def _color(self: FrameBuilder, row: Row, at: At) -> Frame | None:
-    image, _ = _images(self, row, at)
+    image, *_ = _images(self, row, at)
     if image is None:
         raise KeyError("image")
     return ColorFrame(at.stamp, at.index, image, self.stream.device)
 
 
 def _depth(self: FrameBuilder, row: Row, at: At) -> Frame | None:
-    color, depth = _images(self, row, at)
+    color, depth, encoding = _images(self, row, at)
     if depth is None:
         raise KeyError("depth")
     if depth.ndim != 2:
         came = f"an image of shape {depth.shape}"
         raise InputError(f"distances of {self.stream.device} of one channel", came, 'kind = "color" in the map')
+    if depth.dtype == np.uint8 and not all(isinstance(one, Path) and one.suffix.lower() != ".jpg" for one in at.values):
+        hint = 'the topic or files of its distances, or kind = "color" in the map'
+        raise InputError(f"distances of {self.stream.device} in 16 bits or real numbers", "8 bits: they are lost", hint)
     is_real = depth.dtype.kind == "f"
-    unit_m = float(row.get("unit_m") or self.stream.unit_m or (REAL_STEP_M if is_real else 1e-3))
+    unit_m = float(row.get("unit_m") or 0.0)
+    unit_m = unit_m or (self.stream.step_m or REAL_STEP_M if is_real else self.step_m(encoding))
     if not 1e-7 <= unit_m <= 10.0:
         raise InputError(f"a unit_m of distances of {self.stream.device} from 1e-7 to 10 m", f"{unit_m:g}")
     if is_real:
-        counts = np.rint(np.nan_to_num(depth.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0) / unit_m)
+        with np.errstate(over="ignore"):
+            counts = np.rint(np.where(np.isfinite(depth), depth, 0.0).astype(np.float64) / unit_m)
+        self.missed["beyond"] += int(np.count_nonzero(counts > 65535))
         depth = np.where((counts > 0) & (counts < 65536), counts, 0).astype(np.uint16)
     return DepthFrame(at.stamp, at.index, depth.astype(np.uint16, copy=False), unit_m, color, self.stream.device)
 
 
-def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any]:
-    """A colour image and one of distances, counts or real numbers in metres; None where there is none."""
-    stream = self.stream
+def _images(self: FrameBuilder, row: Row, at: At) -> tuple[Any, Any, str]:
+    """A colour image and one of distances, counts or real numbers in metres; None where there is none. The encoding of
+    a message's distances; empty where none is said."""
+    stream, encoding = self.stream, ""
     encoded = row.get("image") or row.get("color"), row.get("depth")
     color, depth = (None if one is None else decode_image(bytes(one), stream.device) for one in encoded)
-    for value in at.values:
+    said = [getattr(one, "encoding", getattr(one, "format", None)) for one in at.values]
+    for value, form in zip(at.values, said, strict=True):
         if isinstance(value, Path):
-            image = _of_file(stream, value)
-            is_depth = stream.kind == "depth" and (image.ndim == 2 or len(at.values) == 1)
+            image = self.of_file(value)
+            of_depth = stream.kind == "depth" and (image.ndim == 2 or len(at.values) == 1)
         elif hasattr(value, "point_step"):
-            image, is_depth = _cloud_depth(stream, value), True
-        elif hasattr(value, "encoding"):
-            image, is_depth = _raw_image(stream, value), value.encoding in DEPTH_ENCODINGS
-        elif hasattr(value, "format"):
-            is_depth = "compressedDepth" in value.format or (stream.kind == "depth" and "16UC1" in value.format)
-            data = bytes(value.data)  # a depth image has a head of its own before the PNG
-            image = decode_image(data[max(data.find(PNG_SIGNATURE), 0) if is_depth else 0 :], stream.device)
-        else:
+            image, of_depth = self.in_metres("points", cloud_depth(stream, value, self.missed)), True
+        elif form is None:
             continue
-        color, depth = (color, image) if is_depth else (image, depth)
+        elif of_depth := stream.kind == "depth" and (is_depth(form) or len(at.values) == 1):
+            if hasattr(value, "encoding"):
+                image, encoding = raw_image(stream, value), form
+            else:
+                image, encoding = compressed_depth(stream, form, bytes(value.data))
+            image = self.in_metres("data", image) if image.dtype.kind == "f" else image
+        elif is_depth(form):
+            raise stream.missing("kind", f'"depth", as {form!r} has distances', stream.kind)
+        elif hasattr(value, "encoding"):
+            image = raw_image(stream, value)
+        else:
+            image = decode_image(bytes(value.data), stream.device)
+        color, depth = (color, image) if of_depth else (image, depth)
     for image in (color, depth):
         if image is not None and not all(1 <= side <= LONGEST_PX for side in image.shape[:2]):
             raise ValueError(f"expected sides of 1 to {LONGEST_PX} px; got {' x '.join(map(str, image.shape[:2]))}")
-    return color, depth
-
-
-def _of_file(stream: MappedStream, path: Path) -> Any:
-    """An image file, or the distances of one of points."""
-    if path.suffix.lower() not in CLOUDS:
-        if stream.kind == "depth" and not stream.unit_m:
-            raise stream.missing("unit_m", "the step of its images [m]: 0.001 for mm", "")
-        return read_image(path)
-    if (unit := stream.units.get("points", "")) not in SI or SI[unit][0] != "m":
-        raise stream.missing("units.points", "m, cm, mm or um", unit)
-    return depth_of_points(stream, read_points(path) * SI[unit][1])
-
-
-def _raw_image(stream: MappedStream, value: Any) -> Any:
-    """(H, W) or (H, W, 3) of a message. Raises InputError for an encoding that is not known."""
-    order = ">" if value.is_bigendian else "<"
-    if value.encoding in DEPTH_ENCODINGS:
-        kind = np.dtype(f"{order}{'f4' if value.encoding == '32FC1' else 'u2'}")
-        rows = _rows(value, value.width * kind.itemsize, value.step)
-        return np.ascontiguousarray(rows).view(kind).astype(kind.newbyteorder("="))
-    if value.encoding not in COLOR_ENCODINGS:
-        known = ", ".join((*DEPTH_ENCODINGS, *COLOR_ENCODINGS))
-        raise InputError(f"images of {stream.device} encoded as {known}", repr(value.encoding))
-    channels = COLOR_ENCODINGS[value.encoding]
-    rows = _rows(value, value.width * channels, value.step)
-    image = rows.reshape(value.height, value.width, channels)
-    image = image[..., 2::-1] if value.encoding.startswith("bgr") else image[..., :3]
-    return np.ascontiguousarray(image[..., 0] if channels == 1 else image)
-
-
-def _rows(value: Any, used: int, stride: int) -> Any:
-    """(H, used) bytes of a message with rows `stride` bytes apart. Raises ValueError if they are not its bytes."""
-    if used > stride or value.height * stride != len(value.data):
-        rows = f"{value.height} rows of {used} bytes each, {stride} bytes apart"
-        raise ValueError(f"expected {rows}, as the message says; got {len(value.data)} bytes")
-    return np.asarray(value.data, np.uint8).reshape(value.height, stride)[:, :used]
-
-
-def _cloud_depth(stream: MappedStream, value: Any) -> Any:
-    """Distances of a message of points along z [m]: (H, W) in their order, or projected into the camera of the map."""
-    of = {one.name: one for one in value.fields}
-    if missing := [axis for axis in AXES if axis not in of]:
-        raise ValueError(f"expected fields x, y and z; got no {missing[0]} in {', '.join(of) or 'none'}")
-    for one in value.fields:
-        size = np.dtype(POINT_TYPES.get(one.datatype, "V0")).itemsize * max(one.count, 1)
-        if not size or one.offset + size > value.point_step or (one.count > 1 and one.name in AXES):
-            came = f"{one.count} of type {one.datatype} from byte {one.offset} on"
-            raise ValueError(f"expected {one.name} within the {value.point_step} bytes of its point; got {came}")
-    rows = _rows(value, value.width * value.point_step, value.row_step)
-    order = ">" if value.is_bigendian else "<"
-    formats = [order + POINT_TYPES[of[axis].datatype] for axis in AXES]
-    offsets = [of[axis].offset for axis in AXES]
-    kind = np.dtype({"names": AXES, "formats": formats, "offsets": offsets, "itemsize": value.point_step})
-    points = np.ascontiguousarray(rows).view(kind)
-    return depth_of_points(stream, np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=-1))
-
-
-def depth_of_points(stream: MappedStream, points_m: FloatArray) -> FloatArray:
-    """Distances along z [m] of points (H, W, 3): in their order if H > 1, else projected into the map's camera, with
-    the nearest point for each pixel."""
-    if len(points_m) > 1:
-        return points_m[..., 2]
-    given = {"focal_px": stream.focal_px, "center_px": stream.center_px, "size_px": stream.size_px}
-    for key, value in given.items():
-        if value is None:
-            raise stream.missing(key, "of the camera that points without an order are projected into [px]", "")
-    (fx, fy), (cx, cy), (width, height) = stream.focal_px, stream.center_px, stream.size_px  # type: ignore[misc]
-    x, y, z = points_m.reshape(-1, 3)[np.isfinite(points_m.reshape(-1, 3)).all(axis=1)].T
-    x, y, z = x[z > 0], y[z > 0], z[z > 0]
-    with np.errstate(all="ignore"):  # beside the axis, near it, and where the map's camera is none
-        column, row = np.rint(fx * x / z + cx), np.rint(fy * y / z + cy)
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    check_size("an image of size_px", 8.0 * height * width, stream.device)
-    depth = np.full((height, width), np.inf)
-    np.minimum.at(depth, (row[inside].astype(np.int64), column[inside].astype(np.int64)), z[inside])
-    return depth
-
-
-def _pose(quaternion: Any, position: Any) -> Pose:
-    """(4, 4) of x, y, z, w and metres."""
-    from scipy.spatial.transform import Rotation
-
-    T: Pose = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), position
-    return T
-
-
-def pose_of(value: Any) -> Pose:
-    """(4, 4) of a transform message, or a pose. Raises AttributeError if it has no pose."""
-    turn = getattr(value, "rotation", None)
-    place = getattr(value, "translation", None)
-    turn, place = (value.orientation, value.position) if turn is None or place is None else (turn, place)
-    return _pose([turn.x, turn.y, turn.z, turn.w], [place.x, place.y, place.z])
+    return color, depth, encoding
 
 
 _MAKE: dict[Kind, Callable[..., Frame | None]] = {

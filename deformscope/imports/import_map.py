@@ -34,7 +34,10 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     file with a stamp in each line, after the file's name or in their order; time_unit: s, ms, us or ns; offset_s:
     offset that is added to its stamps, if it has another clock [s]; None = it has the others' clock, which is checked
     nan: `keep` accepts forces that are NaN, which are otherwise refused
-    unit_m: step of distances [m]: always needed for files; for real numbers the default is 1e-4
+    unit_m: step of distances [m]: needed for files and `mono16`; for real numbers the default is 1e-4
+    axes: the axes of points that lead to the camera's right, down, and along its view
+    rotation: form of the three or four numbers of a table's rotation: `vector`, `xyzw`, `wxyz`, or the order of Euler
+    angles as in SciPy, as `xyz` about fixed and `XYZ` about turned axes
     pose: topic of the end's poses, for states of joints; parent, child: its frames where that is of transforms
     pose_age_s: how far in time the newest pose may be from a state of joints, which is left out otherwise
     joints: names of the joints, in their order; focal_px, center_px, size_px: focal length, centre and size of the
@@ -51,7 +54,9 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     time_unit: str = ""
     offset_s: Annotated[float, msgspec.Meta(ge=-1e10, le=1e10)] | Literal["?"] | None = None
     nan: Literal["refuse", "keep"] = "refuse"
-    unit_m: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] = 0.0
+    unit_m: Annotated[float, msgspec.Meta(ge=0.0, le=1e3)] | Literal["?"] = 0.0
+    axes: str = "x, y, z"
+    rotation: str = ""
     pose: str = ""
     parent: str = ""
     child: str = ""
@@ -64,6 +69,11 @@ class MappedStream(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     rate_hz: Annotated[float, msgspec.Meta(ge=0.0, le=1e9)] = 0.0
     driver: str = ""
     config: dict[str, Any] = {}
+
+    @property
+    def step_m(self) -> float:
+        """Step of distances [m]; 0 = not said."""
+        return 0.0 if self.unit_m == ASKED else float(self.unit_m)
 
     @property
     def offset_ns(self) -> int:

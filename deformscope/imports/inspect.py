@@ -13,27 +13,32 @@ from deformscope.errors import InputError
 from deformscope.frames import Stream
 from deformscope.images import read_image
 from deformscope.imports.captures import Counted
-from deformscope.imports.frame_builder import CLOUDS, DEPTH_ENCODINGS, KINDS, STANDARD
+from deformscope.imports.frame_builder import CLOUDS, DEPTH_UNIT, KINDS, STANDARD, STEP_M
+from deformscope.imports.image_messages import REAL, is_depth, parse_format
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
+from deformscope.imports.point_files import read_points
+from deformscope.imports.poses import STATIC
 from deformscope.imports.readers import TABLE_TYPES, Reader, Topic
 from deformscope.imports.source import CLOCKS_APART_S
 from deformscope.recording.export.manifest import Manifest
 
 TIMES = ("host_ns", "time", "timestamp", "stamp", "t")
 """Names of columns with times, in lower case, the likeliest first."""
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass(slots=True)
 class Found:
     """A topic, as found in the source. seen: times at which its messages were recorded; stamp_ns: time stamp of the
-    first message itself, None = it has none; encoding: encoding of images; frames: frames of transforms
+    first message itself, None = it has none; encoding: encoding of images; frames: frames of transforms, where
+    is_tree; is_behind: most points of the first file have negative z
     joints: names of joints in the first message; unread: why its first message cannot be read"""
 
     topic: Topic
     seen: Counted = field(default_factory=Counted)
     stamp_ns: int | None = None
     encoding: str = ""
+    is_tree: bool = False
+    is_behind: bool = False
     frames: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
     unread: str = ""
@@ -46,6 +51,10 @@ class Found:
     def look(self, value: Any) -> None:
         """Describe the topic from its first message."""
         self.encoding = _encoding(value)
+        self.is_tree = hasattr(value, "transforms")
+        if isinstance(value, Path) and value.suffix.lower() in CLOUDS:
+            z = read_points(value)[..., 2]
+            self.is_behind = bool(np.count_nonzero(z < 0) > np.count_nonzero(z > 0))
         self.joints = tuple(value.name) if self.topic.type.endswith("JointState") else ()
         stamp = getattr(getattr(value, "header", None), "stamp", None)
         self.stamp_ns = None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
@@ -74,7 +83,7 @@ def inspect(reader: Reader) -> list[Found]:
             except InputError as error:  # of a type that is not known; others can be imported
                 one.unread = f", not read: {error}"
         one.seen.add(message.log_ns or (message.value.get("host_ns") or 0 if isinstance(message.value, Mapping) else 0))
-        if one.topic.type == TRANSFORMS and len(one.frames) < 50:
+        if one.is_tree and len(one.frames) < 50:
             names = [(each.header.frame_id, each.child_frame_id) for each in message.value.transforms]
             one.frames = tuple(dict.fromkeys((*one.frames, *(name for pair in names for name in pair))))
     return list(found.values())
@@ -98,7 +107,8 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
         return ImportMap(tuple(streams), reader.about.session_starts_ns)
     clocks = [one.clock_s for one in found if one.clock_s is not None]
     same = bool(clocks) and max(clocks) - min(clocks) < CLOCKS_APART_S
-    poses = [one for one in found if one.topic.type.endswith(("PoseStamped", "TFMessage"))]
+    poses = [one for one in found if one.is_tree or one.topic.type.endswith("PoseStamped")]
+    poses.sort(key=lambda one: one.topic.name.endswith(STATIC))
     joints = [one for one in found if one.topic.type.endswith("JointState")]
     streams = []
     for one in found:
@@ -118,13 +128,18 @@ def propose(reader: Reader, found: list[Found]) -> ImportMap:
             asked["device"] = one.topic.name.rpartition("/")[0].replace("/", "_") or "camera"
             asked |= {"kind": "depth" if is_cloud or one.encoding == "16UC1" else "color", "time": ASKED}
             asked |= {"time_unit": ASKED, "units": {"points": ASKED} if is_cloud else {}}
+            asked |= {"axes": "x, -y, -z"} if one.is_behind else {}
         elif one.topic.type not in STANDARD or (joints and one in poses):
             continue
         elif one.topic.type.endswith("Image"):
-            is_depth = "16UC1" in one.encoding or one.encoding in DEPTH_ENCODINGS
-            asked["kind"] = "depth" if is_depth else "color"
+            asked["kind"] = "depth" if is_depth(one.encoding) else "color"
+            counts = parse_format(one.encoding)[0]
+            if is_depth(one.encoding) and not (
+                counts in (*STEP_M, REAL) or any(DEPTH_UNIT.match(of.topic.name) for of in found)
+            ):
+                asked["unit_m"] = ASKED
         if one in joints:
-            of_tf = ASKED if poses and poses[0].topic.type == TRANSFORMS else ""
+            of_tf = ASKED if poses and poses[0].is_tree else ""
             asked |= {"pose": poses[0].topic.name if poses else ASKED, "parent": of_tf, "child": of_tf}
             asked["joints"] = one.joints
         if one.topic.type in STANDARD and not one.stamp_ns:

@@ -66,14 +66,16 @@ class Message:
         return self.content if self.decode is None else self.decode(self.content)
 
     def get(self, name: str) -> Any:
-        """A field, or a.b within one. A field's value. Raises KeyError without such a field."""
+        """A field's value, or that of a.b within one; of a list of messages, a tuple of each one's. Raises KeyError
+        without such a field."""
         if isinstance(self.value, Mapping):
             return self.value[name]
         found = self.value
         for part in name.split("."):
-            if not hasattr(found, part):
+            of_list = isinstance(found, list) and len(found) > 0
+            if not hasattr(found[0] if of_list else found, part):
                 raise KeyError(name)
-            found = getattr(found, part)
+            found = tuple(getattr(one, part) for one in found) if of_list else getattr(found, part)
         return found
 
 

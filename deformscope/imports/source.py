@@ -7,17 +7,18 @@ import itertools
 import math
 import operator
 import re
+from collections import deque
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from deformscope.errors import InputError
 from deformscope.file_io import read_file
-from deformscope.frames import Frame, HealthReport, Item, RawBytes, Stream, host_ns
+from deformscope.frames import DepthFrame, Frame, HealthReport, Item, RawBytes, Stream, host_ns
 from deformscope.imports.captures import CaptureStream, Counted, check_capture
-from deformscope.imports.frame_builder import TIME_NS, FrameBuilder, Pose, pose_of
+from deformscope.imports.frame_builder import DEPTH_UNIT, TIME_NS, FrameBuilder, valid_of
 from deformscope.imports.import_map import ASKED, ImportMap, MappedStream
+from deformscope.imports.poses import Pose, Poses
 from deformscope.imports.readers import TABLE_TYPES, FolderReader, Message, Reader
 from deformscope.recording.export.manifest import DRIVER
 from deformscope.recording.item_source import ItemSource
@@ -70,7 +71,8 @@ class ImportSource(ItemSource):
         was_over, found = self.ended, super().take(wait_s)
         if self.ended and not was_over:
             if empty := [one for one in self._made.values() if not one.count]:
-                came = f"none of {empty[0].lost} messages" if empty[0].lost else "none"
+                count = empty[0].lost + getattr(empty[0], "left_out", 0)
+                came = f"none of {count} messages" if count else "none"
                 raise InputError(f"frames of {empty[0].stream.device}", came, self._hint(empty[0]))
             same = {name: one for name, one in self._made.items() if one.stream.offset_s is None}
             for (name, one), (other, its) in itertools.combinations(same.items(), 2):
@@ -83,6 +85,11 @@ class ImportSource(ItemSource):
         """How many frames each device gave, and how many could not be made: of their messages some lacked."""
         looks = tuple((name, one.health()) for name, one in self._made.items())
         return HealthReport(max((one.last_ns for one in self._made.values()), default=0), looks)
+
+    @property
+    def seen(self) -> dict[str, dict[str, Any]]:
+        """How much of each stream of measurements is valid, as `_Stream.seen`."""
+        return {name: one.seen() for name, one in self._made.items() if isinstance(one, _Stream)}
 
     @property
     def gaps_s(self) -> dict[str, float]:
@@ -98,13 +105,11 @@ class ImportSource(ItemSource):
         for one in streams:
             for name in dict.fromkeys((*one.stream.topics, *([one.stream.pose] if one.stream.pose else ()))):
                 by_topic.setdefault(name, []).append(one)
-        posed = [one for one in streams if one.stream.child]
-        if posed and "/tf_static" in self._topics:
-            by_topic.setdefault("/tf_static", []).extend(posed)
         for message in reader.messages(by_topic):
             for one in by_topic[message.topic]:
-                if (frame := one.take(message)) is not None:
-                    yield frame
+                yield from one.take(message)
+        for one in streams:
+            yield from one.rest()
 
     def _hint(self, *empty: _Stream | CaptureStream) -> str:
         is_posed = any(one.stream.kind == "arm" for one in empty)
@@ -129,20 +134,20 @@ class _Stream(Counted):
         if self._is_table and any(topics[name].type != topics[stream.topics[0]].type for name in stream.topics):
             raise stream.missing("topics", "of one kind: tables, files, or messages", ", ".join(stream.topics))
         self._times = _file_times(stream, reader) if is_file and not stream.rate_hz else None
-        self._types = {name: one.type for name, one in topics.items()}
         super().__init__()
         self._log_ns = 0
         self._waiting: dict[int, dict[str, Message]] = {}
-        self._links: dict[str, tuple[str, Pose, float]] = {}
-        self._pose: Pose | None = None
-        self._pose_ns = math.inf  # of links that do not move: of any time
+        self._late = deque[tuple[int, Message]]()
+        self._values = self._valid = self._blind = 0
+        self._range_m = math.inf, 0.0
         needs_pose = stream.kind == "arm" and not self._builder.own and "position_x_m" not in self._builder.columns
         if needs_pose and stream.pose in ("", ASKED):
             raise stream.missing("pose", "topic of the end's pose in the base frame (PoseStamped, or transforms)")
-        if stream.pose and self._types[stream.pose].endswith("TFMessage"):
-            for key in ("parent", "child"):
-                if getattr(stream, key) in ("", ASKED):
-                    raise stream.missing(key, "a frame of the transforms: the arm's base, its end")
+        self._poses = Poses(stream, reader, self._when) if stream.pose else None
+        if stream.kind == "depth":
+            for message in reader.messages([name for name in topics if DEPTH_UNIT.match(name)]):
+                if isinstance(value := getattr(message.value, "data", None), float):
+                    self._builder.stated_m[message.topic] = float(f"{value:.6g}")
         foreign = self._is_table and not is_file and not self._builder.own and not stream.rate_hz
         if foreign and stream.time in ("header", "log", ASKED):
             raise stream.missing("time", "the column of its times, or rate_hz", stream.time)
@@ -168,15 +173,30 @@ class _Stream(Counted):
             if (frame := self._take(message, ns)) is not None:
                 yield frame
 
-    def take(self, message: Message) -> Frame | None:
-        """The frame that a message makes whole. Raises InputError for stamps that go back."""
-        if message.topic == "/tf_static" or message.topic == self.stream.pose:
-            self._follow(message)
-            if message.topic not in self.stream.topics:
-                return None
-        return self._take(message, self._when(message))
+    def take(self, message: Message) -> Iterator[Frame]:
+        """The frames that a message makes whole: states of joints wait for the pose after them. Raises InputError for
+        stamps that go back."""
+        is_own, ready_ns = message.topic in self.stream.topics, math.inf
+        if self._poses is not None:
+            if message.topic == self.stream.pose:
+                self._poses.follow(message, self._late[0][0] if self._late else math.inf)
+            ready_ns = self._poses.newest_ns()
+        if is_own:
+            self._late.append((ns := self._when(message), message))
+            ready_ns = max(ready_ns, ns - self.stream.pose_age_s * 1e9)
+        yield from self._until(ready_ns)
 
-    def _take(self, message: Message, ns: int) -> Frame | None:
+    def rest(self) -> Iterator[Frame]:
+        """Frames of states after the last pose."""
+        return self._until(math.inf)
+
+    def _until(self, ready_ns: float) -> Iterator[Frame]:
+        while self._late and self._late[0][0] <= ready_ns:
+            ns, message = self._late.popleft()
+            if (frame := self._take(message, ns, None if self._poses is None else self._poses.at(ns))) is not None:
+                yield frame
+
+    def _take(self, message: Message, ns: int, pose: Pose | None = None) -> Frame | None:
         together = {message.topic: message}
         if len(self.stream.topics) > 1:
             together = self._waiting.setdefault(ns, {})
@@ -188,10 +208,10 @@ class _Stream(Counted):
                 return None
             del self._waiting[ns]
             self.lost -= 1
-        is_old = self.stream.pose_age_s * 1e9 < abs(ns - self._pose_ns) < math.inf
-        frame = self._builder.build(together, Stamp(ns), self.count, None if is_old else self._pose)
+        others = self._builder.left_out
+        frame = self._builder.build(together, Stamp(ns), self.count, pose)
         if frame is None:
-            self.lost += 1
+            self.lost += others == self._builder.left_out
             return None
         step_s, passed_s = (ns - self.last_ns) / 1e9, (message.log_ns - self._log_ns) / 1e9
         if self.count and (step_s < 0 or (message.log_ns and step_s - passed_s > APART_S)):
@@ -201,7 +221,25 @@ class _Stream(Counted):
             raise InputError(expected, f"one {came}, in frame {frame.index}", hint)
         self._log_ns = message.log_ns
         self.add(ns)
+        valid, of = (1, 1) if self._builder.own else valid_of(frame)
+        self._valid, self._values, self._blind = self._valid + valid, self._values + of, self._blind + (not valid)
+        if isinstance(frame, DepthFrame) and frame.depth.any():
+            seen = frame.depth[frame.depth > 0]
+            low, high = (frame.unit_m * float(one) for one in (seen.min(), seen.max()))
+            self._range_m = (min(low, self._range_m[0]), max(high, self._range_m[1]))
         return frame
+
+    @property
+    def left_out(self) -> int:
+        """Messages of other robots."""
+        return self._builder.left_out
+
+    def seen(self) -> dict[str, Any]:
+        """Share of its values that are valid, frames without any, messages of others that were left out; distances: the
+        nearest and farthest [m], pixels that are beyond the last step, points outside the camera's image."""
+        found: dict[str, Any] = {"valid_share": self._valid / max(self._values, 1), "frames_without": self._blind}
+        found |= {"left_out": self._builder.left_out, **self._builder.missed}
+        return found | ({"range_m": self._range_m} if self.stream.kind == "depth" and self._valid else {})
 
     def _when(self, message: Message, at: int = 0) -> int:
         """A message's stamp [ns]. at: its place among those of its topic"""
@@ -235,33 +273,6 @@ class _Stream(Counted):
         if not ns:
             raise stream.missing("time", '"log": its stamps are 0', stream.time)
         return ns
-
-    def _follow(self, message: Message) -> None:
-        """Keep the newest pose of the end. Raises InputError if it is none."""
-        value, is_fixed = message.value, message.topic == "/tf_static"
-        try:
-            if not hasattr(value, "transforms"):
-                ns = self._when(message)
-                while hasattr(value, "pose"):  # of a pose with a stamp, with a covariance, of an odometry
-                    value = value.pose
-                if self._pose is None or ns >= self._pose_ns:
-                    self._pose, self._pose_ns = pose_of(getattr(value, "transform", value)), ns
-                return
-            for one in value.transforms:
-                since_ns = math.inf if is_fixed else self._when(Message(message.topic, message.log_ns, one))
-                link = one.header.frame_id.lstrip("/"), pose_of(one.transform), since_ns
-                self._links[one.child_frame_id.lstrip("/")] = link
-        except (AttributeError, ValueError) as error:
-            came = f"{self._types[message.topic]}: {' '.join(str(error).split())[:160]}"
-            raise self.stream.missing("pose", "a topic of poses or transforms", came) from error
-        at, parent = self.stream.child.lstrip("/"), self.stream.parent.lstrip("/")
-        T, oldest_ns = np.eye(4), math.inf
-        for _ in self._links:
-            if at in self._links and at != parent:
-                at, T_parent_at, since_ns = self._links[at]
-                T, oldest_ns = T_parent_at @ T, min(oldest_ns, since_ns)
-        if at == parent:
-            self._pose, self._pose_ns = T, oldest_ns
 
 
 def _file_times(stream: MappedStream, reader: Reader) -> dict[Path, int | float]:

@@ -16,6 +16,7 @@ WORDS = {
     "refused": "frames refused",
     "skipped_bytes": "bytes skipped",
     "reconnects": "reconnects",
+    "unseen": "frames, none of which has a valid value",
 }
 """Each count that is a loss, and its name in messages, the most important first."""
 

@@ -29,6 +29,7 @@ from deformscope.runs.recordings import RecordResult
 from deformscope.runs.result import open_recorder, recording_rows
 from deformscope.session import Inline, finish, run
 from deformscope.stages.msm.quiet import quiet_warp
+from deformscope_drivers.health import Health
 
 if TYPE_CHECKING:
     from deformscope.experiments.live.device_stages import Stage
@@ -127,16 +128,40 @@ def _result(
 ) -> RecordResult:
     devices = dict(last.devices)
     kinds = {stream.device: stream.kind for stream in source.streams}
-    rows = [(name, _words(kinds[name], health.received, health.lost)) for name, health in devices.items()]
+    seen, losses = source.seen, losses_of(last)
+    rows = [(name, _words(kinds[name], health, seen.get(name, {}))) for name, health in devices.items()]
+    for name, one in seen.items():
+        if not one["valid_share"]:
+            losses[name] = losses.get(name, {}) | {"unseen": devices[name].received}
+            rows.append((name, _likely(one)))
     gaps_s = {name: gap_s for name, gap_s in source.gaps_s.items() if gap_s * devices[name].rate_hz > LONG_GAP}
     rows += [(name, f"longest gap {gap_s:.4g} s") for name, gap_s in gaps_s.items()]
     rows += [(f"stage {name}", counts.to_text()) for name, counts in stages.items()]
     found: dict[str, object] = {"recording": summary.path, "frames": summary.frames, "bytes": summary.bytes}
     found |= {"stages": {name: counts.as_json() for name, counts in stages.items()}} if stages else {}
-    found |= {"source": config.source, "devices": devices, "losses": losses_of(last), "long_gaps_s": gaps_s}
+    found |= {"source": config.source, "devices": devices, "losses": losses, "long_gaps_s": gaps_s, "seen": seen}
     table = Table([*rows, *recording_rows(summary)], caption=str(config.source))
     return RecordResult(cast("dict[str, Any]", plain(found)), table)
 
 
-def _words(kind: str, frames: int, lost: int) -> str:
-    return f"{frames} frames ({kind})" + (f", {lost} of its messages made no frame" if lost else "")
+def _words(kind: str, health: Health, seen: Mapping[str, Any]) -> str:
+    """Frames of a device, and how much of them is valid. seen: as of `ImportSource.seen`"""
+    words = f"{health.received} frames ({kind})"
+    words += f", {health.lost} of its messages made no frame" if health.lost else ""
+    words += f", {seen['left_out']} messages of others left out" if seen.get("left_out") else ""
+    if "range_m" in seen or seen.get("valid_share", 1.0) < 1.0:
+        words += f", {100 * seen['valid_share']:.3g} % of its values valid"
+    words += ", {:.4g} to {:.4g} m".format(*seen["range_m"]) if "range_m" in seen else ""
+    words += f", {seen['frames_without']} frames without any" if seen.get("frames_without") else ""
+    words += f", {seen['beyond']} pixels beyond the last step of unit_m" if seen.get("beyond") else ""
+    return words + (f", {seen['outside']} points outside the image" if seen.get("outside") else "")
+
+
+def _likely(seen: Mapping[str, Any]) -> str:
+    """Why nothing of a stream is valid."""
+    causes = {
+        "beyond": "distances beyond 65535 steps: a larger unit_m, or their unit (units)",
+        "outside": "points outside the image: axes, focal_px, center_px, size_px, or their unit (units)",
+    }
+    found = [words for key, words in causes.items() if seen.get(key)]
+    return "nothing valid, probably " + ("; ".join(found) or "another topic: all its values are 0 or no numbers")

@@ -17,7 +17,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from deformscope.frames import ArmFrame, DepthFrame
-from deformscope.imports.inspect import TRANSFORMS
 from deformscope.imports.readers import open_reader
 from deformscope.log.rig_layout import RIG, RigLayout
 from deformscope.recording.recorder import Recorder
@@ -197,6 +196,7 @@ class Bag:
 ARM = '[[streams]]\ndevice = "arm"\nkind = "arm"\ntopics = ["/js"]\npose = "/pose"\n'
 MS = 10**6
 NAMES = ["base", "elbow"]
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 def test_joints_are_those_of_their_names(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import runpy
 from pathlib import Path
 
-from deformscope.imports.frame_builder import COLOR_ENCODINGS, DEPTH_ENCODINGS, STANDARD
+from deformscope.imports.frame_builder import STANDARD
+from deformscope.imports.image_messages import COLOR_ENCODINGS, DEPTH_ENCODINGS
 from deformscope.imports.readers import BAGS, FILES, TABLES
 
 PAGES = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "reference_pages.py"))
