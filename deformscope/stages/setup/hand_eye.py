@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from deformscope.arrays import FloatArray
+from deformscope.arrays import BoolArray, FloatArray
 from deformscope.errors import InputError
 from deformscope.stages.setup.transform import (
     ErrorPrior,
@@ -28,11 +28,14 @@ LEAST_SPREAD_RAD = np.radians(7.0)
 """Smallest rotation of the arm about the second of its axes of rotation."""
 FAR_M, FAR_RAD = 0.02, np.radians(4.0)
 """A view that is off by more does not belong to the others."""
+NEAR_BASE_M = 0.3
+"""A camera that is nearer to the arm's base, and nearer than the board to the arm's end, is the board, seen from it."""
 LEVER_M = 0.2
 """Distance from the board at which a rotation counts as much as a translation."""
 TOUCHED = ErrorPrior(0.002)
 """Deviation between a place as it was touched and as the camera sees it [m]."""
 TURNS_DEG = (-30.0, 30.0)
+WEIGHT = np.repeat([1.0, LEVER_M], 3)
 STEPS = 6
 """Number of Gauss-Newton steps, from a closed form that is near the solution."""
 
@@ -51,28 +54,73 @@ def hand_eye(T_base_ee: FloatArray, T_camera_board: FloatArray) -> HandEye:
     """Pose of the camera and of the board on the arm, from n views: (n, 4, 4) each.
 
     Their uncertainty is found by leaving out each view in turn (jackknife): neither the errors of arm and camera nor
-    their ratio need be known. Raises InputError for too few views, or turns about one axis alone."""
+    their ratio need be known. Raises InputError for too few views, turns about one axis alone, views that contradict
+    each other, and poses that belong together, or are where a camera can be, once they are inverted."""
     A, B = np.asarray(T_base_ee, np.float64), np.asarray(T_camera_board, np.float64)
     if len(A) < FEWEST_VIEWS:
         raise InputError(f"{FEWEST_VIEWS} views of the board or more", str(len(A)), "12, turned each by 30 degrees")
     check_turns(A)
-    X, Y = _start(A, B)
-    weight = np.repeat([1.0, LEVER_M], 3)
-    for _ in range(STEPS):
-        J = _jacobian(A, B, X, Y) * weight[:, None]
-        step = -np.linalg.lstsq(J.reshape(-1, 12), (_off(A, B, X, Y) * weight).ravel(), rcond=None)[0]
-        X, Y = moved(X, step[:6]), moved(Y, step[6:])
-    left_over = _off(A, B, X, Y)
-    far = (np.linalg.norm(left_over[:, :3], axis=1) > FAR_M) | (np.linalg.norm(left_over[:, 3:], axis=1) > FAR_RAD)
+    X, Y, left_over = _solved(A, B)
+    if (far := _far(left_over)).any() or not _possible(X, Y, B):
+        _check_inverted(A, B, agree=not far.any())
     if far.any():
-        worst = int(np.argmax(np.linalg.norm(left_over * weight, axis=1)))
-        came = f"view {worst + 1} off by {1e3 * np.linalg.norm(left_over[worst, :3]):.0f} mm"
-        raise InputError("views that belong together", came, "the board fixed to the arm's end; leave that view out")
-    covariance = _jackknife(A, B, X, Y, weight)
+        off_mm = 1e3 * np.linalg.norm(left_over[:, :3], axis=1)
+        worst = int(np.argmax(np.linalg.norm(left_over * WEIGHT, axis=1)))
+        came = f"view {worst + 1} off by {off_mm[worst]:.0f} mm"
+        hint = "the board fixed to the arm's end; leave that view out"
+        if len(A) <= FEWEST_VIEWS or _far(_solved(np.delete(A, worst, 0), np.delete(B, worst, 0))[2]).any():
+            came = f"{far.sum()} of {len(A)} views off, by {off_mm[far].min():.0f} to {off_mm.max():.0f} mm"
+            hint = "poses in m, of arm and board at the same moment, the board fixed to the arm's end"
+        raise InputError("views that belong together", came, hint)
+    covariance = _jackknife(A, B, X, Y, WEIGHT)
     dof = len(A) - 2.0
     return HandEye(
         TransformEstimate(X, covariance[:6, :6], dof), TransformEstimate(Y, covariance[6:, 6:], dof), left_over
     )
+
+
+def _solved(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """X and Y (4, 4), and what is left over (n, 6)."""
+    X, Y = _start(A, B)
+    for _ in range(STEPS):
+        J = _jacobian(A, B, X, Y) * WEIGHT[:, None]
+        step = -np.linalg.lstsq(J.reshape(-1, 12), (_off(A, B, X, Y) * WEIGHT).ravel(), rcond=None)[0]
+        X, Y = moved(X, step[:6]), moved(Y, step[6:])
+    return X, Y, _off(A, B, X, Y)
+
+
+def _far(off: FloatArray) -> BoolArray:
+    """(n,) views that are off by too much (n, 6)."""
+    return np.asarray((np.linalg.norm(off[:, :3], axis=1) > FAR_M) | (np.linalg.norm(off[:, 3:], axis=1) > FAR_RAD))
+
+
+def _possible(X: FloatArray, Y: FloatArray, B: FloatArray) -> bool:
+    """Whether the camera has the board before it, and does not stand where the arm does."""
+    camera_m, board_m = (float(np.linalg.norm(one[:3, 3])) for one in (X, Y))
+    return bool((B[:, 2, 3] > 0.0).all()) and camera_m > min(board_m, NEAR_BASE_M)
+
+
+def _check_inverted(A: FloatArray, B: FloatArray, *, agree: bool) -> None:
+    """Raises InputError if the poses belong together once some are inverted: A Y = X B holds as well for the inverses
+    of both, with X and Y exchanged. agree: the poses belong together as they are"""
+    back_A, back_B = np.linalg.inv(A), np.linalg.inv(B)
+    tried = {"T_base_ee": (back_A, B), "T_camera_board": (A, back_B)}
+    if agree:
+        tried = {"T_base_ee and T_camera_board": (back_A, back_B)}
+    likely = []
+    for name, (a, b) in tried.items():
+        X, Y, off = _solved(a, b)
+        if not _far(off).any():
+            nearer = float(np.linalg.norm(Y[:3, 3])) < float(np.linalg.norm(X[:3, 3]))
+            likely.append((_possible(X, Y, b), nearer, name))
+    if likely and (best := max(likely))[0] >= agree:
+        name, what = best[2], "a camera at the arm's base, or views of a board behind it"
+        what = what if agree else "views that contradict each other, as of a camera on the arm"
+        raise InputError(
+            "T_base_ee (the arm's end in its base) and T_camera_board (the board before a fixed camera)",
+            f"{what}; with {name} inverted they agree",
+            f"np.linalg.inv({name.replace(' and ', '), np.linalg.inv(')})",
+        )
 
 
 def turned_about(T: FloatArray) -> float:

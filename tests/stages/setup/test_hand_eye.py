@@ -100,6 +100,44 @@ def test_views_that_do_not_say_where_it_stands_are_refused() -> None:
         hand_eye(A, slipped)
 
 
+INVERTED = [(False, False), (True, False), (False, True), (True, True)]
+
+
+@pytest.mark.parametrize(("arm", "eye"), INVERTED)
+@pytest.mark.parametrize("reach_m", [0.02, 0.15, 0.25])
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_inverted_poses_are_named(arm: bool, eye: bool, reach_m: float, noise: float) -> None:
+    """The inverses of both agree as well as the poses: the camera is then the board on the arm's end, seen from it."""
+    for seed in range(6):
+        random = np.random.default_rng(seed)
+        A = poses(12, random)
+        down = Rotation.from_euler("xz", [180 + random.uniform(-15, 15), random.uniform(-180, 180)], degrees=True)
+        X = rigid(down.as_matrix(), np.array([0.0, -0.4, 1.1]) + random.uniform(-0.1, 0.1, 3))
+        off = random.standard_normal(3)
+        Y = rigid(board(random)[:3, :3], reach_m * off / np.linalg.norm(off))
+        B = seen(A, X, Y, random, noise)
+        given = np.linalg.inv(A) if arm else A, np.linalg.inv(B) if eye else B
+        if not (arm or eye):
+            assert np.linalg.norm(hand_eye(*given).T_arm_camera.T[:3, 3] - X[:3, 3]) < 0.02
+            continue
+        names = [name for name, wrong in (("T_base_ee", arm), ("T_camera_board", eye)) if wrong]
+        with pytest.raises(InputError) as refused:
+            hand_eye(*given)
+        assert f"with {' and '.join(names)} inverted they agree" in str(refused.value)
+        assert ", ".join(f"np.linalg.inv({name})" for name in names) in str(refused.value)
+
+
+def test_no_view_is_blamed_where_all_disagree() -> None:
+    random = np.random.default_rng(4)
+    A, X, Y = poses(10, random), camera(random), board(random)
+    B = seen(A, X, Y, random)
+    for wrong in (np.roll(B, 1, axis=0), np.concatenate([B[:5], np.roll(B[5:], 1, axis=0)]), B * [[1, 1, 1, 1000.0]]):
+        with pytest.raises(InputError) as refused:
+            hand_eye(A, wrong)
+        assert " of 10 views off, by " in str(refused.value)
+        assert "leave" not in str(refused.value)
+
+
 def test_the_poses_that_are_suggested_turn_about_all_axes() -> None:
     taken = rigid(np.eye(3)[None], np.zeros((1, 3)))
     for _ in range(7):
