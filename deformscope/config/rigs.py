@@ -251,6 +251,10 @@ class ImportConfig(RecordedOptions):
     """With --pairs: every n-th frame is left out of the motion, for tests."""
     particles: Annotated[int, flags.least(8)] = 300
     """With --pairs: largest number of vertices per mesh, spread evenly."""
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    """With --pairs: axis of the meshes that is up; default: from the face that stays to the tool."""
+    rest: flags.CountFlag = None
+    """With --pairs: number of the frame before any touch; default: the first, or that of the least force."""
     largest_mb: Annotated[int, flags.least(1)] = 128
     """Most memory for an image, a cloud of points, a compressed part of a bag or a table's columns [MB]: a larger one,
     declared or unpacked, is refused."""

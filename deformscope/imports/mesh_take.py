@@ -1,7 +1,7 @@
 """A take of another laboratory's poked object, as pairs and a motion: meshes with forces, in the form of PokeFlex.
 
 robot_data.json: a list of {"frame": 1, "forces": [x, y, z(, torques)]} [N]; meshes/mesh-f00001.obj: one for each frame,
-with the same vertices [mm], z up; CAMERA/camera_parameters.json: intrinsics and extrinsics, of a Kinect
+with the same vertices [mm]; CAMERA/camera_parameters.json or CAMERA/NUMBER/...: intrinsics and extrinsics, of a Kinect
 color_intrinsics..."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -25,12 +25,12 @@ MM = 1e-3
 FARTHEST_MM, MOST_N = 1e6, 1e6
 STANDS = 0.05
 """Share of the height, from below, whose particles rest on the table."""
+STILL, ALONG, FREE = 0.1, 0.8, 0.1
+"""A face stays that moves by at most this share of the largest displacement; a force is along an axis with this share
+of it; a frame is free of load up to this share of the largest change of the force."""
+UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 TOUCHED, PRESSED_M = 0.8, 1e-3
 """A tool holds particles that moved by this share of the largest displacement, or more, if that is this large [m]."""
-
-
-Three: TypeAlias = tuple[float, float, float]
-Four: TypeAlias = tuple[float, float, float, float]
 
 
 class _Reading(msgspec.Struct):
@@ -42,33 +42,24 @@ class _Reading(msgspec.Struct):
             raise ValueError(f"forces {self.forces}")
 
 
-class _Camera(msgspec.Struct):
-    intrinsics: tuple[Three, Three, Three]
-    extrinsics: tuple[Four, Four, Four, Four]
-
-
-class _Kinect(msgspec.Struct, rename=lambda name: f"color_{name}"):
-    intrinsics: tuple[Three, Three, Three]
-    extrinsics: tuple[Four, Four, Four, Four]
-
-
 @dataclass(frozen=True, slots=True)
 class MeshTake:
-    """rest: (K, 3) particles of the first frame, before any load [m]; position: (T, K, 3) positions in each later frame
-    frames: (T,) their numbers; force_n: (T, 3) change of the force since the first frame; cameras: intrinsics and
-    extrinsics as the files have them, by folder"""
+    """rest: (K, 3) particles of the frame without load [m]; position: (T, K, 3) positions in each other frame
+    frames: (T,) their numbers; rest_frame: number of that frame; force_n: (T, 3) change of the force since it; up: key
+    of `UP`; cameras: intrinsics and extrinsics as the files have them, by folder"""
 
     rest: FloatArray
     position: FloatArray
     frames: IntArray
+    rest_frame: int
     force_n: FloatArray
+    up: str
     cameras: Mapping[str, Mapping[str, Any]]
 
     @property
     def stands(self) -> BoolArray:
         """(K,) particles that rest on the table."""
-        z = self.rest[:, 2]
-        return np.asarray(z <= z.min() + STANDS * np.ptp(z))
+        return _lowest(self.rest, self.up)
 
     @property
     def touched(self) -> BoolArray:
@@ -90,8 +81,9 @@ class MeshTake:
         return _npz(rest=self.rest, motion=motion, held=held, frame=self.frames)
 
 
-def read_take(folder: Path, particles: int) -> MeshTake:
-    """Raises InputError for missing or unusual files. particles: at most, spread evenly over the mesh"""
+def read_take(folder: Path, particles: int, up: str | None = None, at_rest: int | None = None) -> MeshTake:
+    """Raises InputError for missing or unusual files. particles: at most, spread evenly over the mesh
+    up, at_rest: a key of `UP` and the number of the frame without load, None = as motion and forces say"""
     data = _read(folder / "robot_data.json", {"a list of frame and forces (three or six numbers)": list[_Reading]})
     forces = {one.frame: one.forces[:3] for one in data}
     found = {int(name[1]): one for one in folder.glob("meshes/*.obj") if (name := MESH.match(one.name))}
@@ -99,26 +91,88 @@ def read_take(folder: Path, particles: int) -> MeshTake:
     if len(frames) < 2:
         came = f"{len(found)} meshes, {len(forces)} forces, {len(frames)} of them of one frame"
         raise InputError("meshes/mesh-f00001.obj and on, with a force each", came, where=folder)
-    rest = _vertices(found[frames[0]])
+    force_n = np.array([forces[frame] for frame in frames])
+    still = _without_load(frames, force_n, at_rest, folder)
+    rest = _vertices(found[frames[still]])
     # each the farthest from those before (Gonzalez 1985)
     farthest, away = [0], np.linalg.norm(rest - rest[0], axis=1)
     while len(farthest) < particles and away.max() > 0.0:
         farthest.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(rest - rest[farthest[-1]], axis=1))
     chosen = np.array(sorted(farthest), np.int64)
-    position = np.empty((len(frames) - 1, len(chosen), 3))
-    for at, frame in enumerate(frames[1:]):
+    others = np.delete(np.arange(len(frames)), still)
+    position = np.empty((len(others), len(chosen), 3))
+    for at, frame in enumerate(frames[others]):
         if len(vertices := _vertices(found[frame])) != len(rest):
-            came = f"{len(vertices)} where {found[frames[0]].name} has {len(rest)}"
+            came = f"{len(vertices)} where {found[frames[still]].name} has {len(rest)}"
             raise InputError("meshes with the same vertices", came, "register them to one template", found[frame])
         position[at] = vertices[chosen]
-    force_n = np.array([forces[frame] for frame in frames])
-    kinds = {"intrinsics (3, 3) and extrinsics (4, 4)": _Camera, "color_intrinsics and color_extrinsics": _Kinect}
-    cameras = {
-        one.parent.name: msgspec.structs.asdict(_read(one, kinds))
-        for one in sorted(folder.glob("*/camera_parameters.json"))
-    }
-    return MeshTake(rest[chosen], position, frames[1:], force_n[1:] - force_n[0], cameras)
+    files = [*folder.glob("*/camera_parameters.json"), *folder.glob("*/*/camera_parameters.json")]
+    cameras = {one.parent.relative_to(folder).as_posix(): _camera(one) for one in sorted(files)}
+    more_n = force_n[others] - force_n[still]
+    up = up or _up(rest[chosen], position, more_n, folder)
+    return MeshTake(rest[chosen], position, frames[others], int(frames[still]), more_n, up, cameras)
+
+
+def _without_load(frames: IntArray, force_n: FloatArray, at_rest: int | None, folder: Path) -> int:
+    """Index of the frame without load: the first, if its force (T, 3) is about the least of the take."""
+    if at_rest is not None:
+        if at_rest not in frames:
+            raise InputError(
+                "--rest FRAME with a mesh and a force", str(at_rest), f"{frames[0]} to {frames[-1]}", folder
+            )
+        return int(np.flatnonzero(frames == at_rest)[0])
+    size_n = np.linalg.norm(force_n, axis=1)
+    least = int(np.argmin(size_n))
+    free_n = FREE * float(np.linalg.norm(force_n - force_n[least], axis=1).max())
+    if size_n[0] <= size_n[least] + free_n:
+        return 0
+    if size_n[least] > free_n:
+        came = f"{size_n[0]:.3g} N in frame {frames[0]}, and {size_n[least]:.3g} N at least, in frame {frames[least]}"
+        raise InputError("a frame without load", came, "--rest FRAME, the frame before any touch", folder)
+    return least
+
+
+def _up(rest: FloatArray, position: FloatArray, force_n: FloatArray, folder: Path) -> str:
+    """The axis that is up (a key of `UP`): of the face on the table, which stays, to where the tool presses; z if
+    nothing moves. rest: (K, 3); position: (T, K, 3); force_n: (T, 3)"""
+    moved = np.linalg.norm(position - rest, axis=2)
+    most = int(np.argmax(moved.max(axis=1)))
+    if (largest := moved[most].max()) < PRESSED_M:
+        return "z"
+    middle, way = rest[moved[most] >= TOUCHED * largest].mean(axis=0) - rest.mean(axis=0), force_n[most]
+    stay = [up for up in UP if np.quantile(moved[most][_lowest(rest, up)], 0.95) <= STILL * largest]
+    along = [
+        up for up in stay if abs(way @ UP[up]) >= ALONG * np.linalg.norm(way) > 0.0 and middle @ np.array(UP[up]) > 0.0
+    ]
+    if len(stay) == 1 or along == ["z"]:
+        return stay[0] if len(stay) == 1 else "z"
+    came = f"{'faces below along ' + ', '.join(stay) if stay else 'none'} that stay while the tool presses"
+    raise InputError("one face that stays, on the table", came, f"--up={' or --up='.join(along or stay or UP)}", folder)
+
+
+def _lowest(rest: FloatArray, up: str) -> BoolArray:
+    """(K,) particles that rest on the table."""
+    height = rest @ np.array(UP[up], np.float64)
+    return np.asarray(height <= height.min() + STANDS * np.ptp(height))
+
+
+def _camera(path: Path) -> dict[str, Any]:
+    """Intrinsics and extrinsics of a camera's file, of its colour images where it has others too."""
+    found = _read(path, {"intrinsics (3, 3) and extrinsics (4, 4), or color_intrinsics and color_extrinsics": dict})
+    camera = {}
+    for name, shape in (("intrinsics", (3, 3)), ("extrinsics", (4, 4))):
+        value = found.get(f"color_{name}", found.get(name))
+        value = value[0] if isinstance(value, list) and len(value) == 1 else value
+        try:
+            whole = np.array(value, np.float64).shape == shape
+        except (TypeError, ValueError):
+            whole = False
+        if not whole:
+            came = f"none, but {', '.join(map(repr, found))}" if value is None else "another shape"
+            raise InputError(f"{name} {shape} or color_{name}", came, where=path)
+        camera[name] = value
+    return camera
 
 
 def _read(path: Path, kinds: Mapping[str, Any]) -> Any:
@@ -126,7 +180,7 @@ def _read(path: Path, kinds: Mapping[str, Any]) -> Any:
     raw, came = read_file(path, path.name), ""
     for kind in kinds.values():
         try:
-            return msgspec.json.decode(raw, type=kind)
+            return msgspec.json.decode(raw, type=kind, strict=False)
         except (msgspec.DecodeError, RecursionError) as error:
             came = came or " ".join(str(error).split())
     raise InputError(f"{' or '.join(kinds)} in JSON", came, where=path)

@@ -102,8 +102,11 @@ def import_source(config: ImportConfig) -> RecordResult:
 def import_take(config: ImportConfig, folder: Path) -> RecordResult:
     """Write a take's frames as pair files and a motion file into a new folder. Raises InputError for errors of the
     take; then no file remains."""
-    take = read_take(config.source, config.particles)
+    take = read_take(config.source, config.particles, config.up, config.rest)
     pressed = np.flatnonzero(take.touched.any(axis=1))
+    if not pressed.size:
+        came = f"none, with {take.up} up and frame {take.rest_frame} at rest"
+        raise InputError("a frame in which a part above the table moved by 1 mm", came, "--up, --rest", config.source)
     unseen = pressed[config.unseen - 1 :: config.unseen]
     kinds = {int(at): "unseen" if at in unseen else "pair" for at in pressed}
     files = {f"{kind}-{take.frames[at]:05}.npz": take.pair(at) for at, kind in kinds.items()}
@@ -119,7 +122,9 @@ def import_take(config: ImportConfig, folder: Path) -> RecordResult:
         (folder / name).write_bytes(raw)
     counts = [f"{len(pressed) - len(unseen)} pairs", f"{len(unseen)} unseen", f"a motion of {len(take.frames)} frames"]
     found = {"source": config.source, "files": [str(folder / one) for one in files], "cameras": take.cameras}
-    rows = [("written", ", ".join(counts)), ("cameras", ", ".join(take.cameras) or "none"), ("folder", str(folder))]
+    found |= {"up": take.up, "rest_frame": take.rest_frame}
+    rows = [("written", ", ".join(counts)), ("up, at rest", f"{take.up}, in frame {take.rest_frame}")]
+    rows += [("cameras", ", ".join(take.cameras) or "none"), ("folder", str(folder))]
     return RecordResult(cast("dict[str, Any]", plain(found)), Table(rows, caption=str(config.source)))
 
 

@@ -91,6 +91,94 @@ def test_a_take_becomes_pairs_and_a_motion_that_are_fitted(tmp_path: Path, capfd
     assert 0.3 * N_PER_MM * 3.0 < poke["force_n"] < 3.0 * N_PER_MM * 3.0
 
 
+TURNS = {"z": (0, 1, 2), "y": (1, 2, 0), "x": (2, 0, 1)}
+"""Axis of the file by axis of the block, whose third is up."""
+MIRRORED = {"-z": (0, 1, 2), "-y": (1, 2, 0), "-x": (2, 0, 1)}
+
+
+def turned(take: Path, up: str, order: slice = slice(None), bias_n: Any = 0.0, bulging: float = 0.0) -> Path:
+    """The take with another axis up, its frames in another order, and another zero of its sensor."""
+    (take / "meshes").mkdir(parents=True)
+    axes = (TURNS | MIRRORED)[up]
+    sign = np.where(np.arange(3) == axes.index(2), -1.0 if up[0] == "-" else 1.0, 1.0)
+    data = []
+    for frame, depth_mm in enumerate(DEPTHS_MM[order], start=1):
+        block = deformed_mm(vertices_mm(), depth_mm)
+        block += bulging * depth_mm * (block / SIZE_MM - 0.5) * [2, 2, 0] * block[:, 2:] / SIZE_MM[2]
+        vertices = block[:, axes] * sign
+        lines = ["v {:.6f} {:.6f} {:.6f}".format(*row) for row in vertices]
+        (take / "meshes" / f"mesh-f{frame:05}.obj").write_text("\n".join(lines))
+        force = np.array([0.0, 0.0, N_PER_MM * depth_mm])[list(axes)] * sign + [0.0, 0.0, bias_n]
+        data.append({"frame": str(frame), "forces": force.tolist()})
+    (take / "robot_data.json").write_text(json.dumps(data))
+    return take
+
+
+def still_of(out: Path) -> tuple[Any, Any]:
+    pair = parse_pair(next(out.glob("pair-*.npz")).read_bytes())
+    return pair.rest, pair.rest[np.setdiff1d(pair.held, pair.contact)]
+
+
+@pytest.mark.parametrize("up", [*TURNS, *MIRRORED])
+@pytest.mark.parametrize("order", [slice(None), slice(None, None, -1), slice(4, None, -1)], ids=["", "back", "loaded"])
+def test_any_axis_may_be_up_and_any_frame_at_rest(up: str, order: slice, tmp_path: Path) -> None:
+    """The sides of this block stay, too: the axis of the force tells, or the user is asked."""
+    take = turned(tmp_path / "take", up, order)
+    flags = ["import", str(take), "--particles", "250", "--pairs", str(tmp_path / "out")]
+    if main(flags) != 0:
+        assert main([*flags, f"--up={up}"]) == 0
+    rest, still = still_of(tmp_path / "out")
+    axis = "xyz".index(up[-1])
+    sign = -1.0 if up[0] == "-" else 1.0
+    assert np.allclose(still[:, axis] * sign, (rest[:, axis] * sign).min(), atol=0.003)
+    free = [frame for frame, depth_mm in enumerate(DEPTHS_MM[order], start=1) if depth_mm < 0.1]
+    names = {int(one.name[-9:-4]) for one in (tmp_path / "out").glob("*-*.npz")}
+    assert names == {frame for frame, depth_mm in enumerate(DEPTHS_MM[order], start=1) if depth_mm > 1.0}
+    assert not names & set(free)
+
+
+@pytest.mark.parametrize("up", ["x", "-y", "-z"])
+def test_a_face_that_moves_is_not_on_the_table(up: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its sides bulge: only one face stays, and nothing is asked."""
+    take = turned(tmp_path / "take", up, bulging=0.3)
+    assert main(["import", str(take), "--pairs", str(tmp_path / "out"), "--json", "-"]) == 0
+    assert json.loads(capfd.readouterr().out)["up"] == up
+
+
+def test_what_the_forces_refute_is_asked(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    back = turned(tmp_path / "take", "z", slice(None, None, -1), -9.0)
+    flags = ["import", str(back), "--pairs", str(tmp_path / "out")]
+    assert main([*flags, "--rest", "8", "--json", "-"]) == 0
+    assert json.loads(capfd.readouterr().out)["rest_frame"] == 8
+    biased = turned(tmp_path / "biased", "z", slice(4, None, -1), 2.0)
+    assert main(["import", str(biased), "--pairs", str(tmp_path / "b")]) == 2
+    assert "got 5.15 N in frame 1, and 2 N at least, in frame 5 | try: --rest FRAME" in capfd.readouterr().err
+    assert main(["import", str(biased), "--pairs", str(tmp_path / "b"), "--rest", "9"]) == 2
+    assert "--rest FRAME with a mesh and a force; got 9 | try: 1 to 5" in capfd.readouterr().err
+    assert main(["import", str(biased), "--pairs", str(tmp_path / "b"), "--rest", "5", "--up=-z"]) == 2
+    assert "a part above the table moved by 1 mm" in capfd.readouterr().err
+
+
+def test_cameras_two_folders_deep_and_of_other_makers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    take = write_take(tmp_path / "take")
+    for name, said in (
+        ("realsense/0", {"color_intrinsics": np.eye(3).tolist(), "extrinsics": [(2 * np.eye(4)).tolist()]}),
+        ("realsense/1", {"color_intrinsics": np.eye(3).tolist(), "depth_intrinsics": [], "extrinsics": []}),
+    ):
+        (take / name).mkdir(parents=True)
+        (take / name / "camera_parameters.json").write_text(json.dumps(said))
+    flags = ["import", str(take), "--pairs", str(tmp_path / "out"), "--json", "-"]
+    assert main(flags) == 2
+    said = capfd.readouterr().err
+    assert "expected extrinsics (4, 4) or color_extrinsics; got another shape" in said
+    assert "realsense/1" in said
+    (take / "realsense" / "1" / "camera_parameters.json").unlink()
+    assert main(flags) == 0
+    cameras = json.loads(capfd.readouterr().out)["cameras"]
+    assert sorted(cameras) == ["kinect", "realsense/0", "volucam"]
+    assert cameras["realsense/0"]["extrinsics"] == (2 * np.eye(4)).tolist()
+
+
 def without(name: str) -> Callable[[Path], object]:
     return lambda take: (take / name).unlink()
 
@@ -129,7 +217,7 @@ CASES: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "camera": (
         changed("kinect/camera_parameters.json", "color_", "depth_"),
-        "or color_intrinsics and color_extrinsics",
+        "expected intrinsics (3, 3) or color_intrinsics; got none, but 'depth_intrinsics'",
     ),
     "matrix": (changed("volucam/camera_parameters.json", "[1.0, 0.0, 0.0, 0.0]", "[1.0]"), "extrinsics"),
 }
