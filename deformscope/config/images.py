@@ -60,7 +60,7 @@ class ImageOptions(ParticleFlags):
     camera: flags.CameraFlag = None
     """For a recording or a rig with several cameras: the camera to use."""
     fps: flags.PositiveFlag = None
-    """Frame rate of images without one [Hz]; default: the video's."""
+    """Frame rate [Hz]; default: the times in the source."""
 
 
 # deformscope flow ----------------------------------------------------------------------------------------------------

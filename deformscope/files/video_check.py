@@ -51,7 +51,9 @@ class VideoCheck:
         count = len(self._times_s)
         layout = _layout(self._path)
         period_s = _even_period_s(self._times_s)
-        gaps = [] if period_s is None else _gaps(self._times_s, period_s)
+        gaps = [] if period_s is None or layout.paced else _gaps(self._times_s, period_s)
+        if layout.slotted and period_s is None and count:  # what was not filmed anew is listed, and empty
+            count = max(count, round((self._times_s[-1] - self._times_s[0]) * self._rate_hz) + 1)
         if layout.cut_off:
             found.append("the file is truncated")
         if self._unreadable:
@@ -77,10 +79,11 @@ class _Layout:
     """Structure of a container file, by its own tables.
 
     listed: it has a table of its frames; shown_s: how long it is to be shown, None = all of it; cut_off: it says that
-    it is longer than the file; silent: without sound, so that its duration is the picture's"""
+    it is longer than the file; silent: without sound, so that its duration is the picture's; paced: an animation, with
+    delays on purpose; slotted: frames of a varying rate lie in places of an even one"""
 
     def __init__(self) -> None:
-        self.listed = self.cut_off = self.silent = False
+        self.listed = self.cut_off = self.silent = self.paced = self.slotted = False
         self.shown_s: float | None = None
 
 
@@ -89,7 +92,9 @@ def _layout(path: Path) -> _Layout:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
         if head[:4] == b"RIFF" and head[8:12] == b"AVI ":
-            found.listed = True
+            found.listed = found.slotted = True
+        elif head[:4] in (b"GIF8", b"\x89PNG"):
+            found.paced = True
         elif head[:4] == b"\x1a\x45\xdf\xa3":  # Matroska, WebM: a track's codec is named A_... for sound
             found.silent = re.search(rb"\x86[\x80-\xa0]A_[A-Z]", head) is None
         elif head[4:8] in (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"):

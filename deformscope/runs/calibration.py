@@ -74,9 +74,6 @@ def calibrate(
     if search.noise_m is not None:
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     images = images_of(config)
-    rated = images.fps is not None or (len(sources) == 1 and not given and not Path(sources[0]).is_dir())
-    if select is not None and {"alpha", "dt"} & set(select) and not rated:
-        raise InputError("--fps with --select alpha or dt", "images without a frame rate", "--fps 30")
     return [calibrate_images(config, images, fit, select, given, progress, note)]  # type: ignore[arg-type]
 
 

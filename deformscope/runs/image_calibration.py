@@ -16,7 +16,7 @@ from deformscope.errors import InputError
 from deformscope.experiments.fit.calibration_inputs import mask_of, opened_images, particle_options
 from deformscope.experiments.fit.foam_video import ParticleOptions, foam_video
 from deformscope.experiments.fit.whole_motion import whole_motion
-from deformscope.files.sources import DEFAULT_FPS, Source
+from deformscope.files.sources import DEFAULT_FPS, Source, alike
 from deformscope.frames import ColorFrame, InputFile
 from deformscope.images import encode_png
 from deformscope.log.application import IMAGES
@@ -65,8 +65,12 @@ def calibrate_images(
     settings = {"sources": list(sources), "stride": images.stride, "fps": images.fps, "mask": masked}
     settings |= {"camera": images.camera} if images.camera is not None else {}
     settings |= {"outline": list(images.outline)} if images.outline is not None else {}
-    opened = _given_images(given, images) if given else opened_images(sources, images)
+    timed = select is not None and not {"alpha", "dt"}.isdisjoint(select)
+    if given and timed and images.fps is None:
+        raise InputError("--fps with --select alpha or dt", "images without a frame rate", "--fps 30")
+    opened = _given_images(given, images) if given else opened_images(sources, images, timed=timed)
     with opened as source:
+        settings["timed"] = source.timed
         mask = mask_of(sources, images, source.size)
         every = config.search.fine or select is not None or images.stride != 1
         particles = _thinned(source, particles, every, note)
@@ -75,13 +79,13 @@ def calibrate_images(
 
 def _given_images(given: Sequence[ImageArray], images: ImageOptions) -> Source:
     kept = list(given)[:: images.stride]
-    if kept and any(one.shape != kept[0].shape or one.dtype != kept[0].dtype for one in kept):
-        raise InputError("images of one size and type", "several", "crop them alike")
-    if kept and (kept[0].dtype not in (np.uint8, np.uint16) or kept[0].ndim not in (2, 3)):
-        raise InputError("images (H, W) or (H, W, 3) of uint8 or uint16", f"{kept[0].dtype} {kept[0].shape}")
+    for one in kept:
+        if one.dtype not in (np.uint8, np.uint16) or one.ndim not in (2, 3):
+            raise InputError("images (H, W) or (H, W, 3) of uint8 or uint16", f"{one.dtype} {one.shape}")
+    kept = list(alike((one, f"image {index}") for index, one in enumerate(kept)))
     period_ns = 1e9 * images.stride / (images.fps or DEFAULT_FPS)
     frames = [ColorFrame(Stamp(round(index * period_ns)), index, image) for index, image in enumerate(kept)]
-    return Source("images", lambda: iter(frames), len(frames))
+    return Source("images", lambda: iter(frames), len(frames), timed=images.fps is not None)
 
 
 def run_images(

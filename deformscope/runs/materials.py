@@ -174,12 +174,10 @@ def calibrate_material(
         raise InputError("--noise-px for images", "--noise-m", "give the noise in pixels")
     images = images_of(config)
     timed = isinstance(config, ViscousConfig) or (isinstance(config, YieldConfig) and config.creep != "none")
-    stamped = images.fps is not None or (len(sources) == 1 and not Path(sources[0]).is_dir())
-    if timed and not stamped:
-        raise InputError("--fps with images that do not say their rate", "none", "--fps 30")
     job = dataclasses.replace(job, particles=particle_options(images, config.fit.noise_px))
     settings |= {"stride": images.stride, "fps": images.fps, "camera": images.camera}
-    with opened_images(sources, images) as source:
+    with opened_images(sources, images, timed=timed) as source:
+        settings["timed"] = source.timed
         mask = mask_of(sources, images, source.size)
         force = None
         if job.find not in ("axes", "field") and job.at is None and Path(sources[0]).suffix.lower() == ".rrd":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ pytest.importorskip("tyro")
 pytest.importorskip("warp")
 
 from deformscope.cli import main
+from deformscope.files.sources import open_source
 from deformscope.recording.reader import Replay
 from deformscope.stages.msm.materials import AxisBeta
 from deformscope.stages.msm.solver import Msm
 from studies.field_bodies import elastic_pair
 from tests.cli.recorded import assert_shows
 from tests.experiments.speckle_video import BORDER_PX, speckle_images, write_images
+from tests.films import film
 from tests.stages.bodies import pushed
 from tests.stages.materials.test_plasticity import BETA, pressed
 
@@ -138,14 +141,19 @@ SEEDED = [
 ]
 
 
-def filmed(folder: Path, shares: list[float]) -> Path:
-    """Images of a block whose middle is pressed to so many shares of a push, one shape at all of them."""
+def block_images(shares: Sequence[float], dent_px: float = 5.0) -> Iterator[np.ndarray]:
+    """A block at rest, then with its middle pressed to so many shares of a push, one shape at all of them."""
     y, x = np.mgrid[:ROWS, :COLS].astype(np.float64)
     rest = BORDER_PX + SIDE_PX * np.column_stack([x.ravel(), y.ravel()])
     across, depth = x.ravel() - 0.5 * (COLS - 1), 1.0 - y.ravel() / (ROWS - 1)
-    dent = 5.0 * depth * np.exp(-0.3 * across**2)
+    dent = dent_px * depth * np.exp(-0.3 * across**2)
     shape = np.column_stack([0.25 * across * dent, dent])
-    write_images(folder, speckle_images(rest, (ROWS, COLS), [rest + share * shape for share in shares]))
+    return speckle_images(rest, (ROWS, COLS), [rest + share * shape for share in shares])
+
+
+def filmed(folder: Path, shares: Sequence[float]) -> Path:
+    """The block's images in a folder."""
+    write_images(folder, block_images(shares))
     return folder
 
 
@@ -185,6 +193,42 @@ def test_recovery_that_a_camera_saw_is_found_recorded_and_replayed(
     assert "relaxes" in report.read_text()
     assert main(["replay", str(record), "--viewer", "none"]) == 0
     assert "identical to the recorded numbers" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_one_scene_recovers_alike_at_even_times_and_at_those_of_a_phone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The phone slows to a third once its scene is dark: as counted frames the recovery is three times as fast."""
+    found, slowing = [], [*range(0, 1600, 50), *range(1600, 4900, 150)]
+    for name, times_ms in (("even", list(range(0, 4900, 50))), ("phone", slowing)):
+        time_s = 1e-3 * np.array(times_ms[1:])
+        left = 0.25 * np.exp(-(time_s - 1.5) / 0.8)
+        shares = np.where(time_s <= 1.45, np.minimum(time_s / 0.4, 1.0), left)
+        images = (np.dstack([image] * 3) for image in block_images(shares.tolist(), 10.0))
+        path = film(tmp_path / f"{name}.mkv", times_ms, "MPNG", images)
+        flags = [*SEEDED, "--record", str(tmp_path / f"{name}.rrd")]
+        found.append(run_json(["calibrate", "viscous", str(path), *flags], capsys))
+    even, phone = ([one["interval"], one["relaxation_time_s"]["interval"]] for one in found)
+    for (low, high), (least, most) in zip(even, phone, strict=True):
+        assert max(low, least) < min(high or np.inf, most or np.inf)  # null: open
+    record = tmp_path / "phone.rrd"
+    assert main(["replay", str(record), "--viewer", "none"]) == 0
+    assert "identical to the recorded numbers" in capsys.readouterr().err
+    assert main(["export", str(record), "--to", "video", "--out", str(tmp_path / "out")]) == 0
+    (exported,) = (tmp_path / "out").glob("*.mp4")
+    for again in (record, exported):
+        with open_source([again], timed=True) as source:
+            assert source.count == len(slowing)
+            np.testing.assert_allclose([frame.stamp.host_ns / 1e6 for frame in source], slowing, atol=0.02)
+
+
+def test_a_recording_of_images_without_times_keeps_that(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, record = filmed(tmp_path / "push", [0.5, 1.0, 0.4, 0.3, 0.2]), str(tmp_path / "r.rrd")
+    run_json(["calibrate", "axes", str(folder), *SEEDED, "--record", record], capsys)
+    assert "--fps with images" in failure(["calibrate", "viscous", record, *SEEDED], capsys)
+    with open_source([record], timed=True, fps=4.0) as source:
+        assert [frame.stamp.host_ns for frame in source][:3] == [0, 250_000_000, 500_000_000]
 
 
 @pytest.mark.slow

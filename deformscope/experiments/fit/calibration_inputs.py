@@ -67,9 +67,11 @@ def particle_options(images: ParticleFlags, noise_px: float | None = None) -> Pa
     return ParticleOptions(**images.shared(ParticleOptions) | own)
 
 
-def opened_images(sources: Sequence[str], images: ImageOptions) -> Source:
-    """The user's source, opened as a source of frames."""
-    return open_source(sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera)
+def opened_images(sources: Sequence[str], images: ImageOptions, *, timed: bool = False) -> Source:
+    """The user's source, opened as a source of frames. timed: see `open_source`"""
+    return open_source(
+        sources, stride=images.stride, fps=images.fps, mask=images.mask, camera=images.camera, timed=timed
+    )
 
 
 def mask_of(sources: Sequence[str], images: ImageOptions, size: tuple[int, int]) -> ImageArray | None:

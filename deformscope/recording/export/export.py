@@ -147,9 +147,9 @@ def _write_tables(
         for stream, batch in tables.batches(chosen):
             made[stream.entity][1].write(batch.replace_schema_metadata(None))
             for what in IMAGES if videos is not None else ():
-                for encoded in batch.column(what).to_pylist() if what in batch.schema.names else ():
-                    if videos is not None and encoded:
-                        videos.write(stream.device, what, encoded)
+                for row in batch.select(["host_ns", what]).to_pylist() if what in batch.schema.names else ():
+                    if videos is not None and row[what]:
+                        videos.write(stream.device, what, row[what], row["host_ns"])
             rows[stream.entity] += batch.num_rows
             done += batch.num_rows
             note("rows", done, total)

@@ -19,6 +19,8 @@ from deformscope.recording.streams import RecordingTables
 
 VIDEO_CODEC, VIDEO_SUFFIX = "vp09", ".mp4"
 """Free of patents, in OpenCV's own wheel, and shown by browsers."""
+TICKS_HZ = 90_000
+"""Resolution of a video's times."""
 Note = Callable[[str, int, int], None]
 ImageNames = Mapping[tuple[str, str], str]
 """Name of a folder or a file for images, by device and kind."""
@@ -67,16 +69,17 @@ def export_images(tables: RecordingTables, folders: Mapping[tuple[str, str], Pat
 
 
 class Videos:
-    """A video of each kind of images at their mean rate. Distances are shown as colours from 0 (violet) to the largest
-    of the first image. The images' recorded times are in the table of the same name."""
+    """A video of each kind of images at their recorded times, which the table of the same name has, too. Distances are
+    shown as colours from 0 (violet) to the largest of the first image."""
 
     def __init__(self, folder: Path, rates_hz: dict[str, float], names: ImageNames) -> None:
         self._folder, self._rates_hz, self._names = folder, rates_hz, names
         self._open: dict[Path, tuple[cv2.VideoWriter, tuple[int, ...], float]] = {}
+        self._ticks: dict[Path, list[int]] = {}
         self.counts: Counter[Path] = Counter()
 
-    def write(self, device: str, what: str, encoded: bytes) -> None:
-        """Add an image."""
+    def write(self, device: str, what: str, encoded: bytes, host_ns: int) -> None:
+        """Add an image, with its time."""
         path = self._folder / (self._names[device, what] + VIDEO_SUFFIX)
         image: Any = decode_image(encoded, path)
         if path not in self._open:
@@ -94,13 +97,35 @@ class Videos:
             image = image[..., ::-1]
         writer.write(np.ascontiguousarray(image))
         self.counts[path] += 1
+        ticks, tick = self._ticks.setdefault(path, []), host_ns * TICKS_HZ // 10**9
+        ticks.append(max(tick, ticks[-1] + 1) if ticks else tick)
 
     def close(self) -> None:
         """Raises InputError if a video is incomplete: OpenCV does not report a full disk."""
-        for path, (writer, _, _) in self._open.items():
+        for path, (writer, size, _) in self._open.items():
             writer.release()
+            self._retime(path, size)
             if cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) < self.counts[path] - 1:
                 raise InputError("a video of all images", "one that is cut off: is the disk full?", where=path.name)
+
+    def _retime(self, path: Path, size: tuple[int, ...]) -> None:
+        """Put the frames at their times: OpenCV encodes at an even rate, but takes encoded frames with times."""
+        even, code = path.rename(path.with_name(f".even-{path.name}")), cv2.VideoWriter.fourcc(*VIDEO_CODEC)
+        frames = cv2.VideoCapture(str(even), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+        raw = [cv2.VIDEOWRITER_PROP_RAW_VIDEO, 1]
+        writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, float(TICKS_HZ), size[::-1], raw)
+        for index, tick in enumerate(self._ticks[path]):
+            done, frame = frames.read()
+            if not done:  # which `close` reports
+                break
+            since = tick - self._ticks[path][0]
+            writer.set(cv2.VIDEOWRITER_PROP_KEY_FLAG, frames.get(cv2.CAP_PROP_LRF_HAS_KEY_FRAME))
+            writer.set(cv2.VIDEOWRITER_PROP_PTS, since)
+            writer.set(cv2.VIDEOWRITER_PROP_DTS_DELAY, index - since)  # from its place to its time
+            writer.write(frame)
+        frames.release()
+        writer.release()
+        even.unlink()
 
     def _begin(self, path: Path, device: str, image: Any) -> cv2.VideoWriter:
         height, width = image.shape[:2]

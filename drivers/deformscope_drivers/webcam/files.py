@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import EllipsisType
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -30,6 +31,8 @@ FAILED_READS = 8
 """Number of successive failed reads that end a video: single pictures may be damaged."""
 
 Picture = NDArray[np.uint8]
+TimedPicture = tuple[Picture | None, float]
+"""A picture, RGB, None for one that cannot be read; and its time in the file [s], NaN where it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,7 @@ class PlaybackConfig:
 class Playback(Device[ColorImage]):
     """Pictures of a file, as from a camera.
 
-    fps: pictures a second; None = as the file says, else 30
+    fps: pictures a second; None = at the times in the file, else 30
     real_time: play at that rate, like a camera, so that a slow reader loses pictures. False = as fast as the readers
     take them, and no reader loses any. No picture is read before a reader starts, and `next` advances by one picture
     loop: begin again at the end; otherwise the readers end A picture's device_ticks are its time in the file [us],
@@ -77,19 +80,21 @@ class Playback(Device[ColorImage]):
         self._real_time = real_time
         self._loop = loop
         self._pacer = Pacer(clock)
-        self._pictures: Iterator[Picture | None] = iter(())
+        self._pictures: Iterator[TimedPicture] = iter(())
+        self._ahead: Picture | EllipsisType | None = ...
+        self._media_s = self._file_s = 0.0
         self._fps = fps or DEFAULT_FPS
         self._shown = self._shown_this_round = 0
         self._started_ns = 0
 
     @property
     def fps(self) -> float:
-        """Pictures a second; known once it is open."""
+        """Pictures a second, a mean where that varies; known once it is open."""
         return self._fps
 
     @abstractmethod
-    def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
-        """The pictures, RGB, None for one that cannot be read; and the file's own rate [Hz]. Raises NotConnected."""
+    def _open_file(self) -> tuple[Iterator[TimedPicture], float | None]:
+        """The pictures, and the file's own rate [Hz]. Raises NotConnected."""
 
     def _connect(self) -> None:
         if not self.path.exists():
@@ -97,6 +102,7 @@ class Playback(Device[ColorImage]):
         self._pictures, own_fps = self._open_file()
         self._fps = self._asked_fps or own_fps or DEFAULT_FPS
         self._shown = self._shown_this_round = 0
+        self._media_s, self._ahead = 0.0, ...
         self._started_ns = self._clock()
         self._clock_fit = ClockFit(1000.0) if self._real_time else None
         self._expect(self._fps if self._real_time else None)
@@ -105,13 +111,12 @@ class Playback(Device[ColorImage]):
         if not self._real_time and not self._wanted():
             self._pacer.wait_until(self._clock() + 1_000_000, timeout_s)
             return []
-        if self._real_time and not self._pacer.wait_until(
-            self._started_ns + round(self._shown * 1e9 / self._fps), timeout_s
-        ):
+        if self._ahead is ...:
+            self._ahead = self._next_picture()
+        if self._real_time and not self._pacer.wait_until(self._started_ns + round(self._media_s * 1e9), timeout_s):
             return []
-        picture = self._next_picture()
-        media_us = round(self._shown / self._fps * 1e6)
-        self._shown += 1
+        picture, self._ahead = self._ahead, ...
+        media_us = round(self._media_s * 1e6)
         if picture is None:
             self._count_refused(UNREADABLE)
             return []
@@ -121,7 +126,13 @@ class Playback(Device[ColorImage]):
         return [ColorImage(stamp, picture)]
 
     def _next_picture(self) -> Picture | None:
-        for picture in self._pictures:
+        for picture, time_s in self._pictures:
+            step_s = time_s - self._file_s
+            if self._asked_fps or not self._shown_this_round or not step_s > 0.0:
+                step_s = 1.0 / self._fps if self._shown else 0.0
+            self._media_s += step_s
+            self._file_s = self._file_s + step_s if math.isnan(time_s) else time_s
+            self._shown += 1
             self._shown_this_round += 1
             return picture
         if not self._loop or not self._shown_this_round:
@@ -141,7 +152,7 @@ class Playback(Device[ColorImage]):
 class VideoFile(Playback):
     """A video as a camera: any file that OpenCV's FFmpeg reads."""
 
-    def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
+    def _open_file(self) -> tuple[Iterator[TimedPicture], float | None]:
         import cv2
 
         if not self.path.is_file():
@@ -158,7 +169,9 @@ class VideoFile(Playback):
 class ImageFolder(Playback):
     """A folder of images as a camera, in natural order (img2 before img10); hidden and other files are left out."""
 
-    def _open_file(self) -> tuple[Iterator[Picture | None], float | None]:
+    def _open_file(self) -> tuple[Iterator[TimedPicture], float | None]:
+        import cv2
+
         if not self.path.is_dir():
             raise NotConnected("a folder of images", "a file", "VideoFile for a video", self.path)
         paths = sorted(
@@ -171,7 +184,10 @@ class ImageFolder(Playback):
         )
         if not paths:
             raise NotConnected("images", "none", "files that end in " + " ".join(sorted(IMAGE_SUFFIXES)), self.path)
-        return (_read(path) for path in paths), None
+        for path in paths:
+            if path.suffix.lower() in (".tif", ".tiff") and (pages := cv2.imcount(str(path))) > 1:
+                raise NotConnected("images of one page", f"{pages} pages", "save each page as an image", path)
+        return ((_read(path), math.nan) for path in paths), None
 
 
 class _VideoPictures:
@@ -181,15 +197,15 @@ class _VideoPictures:
         self._capture = capture
         self._unreadable = 0
 
-    def __iter__(self) -> Iterator[Picture | None]:
+    def __iter__(self) -> Iterator[TimedPicture]:
         return self
 
-    def __next__(self) -> Picture | None:
+    def __next__(self) -> TimedPicture:
         import cv2
 
         if self._unreadable:
             self._unreadable -= 1
-            return None
+            return None, math.nan
         failed = 0
         while not self._capture.grab():
             failed += 1
@@ -198,9 +214,10 @@ class _VideoPictures:
                 raise StopIteration
         if failed:  # damaged pictures, and a good one behind them, which is lost with them
             self._unreadable = failed
-            return None
+            return None, math.nan
         decoded, picture = self._capture.retrieve()
-        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8) if decoded else None
+        time_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), np.uint8) if decoded else None, time_s
 
     def close(self) -> None:
         self._capture.release()

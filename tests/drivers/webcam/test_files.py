@@ -13,6 +13,7 @@ from deformscope_drivers.health import Link
 from deformscope_drivers.memory import SimulatedClock
 from deformscope_drivers.webcam import ColorImage, ImageFolder, VideoFile
 from tests.drivers.contract import Bench, DeviceContract, wait_until
+from tests.films import film
 
 COUNT = 12
 
@@ -113,6 +114,30 @@ def test_in_real_time_pictures_keep_to_their_moments(video: Path) -> None:
     device.close()
 
     assert stamps == [1_000 + 40_000_000 * index for index in range(COUNT)]
+
+
+def test_a_video_of_a_varying_rate_plays_at_its_times(tmp_path: Path) -> None:
+    times_ms = [0, 20, 40, 60, 120, 180, 200, 1200]
+    path = film(tmp_path / "v.mkv", times_ms, "MJPG")
+    clock = SimulatedClock(1_000)
+    device = VideoFile(path, clock=clock, loop=True).open(own_thread=False)
+    images = []
+    while len(images) < 2 * len(times_ms):
+        images += device.poll(0.05)
+    device.close()
+
+    mean_ms = 1000.0 / device.fps
+    expected = np.append(times_ms, 1200 + mean_ms + np.asarray(times_ms))
+    assert [image.stamp.device_ticks for image in images] == np.round(1e3 * expected).tolist()
+    np.testing.assert_allclose([(image.stamp.host_ns - 1_000) / 1e6 for image in images], expected, atol=1e-5)
+    with VideoFile(path, fps=10.0, real_time=False) as device:
+        assert [image.stamp.device_ticks for image in device] == [100_000 * index for index in range(len(times_ms))]
+
+
+def test_a_stack_of_pages_is_not_played_as_its_first_page(tmp_path: Path) -> None:
+    cv2.imwritemulti(str(tmp_path / "a.tif"), [np.zeros((8, 8), np.uint8)] * 3)
+    with pytest.raises(NotConnected, match=r"images of one page; got 3 pages"):
+        ImageFolder(tmp_path, real_time=False).open(own_thread=False)
 
 
 def test_next_goes_on_picture_by_picture(folder: Path) -> None:
