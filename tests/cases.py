@@ -1,7 +1,5 @@
 """Cases of parametrised tests: which of them a default run takes, and which are left to `make test-slow`."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What all tests share. A GPU machine may lack rerun, open3d, pyserial and tyro: nothing here imports them."""
 
-from __future__ import annotations
-
 import gc
 import importlib.util
 import os

@@ -3,8 +3,6 @@
 python -m tests.offline COMMAND...; needs user namespaces of Linux, and exits with 77 where there are none.
 """
 
-from __future__ import annotations
-
 import ctypes
 import fcntl
 import os

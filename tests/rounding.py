@@ -1,7 +1,5 @@
 """What differs between two results by more than other processors' arithmetic makes of it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 
 import numpy as np

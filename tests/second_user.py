@@ -4,8 +4,6 @@ with taking_ports() as taken: ...   # taken(): the ports that this user has
 It answers whoever asks there. Needs root, to become that user.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """README and docs are true: short, linked, and with Python that runs."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

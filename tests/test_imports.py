@@ -1,7 +1,5 @@
 """Imports point one way, and what every command loads stays light."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

@@ -1,7 +1,5 @@
 """Every interval that a result declares has a count behind it, or is called an estimate where it is shown."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import pkgutil

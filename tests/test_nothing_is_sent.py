@@ -1,7 +1,5 @@
 """Nothing leaves this machine: rerun's usage statistics and its question for a newer version are off."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

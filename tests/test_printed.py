@@ -1,7 +1,5 @@
 """What README and docs print is what comes: the console blocks compared, and the README typed as it stands there."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

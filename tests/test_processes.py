@@ -1,7 +1,5 @@
 """Processes beside this one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

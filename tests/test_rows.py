@@ -1,7 +1,5 @@
 """Any frozen dataclass of ours comes back from a recording's columns as it was."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

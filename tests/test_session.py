@@ -1,8 +1,6 @@
 """The loop: every frame is recorded before its results, an experiment may speak after the last, and neither a robot nor
 a computation is waited for."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

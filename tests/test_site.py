@@ -1,7 +1,5 @@
 """The site builds without a warning, its tutorials run as typed, and what it quotes is there."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

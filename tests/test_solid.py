@@ -1,7 +1,5 @@
 """Solids: what is near a surface of triangles, by distances that are known."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

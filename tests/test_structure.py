@@ -1,7 +1,5 @@
 """Names mean one thing, functions stay short, and numbers that a robot moves by are documented with their source."""
 
-from __future__ import annotations
-
 import ast
 import runpy
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The linter of words: private words and their replacements, sentences, their length, and the texts that it reads."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`deformscope verify` of a recording that a test has made."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

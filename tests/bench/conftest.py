@@ -1,7 +1,5 @@
 """These run with pytest-benchmark alone, which ordinary runs do not even load: `make bench-suite`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

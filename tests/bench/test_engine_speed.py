@@ -4,8 +4,6 @@ make bench-suite
 .venv/bin/python -m pytest -p benchmark -m bench tests/bench --benchmark-compare
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,8 +1,6 @@
 """What makes an exploration through the real drivers quick where its numbers prove nothing: foam in closed form in
 place of finite elements, coarse maps of few particles, fewer places to plan, a short slow way down, and no drawing."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 from types import SimpleNamespace

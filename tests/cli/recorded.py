@@ -1,7 +1,5 @@
 """What the recording of a command shows: it verifies, and its pictures and tables are in its views."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,8 +1,6 @@
 """A rig file explored on a simulated clock: the same command, robot and drivers as on the host's, but nothing runs by
 itself, so that every run is the same on any machine."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,6 @@
 """A rig file squeezed on a simulated clock: the same command, hand and drivers as on the host's, but nothing runs by
 itself, so that every run is the same on any machine."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Where the arm is, and moving it by keys or over a place: watched as in an exploration, on a simulated clock."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """`deformscope bench`: no figure is asserted here, only that it measures what it says, and tells all of it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """`calibrate`, `replay` and `demo` as a user calls them: results, files, and one-line errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """`calibrate tip|place|camera|force|time` from files: what they find, and what they write into the rig file."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`deformscope catalog` as a user calls it: every recording of a folder, the damaged ones too, read once."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -1,7 +1,5 @@
 """`deformscope classify` and `deformscope.classify`, as a user runs them on a table of their own."""
 
-from __future__ import annotations
-
 import errno
 import json
 import sys

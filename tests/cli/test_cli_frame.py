@@ -1,7 +1,5 @@
 """The frame around every command: flags, files, errors, exit statuses, and what goes to which stream."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """From an empty rig file, doctor's list alone leads to an exploration, on doubles that nobody knows the place of."""
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import shlex

@@ -1,7 +1,5 @@
 """What a shell completes, and what is suggested for names with a mistake."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Defaults of options in Python are those of the command's flags: scripts, studies and tests run what users run."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import importlib

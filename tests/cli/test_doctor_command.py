@@ -1,7 +1,5 @@
 """`doctor` prints its whole table whatever one device does; the example rig works with doubles in every place."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from importlib import resources

@@ -1,7 +1,5 @@
 """The example in each command's help runs as it is typed."""
 
-from __future__ import annotations
-
 import shlex
 import subprocess
 from pathlib import Path

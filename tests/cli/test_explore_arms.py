@@ -1,7 +1,5 @@
 """`explore RIG` with arms other than the Jaco: one that a person places, and a KUKA through RSI."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`explore` as a user calls it, through the real drivers on doubles."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

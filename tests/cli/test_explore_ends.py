@@ -1,7 +1,5 @@
 """However an exploration ends, the arm is told to stand, and what is known is reported."""
 
-from __future__ import annotations
-
 import errno
 import json
 import re

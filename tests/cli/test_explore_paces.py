@@ -1,7 +1,5 @@
 """`explore` through the real drivers at both paces: the same regions, pressed as hard, in less of the robot's time."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What lies between frames and estimates of `explore` is recorded as it was computed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 """`explore RIG` on doubles over a simulated table, reached and moved by the code that moves a real arm: on a simulated
 clock, and with threads of their own on the host's."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys

@@ -1,7 +1,5 @@
 """The question before a real arm moves: what a person may answer, and that what was checked still holds after it."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable, Iterator

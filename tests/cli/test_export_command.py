@@ -1,7 +1,5 @@
 """Recorded images as files: the same bytes, and the same beta."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

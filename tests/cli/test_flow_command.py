@@ -1,7 +1,5 @@
 """`deformscope flow` from the command line to its files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What comes from others is said, and controls nothing: no terminal, no page, no JSON; a request to end is heard."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -1,7 +1,5 @@
 """`calibrate axes`, `field`, `yield` and `viscous` as a user calls them: on files, and on what a camera saw."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

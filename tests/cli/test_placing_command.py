@@ -1,7 +1,5 @@
 """`squeeze --place` as a command: what it says and keeps, also of a run that is cut off."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

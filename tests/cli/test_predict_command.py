@@ -1,7 +1,5 @@
 """`calibrate beta --thickness-m --save` and `predict`, as a user runs them."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`record`, `verify`, `doctor`, `devices`, `double`, as a user runs them, on doubles over real transports."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """`record --stage` and the replay of what it computed, as a user runs them, on doubles."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`squeeze`, `dataset` and `replay` of a squeeze, on a simulated clock."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

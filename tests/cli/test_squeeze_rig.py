@@ -1,8 +1,6 @@
 """`squeeze RIG` on doubles around a simulated container, commanded by the code that commands a real hand: on a
 simulated clock, and with threads of their own on the host's."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

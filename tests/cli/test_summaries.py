@@ -1,7 +1,5 @@
 """`--picture` and `--report` of `calibrate`: whole files for every kind of source, refused where they cannot be."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """`deformscope sweep` as a user calls it: each file once, whatever becomes of workers and of the command."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -1,7 +1,5 @@
 """`verify` and `recover`: what is said of whole, unchecked, unfinished, cut-off and damaged recordings."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """How many of many damages are noticed: flips, cuts and kills. The figures are printed (`pytest -s`)."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """CAN buses for tests that other processes may run at the same time."""
 
-from __future__ import annotations
-
 import socket
 
 

@@ -10,8 +10,6 @@ class TestOverAPty(DeviceContract):
 What holds only on a machine that is not busy bears pytest's marker `realtime`.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A bad wire: what a double sends comes noisy, flipped, cut, twice, late or in pieces, under a seed."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 

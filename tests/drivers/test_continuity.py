@@ -1,7 +1,5 @@
 """Readings missing by time: what a link, a buffer and a rate can do, on times made up here."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

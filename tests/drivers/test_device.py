@@ -1,7 +1,5 @@
 """What all devices share, on a toy: the contract over every transport, commands, faults, and a simulated clock."""
 
-from __future__ import annotations
-
 import random
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Errors of devices cross processes: one that cannot be unpickled breaks a pool of workers."""
 
-from __future__ import annotations
-
 import pickle
 
 import pytest

@@ -1,7 +1,5 @@
 """A decoder's frame search: nothing lost, nothing counted twice, however the stream is cut."""
 
-from __future__ import annotations
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

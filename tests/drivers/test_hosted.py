@@ -1,7 +1,5 @@
 """A hosted process: what crosses between it and the program, and that it ends with the program and within its limit."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Threads that a robot waits for run before ordinary ones, where the system lets them, and what they begin does not."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

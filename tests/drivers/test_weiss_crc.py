@@ -1,7 +1,5 @@
 """The checksum that the SDH's tactile controller and its hand share: check value and worked packets."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope_drivers.weiss_crc import crc16

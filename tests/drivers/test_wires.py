@@ -1,7 +1,5 @@
 """Doubles on real transports leave nothing behind, however their process ends."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A device as small as one can be, to try what all devices share: a counter that counts, and a command that sets it."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 

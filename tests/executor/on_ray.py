@@ -4,8 +4,6 @@ what came of it, as JSON. Nothing of Ray stays in the process of a test.
 python -m tests.executor.on_ray FOLDER small|typed|computed
 """
 
-from __future__ import annotations
-
 import json
 import os
 import resource

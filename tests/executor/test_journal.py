@@ -1,7 +1,5 @@
 """Lines that stay when a process is killed."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

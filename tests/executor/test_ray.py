@@ -1,7 +1,5 @@
 """Tasks on a Ray cluster that the test starts on this machine; what is refused without one."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import socket

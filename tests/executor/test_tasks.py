@@ -1,7 +1,5 @@
 """Tasks that workers compute: all outcomes, each with its reason, whatever becomes of a worker."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

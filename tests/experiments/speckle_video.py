@@ -1,7 +1,5 @@
 """Images of a speckled lattice that moves as it is said to: what a camera would give of a known motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a touch measured, on its way to the process that computes."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

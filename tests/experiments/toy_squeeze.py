@@ -1,8 +1,6 @@
 """A hand on a simulated clock that squeezes a box: the real drivers on byte-exact doubles, and the simplest contact.
 Pressures grow with the angle beyond contact, until an obstacle holds the fingers."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Files of arrays that are damaged, or say what cannot be: refused in one line, with bounded memory."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import resource

@@ -1,7 +1,5 @@
 """Classifier files: what is loaded answers as what was trained, and what is none is refused in one line."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

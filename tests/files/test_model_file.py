@@ -1,7 +1,5 @@
 """Model files: written and read alike, open, and refused when they are none."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

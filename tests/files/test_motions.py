@@ -1,7 +1,5 @@
 """Motion files: what is read, and what is refused."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pair files: what is read, what is inferred, and what is refused."""
 
-from __future__ import annotations
-
 import io
 import pickle
 from typing import Any

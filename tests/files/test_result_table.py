@@ -1,7 +1,5 @@
 """Tables of results: columns of any results, and conditions that can do nothing but compare."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path

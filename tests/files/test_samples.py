@@ -1,7 +1,5 @@
 """The samples that ship: each has its name wherever what it is can be given, and is what its tool makes."""
 
-from __future__ import annotations
-
 import io
 import json
 import runpy

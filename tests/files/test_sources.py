@@ -1,7 +1,5 @@
 """Every kind of source gives the same frames; everything that cannot be used is refused in one line."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

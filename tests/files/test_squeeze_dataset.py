@@ -1,7 +1,5 @@
 """The data set of squeezes: what is added comes back, and nothing twice."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

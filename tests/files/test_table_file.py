@@ -1,7 +1,5 @@
 """Tables of labelled trials in every format, and what is refused of them in one line."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Damaged videos are noticed by what their container lists and by times; whole ones, of any rate, pass."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Sequence

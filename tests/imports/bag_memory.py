@@ -3,8 +3,6 @@
 python -m tests.imports.bag_memory bag.mcap 10    makes a bag of 10 GB, map.toml and bag.rrd
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

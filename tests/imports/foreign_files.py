@@ -3,8 +3,6 @@
 `case(seed, folder)` writes one, and returns the command lines that read it. All are small: what they declare may be
 large, and `--largest-mb` is lowered where they are compressed."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import random

@@ -3,8 +3,6 @@
 python -m tests.imports.fuzz_foreign FIRST COUNT    cases FIRST to FIRST + COUNT - 1, one after the other
 """
 
-from __future__ import annotations
-
 import collections
 import os
 import resource

@@ -1,7 +1,5 @@
 """Bags with something wrong: one line, nothing left, and not everything read before it is said."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Recorded bytes by the drivers' decoders, folders of images and points; and measurements of others, where they are."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

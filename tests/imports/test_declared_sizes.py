@@ -1,7 +1,5 @@
 """What a foreign file says of itself is compared with the bytes that came, and with what memory may be taken."""
 
-from __future__ import annotations
-
 import bz2
 import re
 import struct

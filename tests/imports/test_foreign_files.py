@@ -1,7 +1,5 @@
 """Whatever a well-formed foreign file declares: it is taken, or refused in a line, in bounded memory."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

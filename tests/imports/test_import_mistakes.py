@@ -1,7 +1,5 @@
 """What a map or a source gets wrong is refused by name, and never becomes another number in silence."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import json

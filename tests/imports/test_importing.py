@@ -1,7 +1,5 @@
 """Imports: what was exported comes back to the last bit; what others wrote becomes frames; what is wrong is a line."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Folders of meshes with forces, as PokeFlex has them, become pairs and a motion."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An exploration that was exported and imported: its touches are found again, and are what they were."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

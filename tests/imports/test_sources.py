@@ -1,7 +1,5 @@
 """Sources that cannot be opened, hold things of several kinds, or come from another version or clock."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

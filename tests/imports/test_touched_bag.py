@@ -1,7 +1,5 @@
 """From a bag of another robot that poked foam to contact, stiffness with its interval, surface and map."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

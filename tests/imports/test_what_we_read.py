@@ -1,7 +1,5 @@
 """The page of what is read names what the code reads by."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a force sensor in a simulated tip feels between two looks at the world."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

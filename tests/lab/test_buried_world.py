@@ -1,7 +1,5 @@
 """A slab with a ball in it: what it changes of a touch, beside one fine mesh of everything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws of the fillings against their closed forms."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The finite element shell against closed solutions of plates and cylinders."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The camera's picture of a container against known geometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Fingers on a container: balances, limits, rates and repeatability."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

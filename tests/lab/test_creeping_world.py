@@ -1,7 +1,5 @@
 """Foam with a memory: against the closed form of a relaxation test, and against foam without one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The depth camera: known planes to the pixel, steps, noise, what is missing, and what a robot hides."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

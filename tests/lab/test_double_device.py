@@ -1,7 +1,5 @@
 """A double stands in for a device wherever the rig file says that the device is, without hardware and kernel's CAN."""
 
-from __future__ import annotations
-
 import os
 from importlib import resources
 from pathlib import Path

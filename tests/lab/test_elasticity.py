@@ -1,7 +1,5 @@
 """Linear elasticity against closed forms, equilibrium, and another solver."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Faults named on the command line strike once, in their touch, in a phase and at a moment that the seed draws."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

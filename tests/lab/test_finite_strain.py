@@ -1,7 +1,5 @@
 """The pressed block against closed forms, linear finite elements, energy balance and its own refinement."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from skfem import Basis, ElementQuad2, ElementVector, MeshQuad, asm, condense, solve

@@ -1,7 +1,5 @@
 """The five foams keep what their makers state and what the text on them promises."""
 
-from __future__ import annotations
-
 import pytest
 from scipy.stats import spearmanr
 

@@ -1,7 +1,5 @@
 """The table in closed form feels as the formulas say, and looks as deep as it is pressed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

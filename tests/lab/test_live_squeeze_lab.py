@@ -1,7 +1,5 @@
 """The laboratory of squeezes on the host's clock: real transports, real pace."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope.errors import InputError

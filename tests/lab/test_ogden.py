@@ -1,7 +1,5 @@
 """The foam law against closed forms, linear elasticity, finite differences and what any material must obey."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

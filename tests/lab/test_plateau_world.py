@@ -1,7 +1,5 @@
 """Foam that yields under a ball: large-strain finite elements around its axis, and the slab that takes their force."""
 
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The laboratory's scenes: what is where, drawn from a seed within the stated ranges."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What the laboratory keeps from the estimator: as often and as large as its settings say, and in what is measured."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

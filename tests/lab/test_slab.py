@@ -1,7 +1,5 @@
 """The finite element slab under a tip: closed forms, equilibrium, refinement, contact."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The slab under a tip: closed forms, energy, an independent finite element model, and what contact must obey."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Squeezes through the real drivers, over the doubles."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

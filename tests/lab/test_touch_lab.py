@@ -1,7 +1,5 @@
 """The laboratory's contact is where the arm's give and the foam's are in balance, and its faults are what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq

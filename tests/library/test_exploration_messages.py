@@ -1,7 +1,5 @@
 """What `explore` prints: every number with what it is, and no verdict that its own probability contradicts."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Functions of the library that do what a command does: their `to_dict()` is that command's JSON."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What takes long is limited unless the fine way is asked for, and says so."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What `calibrate axes`, `yield` and `viscous` take from a recording of a rig: the force beside the images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a call of the library writes: to whom it was given, where somebody watches stderr, and to nobody else."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

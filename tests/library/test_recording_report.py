@@ -1,7 +1,5 @@
 """Figures of recordings, from what they hold alone, and what they lack."""
 
-from __future__ import annotations
-
 import json
 from itertools import combinations
 from pathlib import Path

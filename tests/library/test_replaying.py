@@ -1,7 +1,5 @@
 """`deformscope.replay` gives what the command prints and writes, and raises where the numbers differ."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

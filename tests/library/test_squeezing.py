@@ -1,7 +1,5 @@
 """`ds.squeeze` and `ds.open_dataset`, on a simulated clock."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

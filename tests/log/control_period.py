@@ -4,8 +4,6 @@ flushed every second, and portions flushed as they are, in turns.
 python -m tests.log.control_period 12        twelve rounds of 10 s each way
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import tempfile

@@ -5,8 +5,6 @@ python -m tests.log.exploration_memory run.rrd 40
 python -m tests.log.exploration_memory run.rrd 47 --hold 60    an hour of simulated time
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import re

@@ -6,8 +6,6 @@ python -m tests.log.long_recording run.rrd 600 --cameras
 python -m tests.log.long_recording run.rrd 3600 --touches   an exploration, a touch every 12 s
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import os

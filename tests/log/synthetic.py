@@ -1,7 +1,5 @@
 """Made-up results over real frames: what a calibration would log, without computing one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import cv2

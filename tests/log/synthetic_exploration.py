@@ -1,7 +1,5 @@
 """A made-up exploration: a table with two foams, eight touches, maps that get surer, all on one clock."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

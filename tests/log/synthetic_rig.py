@@ -1,7 +1,5 @@
 """Made-up readings of a whole rig: a grasp, a poke, an arm on its way, pictures, and how the devices do."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What an exploration found is recorded without loss, and what is shown of it is what was found."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path

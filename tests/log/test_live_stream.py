@@ -1,7 +1,5 @@
 """A viewer gets what can be seen, in few and small portions, and the recording beside it keeps everything."""
 
-from __future__ import annotations
-
 import threading
 from collections import Counter
 from collections.abc import Iterator

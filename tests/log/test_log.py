@@ -1,7 +1,5 @@
 """What is drawn is what was found: positions, errors and numbers, read back from the recording."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

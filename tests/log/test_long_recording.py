@@ -1,7 +1,5 @@
 """A recording of hours needs no more memory than one of minutes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

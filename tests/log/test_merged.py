@@ -1,7 +1,5 @@
 """Many small portions become few, and no row changes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is recorded of a rig comes back equal, and what is shown of it is what was measured."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import logging

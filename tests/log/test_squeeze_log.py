@@ -1,7 +1,5 @@
 """What is shown of a squeeze, and that every result comes back as it was."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What is shown of stages on live devices, read back from a recording."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

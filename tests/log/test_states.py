@@ -1,7 +1,5 @@
 """A recording whose timelines are beta and theta: a row at every value, each the static state that is solved anew."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The viewer itself shows what is recorded, without a complaint."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

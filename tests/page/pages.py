@@ -1,7 +1,5 @@
 """A page's server and what asks it: plain HTTP and websockets, with any header."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import threading

@@ -1,7 +1,5 @@
 """Nobody but the page itself gets an answer, and whatever is sent, the server stays up."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

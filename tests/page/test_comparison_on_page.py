@@ -1,7 +1,5 @@
 """Two recordings from their first contact on, and other settings as a layer over what was recorded."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from contextlib import closing

@@ -1,7 +1,5 @@
 """While a robot acts, its page shows of devices what `live` shows: links, alarms, jitter, and drift while untouched."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

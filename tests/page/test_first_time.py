@@ -1,7 +1,5 @@
 """Somebody who has never seen it: the words of `deformscope` alone, then clicks, until there is a map."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import time

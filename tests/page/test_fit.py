@@ -1,7 +1,5 @@
 """A fit that is set on a page: what it shows is what its command line gives, and the newest change wins."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import threading

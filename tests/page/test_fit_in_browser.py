@@ -1,7 +1,5 @@
 """A fit that is set on the page, in a real browser: sliders, drags and clicks become settings, the newest wins."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from typing import Any

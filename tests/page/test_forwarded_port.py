@@ -1,7 +1,5 @@
 """The page through a forwarded port, as `ssh -L 8080:127.0.0.1:PORT robot` makes one: another port, the same token."""
 
-from __future__ import annotations
-
 import http.client
 import socket
 import threading

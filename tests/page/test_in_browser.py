@@ -1,8 +1,6 @@
 """The page in a real browser: rerun's viewer draws what is sent, keys and buttons are commands, nothing is loaded from
 elsewhere."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import threading

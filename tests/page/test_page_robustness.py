@@ -1,7 +1,5 @@
 """Whatever becomes of its page, a run's file lacks nothing: `tools/page_robustness.py`, short."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

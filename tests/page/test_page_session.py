@@ -1,7 +1,5 @@
 """All pages see one state; one of them steers; every command is answered at once, whatever it does."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

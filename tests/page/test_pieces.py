@@ -1,7 +1,5 @@
 """A page that is slow, hidden or gone holds nothing back, and what it was not sent is counted."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

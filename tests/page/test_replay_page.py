@@ -1,7 +1,5 @@
 """A recording that a page plays: its chapters, and that it is served whole to the page alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A rig watched on a page: files come and go while its devices stay open, and each says what a person remarked."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """Space stops, plays or does nothing on a page, whatever has the focus; where text is typed, Ctrl+space does."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A squeeze from a page: the hand moves once that was confirmed, and no longer than somebody is there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 """What a page says while an arm touches: it stops, holds what was confirmed where nobody watches, and decides what is
 touched."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The page's side of steering: what waits for a confirm, where somebody points, and its heartbeat."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

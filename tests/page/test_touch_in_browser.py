@@ -1,7 +1,5 @@
 """Click a point of the simulated surface, see the planned touch, confirm it: the arm touches there, nowhere else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

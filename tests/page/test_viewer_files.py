@@ -1,7 +1,5 @@
 """The web viewer is that of the installed rerun, and no other user of the machine can give another one."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

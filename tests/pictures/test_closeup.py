@@ -1,7 +1,5 @@
 """What is shown of a body in space: all of a volume, the surroundings of a poke on a large surface."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

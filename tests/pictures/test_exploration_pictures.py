@@ -1,7 +1,5 @@
 """Maps as pictures: crisp, in the right place, and with words where there is nothing to draw."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

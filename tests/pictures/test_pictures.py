@@ -1,7 +1,5 @@
 """Pictures: what they show changes with what was found, whatever its shape; they are PNG files of a sensible size."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2

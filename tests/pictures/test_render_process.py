@@ -1,7 +1,5 @@
 """Pictures drawn in a process of their own: the same bytes, whatever becomes of the process."""
 
-from __future__ import annotations
-
 import os
 import signal
 

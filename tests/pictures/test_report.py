@@ -1,7 +1,5 @@
 """Reports: whole HTML that needs nothing from elsewhere, in which every text stands as it was given."""
 
-from __future__ import annotations
-
 import base64
 from html.parser import HTMLParser
 

@@ -1,7 +1,5 @@
 """What is discarded stays, and whoever reads it is told so: while it is recorded, and later in its ledger."""
 
-from __future__ import annotations
-
 import json
 import logging
 from pathlib import Path

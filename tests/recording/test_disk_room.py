@@ -1,7 +1,5 @@
 """A disk that becomes full is announced, and the recording ended while there is room to end it."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Exports: read by the libraries that others use, they hold what was recorded, to the last bit."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import dataclasses

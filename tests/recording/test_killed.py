@@ -1,7 +1,5 @@
 """What is lost of a recording whose process is killed outright: the last moments, by the device's own counter."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

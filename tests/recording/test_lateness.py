@@ -2,8 +2,6 @@
 
 # ruff: noqa: PT012 (what raises is the recording's end, not one statement in it)
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -1,7 +1,5 @@
 """No flipped bit, and no lost or added byte, goes unnoticed, and what it concerns is named."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import struct

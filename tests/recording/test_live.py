@@ -1,7 +1,5 @@
 """A viewer that is frozen, killed or slow costs the picture alone, what it lacks is counted, and its server goes."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import json

@@ -1,7 +1,5 @@
 """What made a result."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """The last seconds, held in memory: bounded, and what is written of them is a whole recording that counts its own."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Nothing recorded is lost, nothing waits for a viewer, and no older recording is destroyed."""
 
 # ruff: noqa: PT012 (what raises is the recording's end, not one statement in it)
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What a recording is called: no two runs at once to one name, links stay links, and a full disk is noticed first."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

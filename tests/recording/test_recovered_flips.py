@@ -1,7 +1,5 @@
 """What `verify` says against an interrupted recording is in the words of `recover`, and in its new ledger."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import threading

@@ -1,7 +1,5 @@
 """A replay gives back what was recorded, bit for bit, or says why it cannot."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator

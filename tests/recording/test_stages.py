@@ -1,7 +1,5 @@
 """Which stages a recording holds, by rerun's own reader: complete, with what each cost, and what is missing."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import time

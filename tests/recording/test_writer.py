@@ -1,8 +1,6 @@
 """Who hands jobs over never waits for them, and learns of their failure. Nothing here depends on how fast anything is:
 what takes long waits for an event."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass

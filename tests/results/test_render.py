@@ -1,7 +1,5 @@
 """A quantity is declared once; JSON, units, rows and lines have it from there, in the order of the declarations."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from typing import ClassVar

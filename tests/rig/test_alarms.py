@@ -1,7 +1,5 @@
 """Alarms of sensors: what is stuck or at the end of its range is named once, what is still within its noise is not."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

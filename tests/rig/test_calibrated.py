@@ -1,7 +1,5 @@
 """Dates and intervals in the rig file, how old they are, and that writing them changes nothing else."""
 
-from __future__ import annotations
-
 import datetime
 
 import pytest

@@ -1,7 +1,5 @@
 """A recording's bytes give its frames again; one byte or one value that was altered is found."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The drift of a force sensor since its tare: a known ramp is found, noise averages out, the line stays short."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

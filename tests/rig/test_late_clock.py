@@ -1,7 +1,5 @@
 """A device whose clock is late, as `calibrate time` found: its stamps are put back, and what they were is kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Rig files: what is read, and what is refused in words that help."""
 
-from __future__ import annotations
-
 import time
 from importlib import resources
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A rig of doubles as a source: everything that came is taken once, in order, whatever happens to the cables."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

@@ -1,7 +1,5 @@
 """Rig files from anywhere: reading one opens and runs nothing, ends, and gives a rig or an error of one line."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

@@ -1,7 +1,5 @@
 """A touch whose approach is short, for what it does in contact."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from studies.fault_study import FaultScene, make_scene

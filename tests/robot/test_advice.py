@@ -1,7 +1,5 @@
 """Whatever stops the robot, a person is told what to see to."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

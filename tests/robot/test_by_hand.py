@@ -1,7 +1,5 @@
 """What a person who places the arm may say."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope.robot.by_hand import height_m_of

@@ -1,7 +1,5 @@
 """Distances of an arm from the table and from itself, against dense sampling; it is stopped before it hits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

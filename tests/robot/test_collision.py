@@ -1,7 +1,5 @@
 """Collisions in joint torques: seen beside noise and gravity's remainder, explained by what presses the tip."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

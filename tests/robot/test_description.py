@@ -1,7 +1,5 @@
 """What a rig file says of the robot's looks: URDFs of others, grippers, cables, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

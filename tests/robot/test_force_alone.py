@@ -1,7 +1,5 @@
 """An arm that nothing guards but the force at its tip: slower, not far below the surface, and a finger first."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import itertools

@@ -1,7 +1,5 @@
 """Keys move the arm a step at a time, and nothing moves once none is held."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Mesh files of others: whatever is in one, the process goes on, with a mesh or with one clear error."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The tip goes as commanded by joint rates, and stops where joints or a singularity would lead it elsewhere."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Poses go there and back, and the laboratory's table is within the arm's reach."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

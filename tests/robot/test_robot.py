@@ -1,7 +1,5 @@
 """The control period: a person's wish to stop, a watcher that fails, and a look at what comes after a stop."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the arm fills: from its base along its links to the tip, wherever the surface lies."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

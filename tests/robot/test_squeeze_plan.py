@@ -1,7 +1,5 @@
 """Where the fingers touch a container, and where on it the hand is to stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

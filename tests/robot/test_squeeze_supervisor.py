@@ -1,7 +1,5 @@
 """When a hand that squeezes must stop: at the first reading that says so, and not before."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope.rig.sections import ContainerSection, SqueezeSection

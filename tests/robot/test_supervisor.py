@@ -1,7 +1,5 @@
 """The supervisor notices each fault in its time, never by mistake, and never resets itself."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

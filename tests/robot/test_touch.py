@@ -1,7 +1,5 @@
 """Touches through the real drivers: they press as told, never harder, the same every time; and they stop."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 

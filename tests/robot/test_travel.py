@@ -1,7 +1,5 @@
 """Ways above the surface: never lower than told, and no higher than needed."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from typing import Any

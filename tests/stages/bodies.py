@@ -1,7 +1,5 @@
 """Bodies that tests deform: lattices, what is held, and how it is moved."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

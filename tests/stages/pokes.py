@@ -1,7 +1,5 @@
 """Pokes of a small slab whose truth is known: our own model at a known law, at the lattice that a fit will choose."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.arrays import FloatArray

@@ -2,8 +2,6 @@
 
 The engine's are compared to these."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sequences that tests fit: a body of known parameters, moved in steps, with noise that frames share or not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

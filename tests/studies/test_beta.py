@@ -1,7 +1,5 @@
 """Intervals where data are not as assumed: what is disturbed, and what is counted."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("warp")

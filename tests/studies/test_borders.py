@@ -1,7 +1,5 @@
 """Maps beside an oracle's that knows what kind of border there is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`python -m studies` as one types it, and `calibrate both`."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

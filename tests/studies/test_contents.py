@@ -1,7 +1,5 @@
 """The study of probabilities while the hand closes: whose squeezes it trains on and names, and what it says of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

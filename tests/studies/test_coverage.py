@@ -1,7 +1,5 @@
 """Random objects through the calibration: intervals hold the truth about as often as they say, in each condition."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

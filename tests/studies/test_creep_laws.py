@@ -1,7 +1,5 @@
 """The touches by hereditary integrals are what their laws say; a study counts what is said of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

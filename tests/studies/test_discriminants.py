@@ -1,7 +1,5 @@
 """The study of discriminant analyses: the share that scikit-learn's get, and differences as own less theirs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sklearn.discriminant_analysis import QuadraticDiscriminantAnalysis

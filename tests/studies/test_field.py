@@ -1,7 +1,5 @@
 """How fields of stiffness are scored."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

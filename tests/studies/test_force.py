@@ -1,7 +1,5 @@
 """Random slabs and the forces predicted on them: what `python -m studies force` counts."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Generators of other solvers: their states and errors are what they say."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How many lumps could be distinguished from foam that scatters at all."""
 
-from __future__ import annotations
-
 from studies.lump_limit import limit
 
 SEED = 1000

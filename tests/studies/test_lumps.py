@@ -1,7 +1,5 @@
 """How searches for lumps are counted."""
 
-from __future__ import annotations
-
 import pytest
 
 from studies import lumps

@@ -1,7 +1,5 @@
 """Scores of maps against figures by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

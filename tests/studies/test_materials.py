@@ -1,7 +1,5 @@
 """Motions of known materials: recovered as their law says, the same for the same seed, and held by what is fitted."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `python -m studies placing` counts."""
 
-from __future__ import annotations
-
 import pytest
 
 from studies.placing import PlacedRun, PlacingCase, PlacingStudyConfig, report, trials, try_placing

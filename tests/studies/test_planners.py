@@ -1,7 +1,5 @@
 """The rules that look at variance alone: the place where it is largest, and any above a threshold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any

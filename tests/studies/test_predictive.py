@@ -1,7 +1,5 @@
 """Predicted positions: where the simulation says, with the spread that each source of doubt adds."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

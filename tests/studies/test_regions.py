@@ -1,7 +1,5 @@
 """What is counted of maps of known surfaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

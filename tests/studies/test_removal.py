@@ -1,7 +1,5 @@
 """A robot with gripper, stick and cable is taken out of its picture, and the foam stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A rigid surface and a force sensor that is wrong: some cases; `deformscope coverage safety` has all."""
 
-from __future__ import annotations
-
 import itertools
 
 import pytest

@@ -1,8 +1,6 @@
 """Arms that are driven to where they must not go stand in time; layouts keep their margins: a few, the others are
 `python -m studies safety`."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Seeds for tuning and for reports stay apart."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope.errors import InputError

@@ -1,7 +1,5 @@
 """What the engine is compared with: no time is asserted, only that it computes what it says."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One runner for all studies: outcomes in their order, kept as they come, and taken from where they were kept."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

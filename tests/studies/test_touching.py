@@ -1,7 +1,5 @@
 """What is recorded of an approach: where it stops, what it reads, and that it is the world's own force and depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 A subclass gives `bench`: an arm that is closed, and how time passes. On a simulated clock, so that nothing depends on
 the machine."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """All three kinds of arm keep the contract of an arm."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

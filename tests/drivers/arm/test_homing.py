@@ -2,8 +2,6 @@
 
 Moments are those of calls to the vendor's library there, on the clock that both processes share."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

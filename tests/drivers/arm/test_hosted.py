@@ -2,8 +2,6 @@
 
 Moments are those of the double's own cycles, not of this machine."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

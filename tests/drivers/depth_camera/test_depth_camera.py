@@ -1,7 +1,5 @@
 """OpenNI2's depth cameras, on its own dummy and on recordings written here: no camera was ever tried."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

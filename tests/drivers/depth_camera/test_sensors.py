@@ -1,7 +1,5 @@
 """What cameras that triangulate get wrong, beside the published figures."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A depth camera on a program's scene: what it adds to a view, its faults, real and simulated time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

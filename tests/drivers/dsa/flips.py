@@ -8,8 +8,6 @@ syndrome, so pairs are counted without trying them (a raw frame has 31 million),
 the decoder. Flips in the length field move the checksum itself, so all pairs with one of those are tried.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator

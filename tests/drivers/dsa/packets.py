@@ -1,7 +1,5 @@
 """Packets of the DSACON32m and what they say, typed from the protocol reference."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

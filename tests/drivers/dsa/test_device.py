@@ -1,7 +1,5 @@
 """The tactile controller as a device: started, set, read, commanded while it streams, lost and found again."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import replace

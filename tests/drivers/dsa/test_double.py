@@ -1,7 +1,5 @@
 """The simulated tactile controller answers byte for byte, with its firmware's quirks, at its line's pace."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Flipped bits: no single one passes; the pairs that do are counted exactly, and so are those that are left."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

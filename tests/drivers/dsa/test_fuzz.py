@@ -4,8 +4,6 @@
 
 feeds that many bytes, half of them random, half a valid stream with faults, and prints what came of it."""
 
-from __future__ import annotations
-
 import random
 import sys
 import time

@@ -1,7 +1,5 @@
 """Pressure, force, contact area, centre of pressure where the answer is known; pads' names; the thesis's feature."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

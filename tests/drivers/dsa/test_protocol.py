@@ -1,7 +1,5 @@
 """The tactile controller's wire format: known bytes both ways, however they come, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Which frames are new, by the controller's clock."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope_drivers.dsa.measurer import STEP_MAX_MS, TimestampGate, TimestampStatus

@@ -1,7 +1,5 @@
 """Doubles of the vendor's library on the bench: the one in Python and the one in C, held in the same way."""
 
-from __future__ import annotations
-
 import atexit
 import ctypes
 import functools

@@ -1,7 +1,5 @@
 """The arm as a device: what it sends and when, and that it stops whatever happens to the sender."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import math

@@ -1,7 +1,5 @@
 """Both doubles of the vendor's library pass the same contract, and agree with each other."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arm's geometry against an independent table (Denavit and Hartenberg), finite differences and scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """The vendor's ABI: layouts typed from the headers, functions found late, codes with names."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import subprocess

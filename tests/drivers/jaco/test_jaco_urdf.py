@@ -1,7 +1,5 @@
 """The URDFs stand for the same arm as the kinematics, and look like one."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

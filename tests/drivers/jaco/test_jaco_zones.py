@@ -1,7 +1,5 @@
 """Protection zones: set as the arm is opened, read back, and kept to by Cartesian motions of the double alone."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What a double of the vendor's library owes: one set of tests, run on each of them through the same functions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

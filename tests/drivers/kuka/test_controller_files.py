@@ -1,7 +1,5 @@
 """The files for a controller: nothing is held, corrections are relative and limited, and all of them agree."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path

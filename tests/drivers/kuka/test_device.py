@@ -1,8 +1,6 @@
 """A KUKA through RSI: every cycle answered, corrections clamped and over in time, a controller that is not as it should
 be refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

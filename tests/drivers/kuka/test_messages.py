@@ -1,7 +1,5 @@
 """RSI's messages byte for byte, typed from public sources, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

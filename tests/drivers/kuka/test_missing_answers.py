@@ -1,8 +1,6 @@
 """What a controller makes of answers that are missing, that opening finds it out, and that zeros are out before the
 port is closed."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

@@ -3,8 +3,6 @@
 The format was read in OpenNI2's Source/Drivers/OniFile (DataRecords.h, PlayerNode.cpp, PlayerDevice.cpp): a header of
 24 bytes, then records of 28 bytes of header, fields and a payload. A recording without `xnCropping` gives no frame."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

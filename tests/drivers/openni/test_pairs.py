@@ -1,7 +1,5 @@
 """Depth and colour of one moment are put together, whichever comes first; and pictures cross to the other process."""
 
-from __future__ import annotations
-
 from deformscope_drivers.frame_message import FrameMessage
 from deformscope_drivers.hosted import Channel, HostedProcess
 from deformscope_drivers.openni.camera import WAITING, Pairs

@@ -1,7 +1,5 @@
 """The process that reads a camera starts quickly, and reports what it finds."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

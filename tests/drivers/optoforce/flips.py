@@ -7,8 +7,6 @@
 Every damage of a kind is done to a 16-byte packet within a stream, and the damaged stream is decoded.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Iterable, Iterator

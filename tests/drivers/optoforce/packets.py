@@ -1,7 +1,5 @@
 """Packets as public drivers and recordings have them: typed by hand, and never made by the encoder under test."""
 
-from __future__ import annotations
-
 from deformscope_drivers.optoforce.protocol import (
     Command,
     ConfigReply,

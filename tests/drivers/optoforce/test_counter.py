@@ -1,7 +1,5 @@
 """Loss by the counter: learned steps, wraps, damage, latecomers, repeats, restarts; the sum of all gaps is the loss."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """The OptoForce driver on its double: the contract over pty and CAN, and what is OptoForce's own."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Iterator

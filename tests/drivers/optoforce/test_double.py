@@ -1,7 +1,5 @@
 """The simulated DAQ: its bytes, its pace, its filter, and its zero point as drivers of the real one found it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

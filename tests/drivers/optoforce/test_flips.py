@@ -1,7 +1,5 @@
 """Damage that the byte sum lets pass is counted exactly, and the checks behind it catch what they are said to."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Anything may come off a wire: nothing escapes the decoder, it keeps little, and it always finds back."""
 
-from __future__ import annotations
-
 import random
 import resource
 import time

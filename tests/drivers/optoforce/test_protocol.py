@@ -1,7 +1,5 @@
 """OptoForce's codec: known packets both ways, however they arrive, and real recordings, whole and damaged."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scales come from a sensor's own report, and none is made up; settings that a DAQ lacks are refused at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """pyrealsense2 with one camera made of software, for a process that has no other: librealsense's own pipeline, queue,
 frames and options, over a device that this module fills."""
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Any

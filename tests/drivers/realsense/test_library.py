@@ -1,7 +1,5 @@
 """The driver on librealsense itself, over a camera made of software; skipped where pyrealsense2 is not installed."""
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 

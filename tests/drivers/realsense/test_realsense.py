@@ -1,7 +1,5 @@
 """The RealSense driver on a double of the library: no camera was ever tried."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """RealSense cameras that are plugged in, from a folder laid out as the kernel's /sys."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

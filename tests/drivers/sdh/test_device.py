@@ -1,7 +1,5 @@
 """The hand's driver on simulated hands: in memory on a simulated clock, over pty, socket and CAN."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterator

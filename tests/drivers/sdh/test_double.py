@@ -1,7 +1,5 @@
 """The simulated hand, by the bytes that go in and come out."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope_drivers.sdh.double import Port, SdhDouble

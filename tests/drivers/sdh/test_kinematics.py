@@ -1,7 +1,5 @@
 """Finger kinematics against numbers worked out from the lengths: l1 86.5, l2 68.5, d 66, h 17 mm."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """How the simulated hand moves: durations and angles that can be worked out by hand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The SDH hand's bytes, against lines and messages typed from the protocol reference (its 1b), both ways."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

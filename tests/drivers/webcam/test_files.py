@@ -1,7 +1,5 @@
 """Video files and folders of images in a camera's place: every picture in order, at its time, to the end or round."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

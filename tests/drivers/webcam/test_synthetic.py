@@ -1,7 +1,5 @@
 """A colour camera on a program's scene."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

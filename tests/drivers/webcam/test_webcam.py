@@ -1,7 +1,5 @@
 """A webcam on a fake capture: settings read back, faults reported. OpenCV's V4L2 needs a camera (marker hardware)."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Iterator

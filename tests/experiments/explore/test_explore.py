@@ -1,7 +1,5 @@
 """An exploration: the same twice, computed again from what was recorded of it, and right on simple tables."""
 
-from __future__ import annotations
-
 import dataclasses
 from concurrent.futures import BrokenExecutor, Future
 from typing import Any

@@ -1,7 +1,5 @@
 """`explore` for lumps: touches of a made-up field, what comes of them, recorded and computed again."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """What of a touch is mapped, and which search an exploration begins with: as the options say."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Touches that are found in what another robot recorded: with gaps, lost poses, and ends that come too early."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """`--planner thesis` has the thesis's grid and sweep unless others are asked for."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """A rig file that says no thickness: it comes from the table beside the foam, or is not known, and says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

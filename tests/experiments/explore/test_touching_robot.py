@@ -1,7 +1,5 @@
 """The wired laboratory: its camera sees what is touched, beside the arm that touches it."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """The whole way from images to an estimate, on images of a known deformation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What held-out error chooses: the held set, cluster size, alpha and dt that made a motion; or that none can tell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Stages beside devices: which frames they take, what is counted, what they find, and that a replay finds the same."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

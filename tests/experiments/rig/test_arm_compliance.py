@@ -1,7 +1,5 @@
 """How an arm gives way is found again from touches of something rigid, with what is not known of it."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 from typing import Any

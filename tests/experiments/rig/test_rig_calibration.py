@@ -1,8 +1,6 @@
 """What is measured for a rig's set-up, without a rig: frames of an arm and a camera that are sent in as they are asked
 for."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

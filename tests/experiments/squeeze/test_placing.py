@@ -1,7 +1,5 @@
 """An arm that places the hand, on a simulated clock: its way, its supervisor, and what is told of faults."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

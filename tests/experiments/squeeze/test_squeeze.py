@@ -1,7 +1,5 @@
 """A squeeze on a simulated clock: its phases, its events, and that whatever goes wrong the hand stands."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 """The container is tracked in every image while the hand squeezes it: known motions, what is not observed, what is
 refused, how a slow tracker keeps up, and that it is computed again from a recording."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable

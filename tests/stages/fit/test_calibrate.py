@@ -1,7 +1,5 @@
 """Calibration: known truths are found inside the stated interval at about its stated level, and verdicts are honest."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import pairwise
 from pathlib import Path

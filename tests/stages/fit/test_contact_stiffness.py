@@ -1,7 +1,5 @@
 """Stiffness at the contact: force over the distance that the contact moved."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

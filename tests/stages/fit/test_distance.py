@@ -1,7 +1,5 @@
 """Errors between simulated and observed particles, by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.stages.fit.distance import distances, nearest_error

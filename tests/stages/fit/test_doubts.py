@@ -1,7 +1,5 @@
 """Reasons to doubt a fit: each is named where it is built in, and lowers the verdict as it says."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Time stepping through frames: the reference's steps, held particles on straight ways, and the static limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Posteriors with known answers, the sets read off them, and verdicts in words."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm

@@ -1,7 +1,5 @@
 """Stiffness from force: scale, noise, misfit, and several forces together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

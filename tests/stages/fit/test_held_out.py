@@ -1,7 +1,5 @@
 """Held-out error: blocks of neighbours, folds that cover all, and no profit from having been fitted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

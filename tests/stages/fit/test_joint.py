@@ -1,7 +1,5 @@
 """beta and theta together: known pairs are found, and what cannot be separated is reported so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

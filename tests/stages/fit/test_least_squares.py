@@ -1,7 +1,5 @@
 """How sure several parameters are: known covariances, and no knowledge of what does nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.stages.fit.least_squares import Noise

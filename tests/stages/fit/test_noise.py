@@ -1,7 +1,5 @@
 """The error model: its likelihood is that of the covariance written out, and residuals identify their errors."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Wrong and lost tracks are named, and left out; what is smooth, however large, is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

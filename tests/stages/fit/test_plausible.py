@@ -1,7 +1,5 @@
 """Lengths that cannot be metres are refused, with what to try; those that can be are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Held particles that are off are found by what they do to the free ones, and put where these show them to be."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

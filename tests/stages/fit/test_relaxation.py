@@ -1,7 +1,5 @@
 """Relaxation from creep, the force that is kept, and draws of many models, against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Frames of one motion: they count by what is new, and the interval holds the truth however noise is shared."""
 
-from __future__ import annotations
-
 import dataclasses
 import typing
 

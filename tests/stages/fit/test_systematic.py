@@ -1,7 +1,5 @@
 """Errors of the tool and the camera: the displacements, and what they do to an interval."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What may have been missed: against counts by hand, and against worlds with and without inclusions."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Sequence

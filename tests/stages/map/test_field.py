@@ -1,7 +1,5 @@
 """Fields from a few touches: an exact process, sure of no more than its touches allow."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor

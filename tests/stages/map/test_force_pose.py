@@ -1,7 +1,5 @@
 """Force and pose at the force's rate: the poses between the arm's states are those of an interpolation of our own."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

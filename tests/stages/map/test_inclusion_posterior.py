@@ -1,8 +1,6 @@
 """Inclusions below a surface that shows nothing: what touches say of them, where to touch next, and when it is
 enough."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

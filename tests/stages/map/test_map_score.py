@@ -1,7 +1,5 @@
 """Matching of regions against figures by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

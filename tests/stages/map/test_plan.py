@@ -1,7 +1,5 @@
 """Where the next touch goes, where it may not, and when it is enough."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The world and touch surfaces: a sparse process is an exact one, its hyper-parameters those of all points."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import cho_factor, cho_solve

@@ -1,7 +1,5 @@
 """The thesis's field of beta: its Gaussian process beside scikit-learn's, its isopleths, and the plan that it ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor

@@ -1,7 +1,5 @@
 """beta of one touch: our own model's comes back from raw heights, foam's lies at the bound whatever its modulus."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Betas along the axes of a material: known ones are found again, one beta is not taken for several."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

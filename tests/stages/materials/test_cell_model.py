@@ -1,7 +1,5 @@
 """The body of cells: known answers, derivatives against differences, and beta's energy against the engine's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

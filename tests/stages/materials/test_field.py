@@ -1,7 +1,5 @@
 """A stiffness for each place: bodies of finite elements that are not the fitted ones, and data that tell nothing."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

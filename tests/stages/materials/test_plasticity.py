@@ -1,7 +1,5 @@
 """Yielding from recorded motion: a known yield strain and creep are found again, and nothing where nothing yielded."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

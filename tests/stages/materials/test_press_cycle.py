@@ -1,7 +1,5 @@
 """When a push is at its deepest, and when nothing presses any more: from displacement, from force, or as named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What relaxes, how fast, and what is kept, from a push and its end: known solids are found again."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 Plasticity is taken literally: a cluster that has yielded is a new cluster, whose rest vectors are S^p q."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

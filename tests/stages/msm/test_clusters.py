@@ -1,7 +1,5 @@
 """Which particles form a cluster."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

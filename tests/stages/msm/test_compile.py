@@ -1,7 +1,5 @@
 """Every kernel compiles for a GPU, on machines that have none too (NVRTC, which comes with warp)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

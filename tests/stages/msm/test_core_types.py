@@ -1,7 +1,5 @@
 """Whether solves converge does not depend on how the BLAS rounds: the same tests with other kernels of it."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

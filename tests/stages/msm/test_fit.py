@@ -1,7 +1,5 @@
 """beta by the gradient of the error: against the error itself, relaxed at many betas."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

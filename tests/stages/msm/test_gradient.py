@@ -1,7 +1,5 @@
 """Derivatives of static states by their parameters, against central differences of `relax`."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A beta along each axis: the energy behind it, its limits, and the engine against the reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

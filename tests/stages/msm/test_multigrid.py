@@ -1,7 +1,5 @@
 """The preconditioner of large lattices: symmetric, positive, as good for large bodies as for small, never harmful."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plastic deformation: when it comes, what it keeps, and the engine against the reference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

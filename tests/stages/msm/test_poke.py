@@ -1,7 +1,5 @@
 """A tip on a body: what it touches, what slips, how force and depth belong together."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

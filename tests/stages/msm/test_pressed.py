@@ -3,8 +3,6 @@
 The default run takes a dozen; all of them: `pytest -m "slow or not slow" tests/stages/msm/test_pressed.py` (minutes).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

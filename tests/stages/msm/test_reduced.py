@@ -1,7 +1,5 @@
 """A body of one cluster, reduced to its moments, against the particles of the reference and of the engine."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

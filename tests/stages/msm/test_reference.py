@@ -1,7 +1,5 @@
 """The specification itself, against answers worked out by hand and properties of the equations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

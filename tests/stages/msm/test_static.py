@@ -1,7 +1,5 @@
 """Static states: never silently wrong, and independent of what they do not depend on."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Closed forms against figures typed from the literature and against each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad

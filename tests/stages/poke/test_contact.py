@@ -1,7 +1,5 @@
 """Stiffness from an approach, against laws that are known in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a held touch says of a foam's creep, against touches that are integrated here by another method."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a model leaves beside a tip: known residuals come back, and are added where another tip presses."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

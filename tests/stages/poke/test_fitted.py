@@ -1,7 +1,5 @@
 """Models that can be poked: predictions against what the same law does, scaling, intervals, models of particles."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an inclusion below the surface does to touches above it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

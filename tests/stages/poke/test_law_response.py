@@ -1,7 +1,5 @@
 """What a stiffness that changes with the force does to the fitted law."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How thick foam is, and what of its modulus follows: said, seen over the table beside it, or not known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Layers below a surface: where the particles stand, and what lies between their columns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A touch of uneven foam, as it would be on a level layer: against finite elements, and what must hold of any shape."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

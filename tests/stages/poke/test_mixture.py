@@ -1,7 +1,5 @@
 """Quantiles of mixtures against closed forms and a root finder."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

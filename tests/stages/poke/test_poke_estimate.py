@@ -1,7 +1,5 @@
 """What is concluded from a fit of pokes, for any range of beta and any best value in it."""
 
-from __future__ import annotations
-
 import dataclasses
 import types
 from collections.abc import Sequence

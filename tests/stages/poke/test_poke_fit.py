@@ -1,7 +1,5 @@
 """Layers fitted to pokes: known laws come back, and what was measured of each poke is read rightly."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether a tip slid, on touches whose sliding is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

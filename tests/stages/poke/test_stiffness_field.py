@@ -1,7 +1,5 @@
 """Stiffness over a surface: what a few pokes say between them, and that they never contradict themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Random maps: what they may look like, that blur is blur, that moves leave the prior alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

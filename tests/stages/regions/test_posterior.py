@@ -1,7 +1,5 @@
 """The posterior over maps: against the same sums done the long way, and on surfaces whose regions are known."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What is taken for granted of a touch's error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import lognorm

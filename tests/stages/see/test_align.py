@@ -1,7 +1,5 @@
 """The robot is found where the picture shows it: a known displacement comes back, and nothing else is laid onto it."""
 
-from __future__ import annotations
-
 import numpy as np
 import open3d as o3d
 import pytest

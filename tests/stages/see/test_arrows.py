@@ -1,7 +1,5 @@
 """Flow at a reduced size, against motion that is known in pixels of the whole image."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """From a depth image to the surface's points: geometry with known answers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Flow against displacements that are exact: one analytic texture, evaluated at displaced coordinates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path

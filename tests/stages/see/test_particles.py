@@ -1,7 +1,5 @@
 """Particles: seeding, held groups, and tracking on flows that are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

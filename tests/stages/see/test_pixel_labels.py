@@ -1,7 +1,5 @@
 """Every pixel of a depth image has one label, by the rule that took it out, and runs of labels give it back."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.capsule import Capsule

@@ -1,7 +1,5 @@
 """Points of the robot, and those that hang in the air at its edges: geometry with known answers."""
 
-from __future__ import annotations
-
 import numpy as np
 import open3d as o3d
 

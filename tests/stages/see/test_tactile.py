@@ -1,7 +1,5 @@
 """Pressures whose centre, area and force are known by arithmetic."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

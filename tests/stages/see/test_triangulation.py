@@ -1,7 +1,5 @@
 """Triangles between particles: areas and skins of known size, holes that stay open, dents that are not bridged."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A printed board is found in images, and gives the lens and its own pose."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

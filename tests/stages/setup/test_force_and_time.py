@@ -1,7 +1,5 @@
 """How a force sensor sits, what hangs on it, and by how much clocks differ."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import correlate

@@ -1,7 +1,5 @@
 """Where a camera stands, found again from views of a board on the arm, and from touches alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Where a table and a tip are, found again from touches and turns; what data do not show is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

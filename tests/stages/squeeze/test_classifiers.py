@@ -1,7 +1,5 @@
 """Components and classifiers against scikit-learn's, and where classes are too small for them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal

@@ -1,7 +1,5 @@
 """A trained classifier names contents of new trials, with what is there of them."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The evaluation is honest: nothing leaks from the tested side, chance is chance, and copies are refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Literal

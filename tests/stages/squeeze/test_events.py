@@ -1,7 +1,5 @@
 """First contact and steady state from sampled signals of which the truth is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A container of known pose, found in rendered depth; and what is not one, refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

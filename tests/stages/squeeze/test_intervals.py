@@ -1,7 +1,5 @@
 """Intervals, comparisons and normality against published values."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """A trained classifier on new trials: its promise, its posteriors, and what it does with a modality less."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 from typing import Any

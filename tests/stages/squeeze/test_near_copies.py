@@ -1,7 +1,5 @@
 """Copies that are told from trials that are alike, and intervals that do not rest on what copies or containers say."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The depth change around a fingertip is the dent's, with the thesis's sign, and says what it did not see."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Physical features of squeezes whose force, place and stiffness are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Splits: their sizes, and what may not be on both sides."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tables of labelled trials: what does not fit together, and trials that stand there twice."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The 72 cells, from either end of the arrays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The tracker finds poses that are known, says which directions it does not see, and refuses what it cannot follow."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

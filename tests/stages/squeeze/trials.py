@@ -1,7 +1,5 @@
 """Labelled tables whose answers are known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from deformscope.arrays import FloatArray

@@ -1,7 +1,5 @@
 """A container on a table as a depth camera sees it, for tests: exact, or with a dent, a finger, noise and gaps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """beta and theta together: against the error itself, relaxed at many of both."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

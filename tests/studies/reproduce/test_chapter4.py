@@ -1,7 +1,5 @@
 """Chapter 4 by the thesis's rules: what makes its trend, and its figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sentences about data come from the data: other results, other sentences; and no study holds such a sentence ready."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Table 4.1 in closed form: what a contact feels, and an exploration of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

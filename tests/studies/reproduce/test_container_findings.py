@@ -1,7 +1,5 @@
 """The thesis's statements beside ours: the words follow the numbers."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The plan of the thesis's experiment: its proportions, and boxes and days that have every content."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from pathlib import Path
 

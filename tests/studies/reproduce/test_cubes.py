@@ -1,7 +1,5 @@
 """Experiment 3.A on small cubes: known answers, what theta does, and what overlapping clusters do better."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import itertools

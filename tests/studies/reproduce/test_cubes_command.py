@@ -1,7 +1,5 @@
 """`python -m studies reproduce cubes`: files, JSON and errors; what it finds is tested with the experiment."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Algorithm 2 as printed: against a transcription by hand, on errors that are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Experiment 3.B on one foam, coarsely, and what is said of a trend."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

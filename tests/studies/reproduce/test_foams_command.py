@@ -1,7 +1,5 @@
 """`python -m studies reproduce foams` from the command line to its figures."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pokes that were not fitted, on slabs of finite elements: what `python -m studies reproduce pokes` promises."""
 
-from __future__ import annotations
-
 import pytest
 
 from deformscope.lab.slab import Slab

@@ -1,7 +1,5 @@
 """Static states over beta and theta: those of the float64 specification, and what the thesis's figures show of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

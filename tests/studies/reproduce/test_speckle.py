@@ -1,7 +1,5 @@
 """The camera's view of a pressed foam: the inverse motion, the outline, the noise, and that rendering moves nothing."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Squeezes of the laboratory are found as they were simulated: events, poses, changes of depth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`reproduce squeezes` as a user calls it: what it leaves, and that it goes on where it was cut off."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

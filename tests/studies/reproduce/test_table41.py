@@ -1,7 +1,5 @@
 """Table 4.1: the truth it is held against, one row of it, and what it says of many rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

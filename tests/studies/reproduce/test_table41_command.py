@@ -1,7 +1,5 @@
 """`reproduce table41` as a user calls it: the table, planner beside planner, and what was killed."""
 
-from __future__ import annotations
-
 import csv
 import json
 import subprocess

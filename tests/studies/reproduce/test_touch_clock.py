@@ -1,7 +1,5 @@
 """The seconds that touches take without wires: against a reckoning by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
