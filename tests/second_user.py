@@ -55,7 +55,6 @@ def taking_ports() -> Iterator[Callable[[], list[int]]]:
     command = [sys.executable, "-c", TAKE, str(NOBODY), str(os.getpid())]
     taken = list[int]()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         reading = threading.Thread(target=lambda: taken.extend(map(int, process.stdout or [])))
         reading.start()

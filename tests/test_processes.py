@@ -97,7 +97,6 @@ def test_a_ctrl_c_waits_for_no_split_of_a_classification(tmp_path: Path) -> None
     with subprocess.Popen(
         [sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=paths
     ) as running:
-        assert running.stdout is not None
         began = running.stdout.readline()
         running.send_signal(signal.SIGINT)
         try:

@@ -77,8 +77,6 @@ def test_tip_then_place_then_force_are_written_with_date_and_interval(
     assert calibrate("force", rig, "--weight", "5", **pushed)[0] == 0
     made = load_rig(rig)
     assert made.tool.force_gain == pytest.approx(1.04)
-    assert made.calibrated.force is not None
-    assert made.calibrated.force.half_gain is not None
     assert 0.0 < (made.tool.force_gain_sd or 0.0) < made.calibrated.force.half_gain < 0.01
     placement = Placement(np.array(made.surface.T_arm_surface), made.tool)
     under = placement.force_on_tip_n(loaded[0], rigid(DOWN.as_matrix(), np.zeros(3)))
@@ -89,7 +87,6 @@ def test_tip_then_place_then_force_are_written_with_date_and_interval(
     assert made.workspace.low_m is not None
     assert np.array(made.tool.R_tip_force) == pytest.approx(turned, abs=1e-6)
     for kept in (made.calibrated.tip, made.calibrated.place, made.calibrated.force):
-        assert kept is not None
         assert len(kept.half_deg) == 3
     assert "# by caliper" in rig.read_text()
     assert "T_arm_surface" in found
@@ -125,7 +122,6 @@ def test_time_is_written_and_the_picture_drawn(rig: Path, tmp_path: Path) -> Non
     assert calibrate("time", rig, "--picture", str(picture), "--record", str(recording), **signals)[0] == 0
     assert verify_here(recording) == 0
     kept = load_rig(rig).calibrated.time
-    assert kept is not None
     assert kept.offset_s == pytest.approx(0.02, abs=1e-3)
     late = {entry.name: entry.late_ns for entry in load_rig(rig).devices if entry.late_ns}
     assert late == {kept.device: round(1e9 * kept.offset_s)}, "what every command puts its stamps back by"
@@ -197,7 +193,6 @@ def test_the_first_day_in_its_order() -> None:
     assert [step.what for step in steps] == ["tip", "place", "camera", "force", "arm", "time", "explore"]
     assert {step.what for step in steps if step.state != "to do"} == {"time"}  # the only one that is optional
     following = next_step(steps)
-    assert following is not None
     assert following.command == "deformscope calibrate tip rig.toml"
     old = RIG + "T_ee_tip = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1]]\n"
     assert commissioning_steps(parse_rig(old, "rig.toml"), "rig.toml")[0].state == "by hand"

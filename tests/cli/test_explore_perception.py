@@ -54,7 +54,6 @@ def test_labels_are_a_partition_of_the_recorded_depth_images(explore: Explore) -
     (surface,) = of(path, SurfaceEstimate)
     for perception in (look, touch):
         masks = perception.masks
-        assert masks is not None
         for image, when in enumerate(masks.depth_ns.tolist()):
             label = masks.decode(image)
             np.testing.assert_array_equal(label == PixelLabel.NOTHING_SEEN, depth[when] == 0)

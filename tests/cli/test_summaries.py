@@ -36,7 +36,6 @@ def summaries(arguments: list[str], folder: Path) -> tuple[np.ndarray, Page, str
     files = ["--picture", str(folder / "p.png"), "--report", str(folder / "r.html")]
     assert main([*arguments, *FAST, *files]) == 0
     picture = cv2.imread(str(folder / "p.png"))
-    assert picture is not None
     assert picture.std() > 20
     text = (folder / "r.html").read_text(encoding="utf-8")
     page = Page(text)

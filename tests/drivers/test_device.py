@@ -316,7 +316,6 @@ def test_the_clock_of_the_device_is_fitted_through_random_delays() -> None:
         fit.add(unwrap(tick % 65536, host_ns), host_ns)
     relation = fit.relation()
 
-    assert relation is not None
     assert relation.drift_ppm == pytest.approx(80, abs=1)
     assert relation.residual_ns < 20_000
     assert relation.to_host_ns(50_000) == pytest.approx(7e9 + 50_000 * 1e6 * (1 + skew) + 50_000, abs=20_000)

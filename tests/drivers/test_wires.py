@@ -28,7 +28,6 @@ def test_a_double_that_is_killed_leaves_nothing(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
     ) as process:
-        assert process.stdout is not None
         port = process.stdout.readline().strip()
         transport = SerialTransport(port, 115_200)
         transport.open()

@@ -62,8 +62,6 @@ def test_the_table_has_the_trials_of_the_squeezes() -> None:
 
     assert resolve("sample:table").read_bytes() == tool["table"]()
     assert table.label.tolist() == squeezes.label.tolist()
-    assert table.group is not None
-    assert squeezes.group is not None
     assert table.group.tolist() == squeezes.group.tolist()
     for name, features in table.modalities.items():
         np.testing.assert_allclose(features, squeezes.modalities[name], rtol=1e-4)

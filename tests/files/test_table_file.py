@@ -15,7 +15,6 @@ from tests.stages.squeeze.trials import two_modalities
 
 def columns() -> dict[str, object]:
     table = two_modalities()
-    assert table.group is not None
     found: dict[str, object] = {"label": table.label.tolist(), "group": table.group.tolist()}
     for name, values in table.modalities.items():
         for column in reversed(range(values.shape[1])):  # their numbers count, not where they stand

@@ -170,7 +170,6 @@ def test_the_finest_lattice_is_taken_where_it_is_asked_for() -> None:
     layers = LayersFlags(thickness_m=0.05)
     for fine, most in ((False, calibration.MOST_PARTICLES), (True, None)):
         options = calibration._layers(BetaConfig(("p.npz",), layers=layers, search=SearchOptions(fine=fine)))
-        assert options is not None
         assert options.most_particles == most
 
 

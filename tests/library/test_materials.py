@@ -35,7 +35,6 @@ def recorded(path: Path, *devices: str) -> Path:
 def test_the_force_of_a_recording_is_that_without_the_sensors_zero(tmp_path: Path) -> None:
     path = recorded(tmp_path / "rig.rrd", "tip")
     force = recorded_force(path, None, START_NS + 100_000_000)
-    assert force is not None
     assert force.time_s[[0, -1]] == pytest.approx([-0.1, 0.89])  # on the clock of the first image
     assert force.at(np.array([0.0, 0.45, 0.8])) == pytest.approx([0.0, 2.0, 0.0])
     assert force.off_n() == pytest.approx(0.1)

@@ -134,7 +134,6 @@ def test_a_depth_change_is_drawn_on_one_scale() -> None:
     png = np.frombuffer(depth_change_png(CHANGE, 0.11, 0.14), np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
 
-    assert picture is not None
     dent, missing = picture[3, 9], picture[3, 3]  # blue, green, red
     assert dent[2] > dent[0]
     assert len(set(map(int, missing))) > 1 or int(missing[0]) < 120

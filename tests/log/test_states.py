@@ -46,7 +46,6 @@ def test_the_list_of_stages_has_what_was_computed(recording: Path) -> None:
     assert states.timelines == ("beta", "theta")
     assert states.rows == 3 * 100 + 101
     assert states.computed == 1
-    assert states.cpu_ms is not None
     assert states.cpu_ms > 0.0
 
 

@@ -170,7 +170,6 @@ def test_malformed_messages_end_their_connection_alone(page: PageServer, what: s
             websocket.send(message)
             with pytest.raises(ConnectionClosed) as closed:
                 read_all(websocket)
-        assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
         assert good.command("stop")[0] == "refused"  # nothing runs; but it is answered
 
@@ -180,7 +179,6 @@ def test_a_page_of_another_version_is_to_be_loaded_again(page: PageServer) -> No
         websocket.send(HELLO.replace('"version":1', '"version":2'))
         with pytest.raises(ConnectionClosed) as closed:
             websocket.recv(PATIENCE_S)
-    assert closed.value.rcvd is not None
     assert closed.value.rcvd.code == 4000
 
 
@@ -288,7 +286,6 @@ while True:
 def test_three_hundred_that_come_back_at_once_keep_no_page_away(page: PageServer) -> None:
     command = [sys.executable, "-c", FLOOD, netloc(page).split(":")[1], "300"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as flood:
-        assert flood.stdout is not None
         assert flood.stdout.readline() == "ready\n"
         try:
             for _ in range(3):

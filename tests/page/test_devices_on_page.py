@@ -66,7 +66,6 @@ def test_drift_is_what_the_sensor_feels_while_nothing_touches_it() -> None:
     watched.feel(1.0, 1)  # may have been felt before the way began
     watched.feel(0.02, 4)
     drift = watched.drift()
-    assert drift is not None
     assert drift.now == pytest.approx((0.0, 0.0, 0.02))
     assert max(drift.line) == pytest.approx(0.02)
 

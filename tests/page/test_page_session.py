@@ -167,7 +167,6 @@ class Moves:
     def ask(self) -> int:
         """The number of a move that waits from now on."""
         self.session.ask("the arm", lambda: self.happened.append("moved"), self.happened.append)
-        assert self.session.state.pending is not None
         return self.session.state.pending.number
 
     def say(

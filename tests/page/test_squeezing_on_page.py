@@ -50,7 +50,6 @@ class Bench:
         """Ask and confirm; the outcome."""
         assert self.session.command("one", StartSqueezing(1)).outcome == "begun"
         pending = self.session.state.pending
-        assert pending is not None
         assert pending.what == WHAT
         return self.session.command("one", ConfirmMove(2, pending.number)).outcome
 

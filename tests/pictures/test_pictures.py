@@ -37,7 +37,6 @@ def estimate(unit: str = "m", verdict: str = "identified") -> Estimate:
 
 def decoded(png: bytes) -> np.ndarray:
     picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert picture is not None
     assert picture.std() > 15
     return picture
 

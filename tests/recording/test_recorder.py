@@ -79,7 +79,6 @@ def run_python(code: str, path: Path, *, kill: Callable[[str], bool] | None = No
     )
     watchdog = threading.Timer(PATIENCE_S, process.kill)
     watchdog.start()
-    assert process.stdout is not None
     said = []
     for line in process.stdout:
         said.append(line)
@@ -514,7 +513,6 @@ def test_without_the_file_of_large_portions_the_recording_is_the_other(
     with Recorder(tmp_path / "run.rrd", "none", {"seed": 3}, application=RIG) as made:
         assert merged.exists() == (trouble != "little room")
         if trouble == "cannot be flushed":
-            assert made._outputs.file is not None
             assert made._outputs.file._merged_stream is not None
             monkeypatch.setattr(made._outputs.file._merged_stream, "flush", failing)
         made.start(RigLayout(rig.STREAMS), rig.START_NS)

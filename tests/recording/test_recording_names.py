@@ -74,7 +74,6 @@ def test_the_lock_of_a_run_that_was_killed_is_gone(tmp_path: Path) -> None:
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
     with process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"on\n"
         part = tmp_path / "run.part.rrd"
         assert is_being_written(part)

@@ -263,7 +263,5 @@ def test_each_sample_is_complete_with_what_it_cost(name: str, live: set[str], ch
     computed = [one for one in stages if one.computed]
     assert computed
     for one in computed:
-        assert one.cpu_ms is not None
-        assert one.wall_ms is not None
         assert one.cpu_ms > 0.0
         assert one.wall_ms > 0.0

@@ -96,7 +96,6 @@ def test_a_tip_on_a_slope_stays_or_follows_the_force_across(
     assert record.contact_m is not None
     across_m = (record.center_m - record.contact_m)[:2]
     assert least_m <= float(np.hypot(*across_m)) < most_m
-    assert record.final_force_n is not None
     assert float(across_m @ record.final_force_n[:2]) >= 0.0 or tangential == "held"
 
 

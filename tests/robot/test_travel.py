@@ -128,7 +128,6 @@ UP = np.array([0.0, 0.0, 1.0])
 def _start_deg(center_m: np.ndarray, normal: np.ndarray) -> np.ndarray | None:
     """Joint angles with which an exploration stands above a place: led there from above the middle, upright."""
     middle = best_joints(J2N6S300, [PLACEMENT.T_base_ee(np.array([0.3, 0.2, 0.19]), UP)])
-    assert middle is not None
     found, reached = J2N6S300.inverse_near(PLACEMENT.T_base_ee(center_m, normal)[None], middle[None])
     return np.asarray(found[0]) if reached[0] else None
 

@@ -70,7 +70,6 @@ def test_it_moves_halts_and_takes_commands_again(config: KukaConfig, double: Cou
     with HostedArm(Kuka, config) as arm:
         assert arm.chain.name == "kr6r900sixx"
         assert arm.identity().model == "kr6r900sixx"
-        assert arm.urdf is not None
         assert arm.urdf.name == "kr6r900sixx.urdf"
         start = double.joints_deg
         arm.set_velocity(RATES, LONG_S)
@@ -178,7 +177,6 @@ def test_the_arm_stands_when_the_program_that_moves_it_is_gone(
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     program = subprocess.Popen([sys.executable, str(script), str(config.port)], stdout=subprocess.PIPE, env=environment)
     try:
-        assert program.stdout is not None
         program.stdout.readline()
         until(lambda: bool(double.moved_ns))
         program.send_signal(number)

@@ -627,7 +627,6 @@ def test_however_a_program_ends_it_erases_before_it_closes(ending: str) -> None:
         stderr=subprocess.STDOUT,
         text=True,
     ) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == "moving\n"
         if "Ctrl-C" in ending:
             time.sleep(0.1)

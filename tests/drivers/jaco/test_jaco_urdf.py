@@ -13,13 +13,11 @@ MODELS = sorted(CHAINS)
 
 
 def numbers(text: str | None) -> FloatArray:
-    assert text is not None
     return np.array([float(word) for word in text.split()])
 
 
 def pose(element: ET.Element | None) -> FloatArray:
     """An <origin> as (4, 4), by scipy: fixed-axis roll, pitch, yaw."""
-    assert element is not None
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_euler("xyz", numbers(element.get("rpy"))).as_matrix()
     matrix[:3, 3] = numbers(element.get("xyz"))

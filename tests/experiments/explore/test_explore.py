@@ -206,7 +206,6 @@ def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
         explorer.touch(TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(130) * 0.01, position, along, none, True))
         known_m.append(explorer.known_m(there))
 
-    assert known_m[0] is not None
     assert 0.0 < known_m[0] < 0.003
     assert known_m[1] == pytest.approx(known_m[0] + 0.004, abs=5e-4)
 
@@ -303,7 +302,6 @@ def test_a_recording_that_ends_early_ends_it_in_order(two: Explored) -> None:
 
     _, found, moments = carried_out(RecordedRobot([looked]), ExploreOptions(beta_model="none"))
 
-    assert found.stop is not None
     assert found.stop.kind == "recording at its end"
     *_, (_, (phase, stop)) = moments
     assert isinstance(phase, PhaseStart)
@@ -320,7 +318,6 @@ def test_a_process_that_ends_is_a_reason_to_stop() -> None:
     stage = lambda name, *inputs: Compute(broken, (name, *inputs))  # noqa: E731
     run([], explore(lambda: 9, stage, found), Results(), AtOnce(robot))
 
-    assert found.stop is not None
     assert "the process that computes has ended" in found.stop.reason
     assert found.stop_ns == 9
 
@@ -360,7 +357,6 @@ def test_chapter_4_starts_at_its_place_ends_by_its_variance_and_cuts_along_isopl
     assert [one.beta == 0.0 for one in touches] == [one.rigid for one in touches]
     last = maps[-1]
     assert last.region_count == 2
-    assert last.iou is not None
     assert last.iou > 0.6
     assert last.level_n_per_mm[0] < last.level_n_per_mm[1]
 
@@ -390,10 +386,8 @@ def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
     highest_m = float(scene.height_m(way).max())
     over_m = explorer.over_m(goal)
 
-    assert over_m is not None
     assert highest_m < over_m < highest_m + 0.006
     here = explorer.over_m(start)
-    assert here is not None
     assert here < over_m
 
 
@@ -547,7 +541,6 @@ def test_what_the_camera_has_not_seen_is_not_touched() -> None:
         assert refused.results == ()
     taken = stages.aim(np.array([0.2, 0.2]))
     assert taken.refused == ""
-    assert taken.touch is not None
     assert taken.touch.height_m == pytest.approx(0.05, abs=1e-3)
 
 
@@ -566,7 +559,6 @@ def test_an_egg_crate_of_one_foam_is_one_region_and_its_touches_agree() -> None:
     assert np.ptp(apparent) > 2.0 * np.ptp(level)
     assert all(one.thickness_m is not None and 0.04 < one.thickness_m < 0.06 for one in touches)
     assert last.region_count == 1
-    assert last.level_modulus_pa is not None
     foam_pa = built_in("egg-crate", 1000).pieces[0].modulus_pa
     assert last.level_modulus_pa[0] == pytest.approx(foam_pa, rel=0.15)  # small strain, at a dent of half a radius
 

@@ -91,7 +91,6 @@ def first(few_guesses: None) -> tuple[BumpRobot, Exploration, list[object]]:
 def test_the_lump_is_found_and_it_stops_by_itself(first: tuple[BumpRobot, Exploration, list[object]]) -> None:
     _, found, results = first
     lumps = found.lumps
-    assert lumps is not None
     assert found.stop_reason == "no lump missed"
     assert lumps.stiff.tolist() == [True]
     assert np.hypot(*(lumps.centre_m[0] - LUMP_M)) < RADIUS_M

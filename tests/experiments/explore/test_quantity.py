@@ -60,9 +60,6 @@ def test_touches_compare_at_one_speed_where_their_creep_was_fitted_and_are_doubt
         for creep, speed in ((CREEP, 0.02), (None, 10.0 * REFERENCE_SPEED_M_S), (None, REFERENCE_SPEED_M_S))
     )
 
-    assert fitted is not None
-    assert fast is not None
-    assert same is not None
     assert fitted.log_stiffness == FELT.log_stiffness + CREEP.log_at_reference
     assert fast.log_stiffness == FELT.log_stiffness
     assert fast.log_sd > same.log_sd == FELT.log_sd
@@ -72,7 +69,6 @@ def test_a_touch_without_its_creep_has_no_relaxed_stiffness() -> None:
     relaxed = RelaxedStiffness().stiffness(FELT, CREEP, None)
 
     assert RelaxedStiffness().stiffness(FELT, None, None) is None
-    assert relaxed is not None
     assert np.exp(relaxed.log_stiffness) == pytest.approx(CREEP.relaxed_n_per_mm)
 
 

@@ -70,7 +70,6 @@ def test_it_pre_shapes_closes_holds_and_opens(good: Session) -> None:
 
 def test_events_are_within_two_sample_periods_of_the_truth(good: Session) -> None:
     found = good.found.features
-    assert found is not None
     truth, events = good.lab.truth, found.events
     assert abs(events.first_ns - truth.contact_ns) <= 2e9 * events.tactile_period_s
     assert abs(events.steady_ns - truth.steady_ns) <= 2e9 * max(events.tactile_period_s, events.hand_period_s)
@@ -80,7 +79,6 @@ def test_events_are_within_two_sample_periods_of_the_truth(good: Session) -> Non
 
 def test_its_features_are_of_the_steady_state(good: Session) -> None:
     found = good.found.features
-    assert found is not None
     tactile = found.modalities["tactile"]
     assert tactile.shape == (72,)
     frame = next(one for one in good.frames.tactile if one.stamp.host_ns >= found.events.steady_ns)
@@ -92,7 +90,6 @@ def test_its_features_are_of_the_steady_state(good: Session) -> None:
 
 def test_the_same_frames_give_the_same_features_to_the_last_bit(good: Session) -> None:
     again, before = trial_features(good.frames, good.geometry), good.found.features
-    assert before is not None
     for name, values in before.modalities.items():
         np.testing.assert_array_equal(again.modalities[name], values)
 
@@ -106,7 +103,6 @@ def test_the_setup_goes_through_json(good: Session) -> None:
 def stopped(session: Session, kind: SqueezeFault) -> None:
     """The hand stands, its limits are as they were, and the reason is known."""
     found = session.found
-    assert found.stop is not None
     assert found.stop.kind == kind
     assert found.features is None
     assert found.stop.stands
@@ -191,7 +187,6 @@ def test_a_hand_that_stays_lost_is_reported_as_such() -> None:
     session.on_phase = lambda phase: lab.hand_wire.unplug() if phase == "squeeze" else None
     found = session.go()
 
-    assert found.stop is not None
     assert found.stop.kind == SqueezeFault.HAND_LOST
     assert not found.stop.stands
     assert not found.stop.restored
@@ -266,7 +261,6 @@ def test_a_finger_that_is_held_while_its_array_reads_nothing_or_repeats_itself_i
     session.go()
 
     stopped(session, SqueezeFault.CONTRADICTED)
-    assert session.found.stop is not None
     assert f"finger {fingers[0]}" in session.found.stop.reason
     held_ns = max(lab.truth.steady_ns, struck_ns[0])
     assert session.found.stop_ns - held_ns < 0.8e9  # not after the 12 s in which there may be no contact
@@ -279,7 +273,6 @@ def test_the_reason_says_where_which_finger_is_held_and_what_its_array_reads() -
     session.on_phase = lambda phase: spoil_arrays(lab.dsa_double, "dead", (2,)) if phase == "close" else None
     found = session.go()
 
-    assert found.stop is not None
     held = f"finger 2 is driven, but stays at {lab.contact_deg + lab.gives_deg:.1f} deg; its array reads 0 counts"
     assert held in found.stop.reason
 

@@ -49,7 +49,6 @@ def test_stated_noise_is_that_of_k() -> None:
     unit = pull(body, shape, 0.5)
     for noise, share in ((None, FORCE_SHARE), (0.3, 0.1), (0.0, 1e-6)):
         found = stiffness([seen_with(body, shape, 3.0, noise)], Model(), [shape[None]], 0.5 * ONE, NONE)
-        assert found is not None
         assert found.value[0] == pytest.approx(3.0 / unit)
         assert found.deviation[0] / found.value[0] == pytest.approx(share)
 
@@ -58,7 +57,6 @@ def test_the_square_of_the_misfit_adds_to_the_noise() -> None:
     body = pushed((5, 6), np.random.default_rng(0))
     shape = static(body, 0.5)
     found = stiffness([seen_with(body, shape, 3.0, 0.3)], Model(), [shape[None]], 0.5 * ONE, NONE, misfit=[0.5])
-    assert found is not None
     assert found.deviation[0] / found.value[0] == pytest.approx(np.hypot(0.1, 0.25))
 
 
@@ -73,7 +71,6 @@ def test_several_forces_fit_one_k_and_their_scatter_widens_it() -> None:
             for body, shape, unit, factor in zip(bodies, shapes, units, scatter, strict=True)
         ]
         found = stiffness(seen, Model(), [shape[None] for shape in shapes], 0.5 * ONE, NONE)
-        assert found is not None
         assert found.value[0] == pytest.approx(50.0, rel=0.25)
         deviations.append(found.deviation[0] / found.value[0])
     assert deviations[0] == pytest.approx(FORCE_SHARE / 2.0, rel=1e-6)  # four forces alike
@@ -82,7 +79,6 @@ def test_several_forces_fit_one_k_and_their_scatter_widens_it() -> None:
 
 def test_the_posterior_of_k_mixes_what_the_parameter_may_be() -> None:
     found = stiffness_posterior(Stiffness(np.array([1.0, 2.0]), np.array([0.01, 0.01])), np.array([0.25, 0.75]))
-    assert found is not None
     assert found.rank(1.5) == pytest.approx(0.25, abs=1e-3)
     assert stiffness_posterior(Stiffness(np.array([np.nan]), ONE), ONE) is None
 

@@ -51,12 +51,9 @@ def test_noisy_data_give_sets_that_hold_both_and_a_density_of_mass_one() -> None
     found, _ = calibrate_both([seen], JointOptions(level=0.98))
     assert found.beta.interval[0] <= 0.6 <= found.beta.interval[1]
     assert found.theta.interval[0] <= 0.3 <= found.theta.interval[1]
-    assert found.beta.posterior is not None
-    assert found.theta.posterior is not None
     beta, theta = found.beta.posterior.parameter, found.theta.posterior.parameter
     assert np.trapezoid(np.trapezoid(found.density, theta, axis=1), beta) == pytest.approx(1.0)
     assert -1.0 < found.correlation < 1.0
-    assert found.beta.stiffness is not None
     low, high = found.beta.stiffness[1]
     assert low <= 200.0 <= high
     shown = found.as_json()

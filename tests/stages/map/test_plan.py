@@ -59,7 +59,6 @@ def test_no_target_is_out_of_reach_at_the_border_or_where_it_was_touched(thesis:
             plan = plan_thesis_touch(ThesisField(), halves, PlanOptions(), reachable=reachable, seed=seed)
         else:
             plan = plan_touch(halves, KERNEL, PlanOptions(), reachable=reachable)
-        assert plan.target_m is not None
         assert plan.target_m[0] < 0.45
         assert 0.02 < plan.target_m[1] < 0.38
         assert np.hypot(*(plan.target_m - np.array(SPREAD)).T).min() >= 0.025
@@ -124,7 +123,6 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
 def test_the_default_looks_between_the_regions(halves: RegionPosterior) -> None:
     plan = plan_touch(halves, KERNEL, PlanOptions())
     assert plan.stop is None
-    assert plan.target_m is not None
     assert 0.2 < plan.target_m[0] < 0.4
     assert plan.unit == "label"
     assert "expected to correct" in plan.reason
@@ -146,7 +144,6 @@ def test_it_fills_the_space_first_and_looks_for_lumps_while_there_is_one_materia
 ) -> None:
     assert plan_touch(RegionPosterior.before_touches(GRID), KERNEL, PlanOptions()).unit == "mean variance"
     plan = plan_touch(one_material, KERNEL, PlanOptions())
-    assert plan.target_m is not None
     assert "one material so far" in plan.reason
     assert UnseenInclusions(one_material, INCLUSION_M).gain(plan.target_m[None])[0] > 0.05
 

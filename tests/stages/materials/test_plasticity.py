@@ -70,7 +70,6 @@ def test_a_known_yield_strain_is_found_again_under_one_percent_noise(shape: tupl
     assert found.verdict == "identified"
     assert found.explained > 0.9
     low, high = found.yield_strain.interval
-    assert high is not None
     assert 0.8 * truth < low < high < 1.2 * truth
     assert found.elastic_deviation > 3.0 * found.deviation
     # the noise that was put in is the noise that is left
@@ -86,7 +85,6 @@ def test_beta_is_found_along_with_it() -> None:
     assert found.yield_strain.value == pytest.approx(0.08, rel=0.05)
     assert found.beta.value == pytest.approx(BETA, abs=0.03)
     low, high = found.beta.interval
-    assert high is not None
     assert low < found.beta.value < high
     assert not found.beta.given
 
@@ -96,13 +94,10 @@ def test_creep_is_found_where_time_is_known() -> None:
     motion = pressed((7, 5), 0.06, creep=3.0, dt=0.1, frames=8)
     found = fit_yield(motion, YieldOptions(beta=BETA, creep="fit"))
     assert found.yield_strain.value == pytest.approx(0.06, rel=0.08)
-    assert found.creep is not None
     assert found.creep.value == pytest.approx(3.0, rel=0.05)
     low, high = found.creep.interval
-    assert high is not None
     assert low < 3.0 < high
     given = fit_yield(motion, YieldOptions(beta=BETA, creep=3.0))
-    assert given.creep is not None
     assert given.creep.given
     assert given.yield_strain.value == pytest.approx(0.06, rel=0.05)
 
@@ -121,7 +116,6 @@ def test_where_nothing_yielded_only_a_lower_end_is_reported(seed: int) -> None:
 def test_without_noise_the_truth_is_within_the_interval() -> None:
     found = fit_yield(pressed((6, 4), 0.07, noise=0.0), YieldOptions(beta=BETA))
     low, high = found.yield_strain.interval
-    assert high is not None
     assert low <= 0.07 <= high
     assert found.yield_strain.value == pytest.approx(0.07, rel=3e-3)
 

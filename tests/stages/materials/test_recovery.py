@@ -63,8 +63,6 @@ def test_a_known_solid_is_found_again() -> None:
 @pytest.mark.slow
 def test_a_force_shows_the_stiffness_at_once_and_relaxed() -> None:
     found = fitted([0.3], [1.0], 0.0, force=True, watch_s=1.0)
-    assert found.instant is not None
-    assert found.relaxed is not None
     assert found.instant.value == pytest.approx(3.0 / 4.0, rel=0.03)
     assert found.relaxed.value == pytest.approx(0.7 * 3.0 / 4.0, rel=0.08)
     assert found.as_json()["instant_n_per_m"] is not None

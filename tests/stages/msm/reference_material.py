@@ -39,7 +39,6 @@ def axis_weight(cluster: RestCluster, beta: AxisBeta, plastic: FloatArray | None
     gram = np.einsum("n,ni,nj->ij", cluster.mass, q, q)
     u = cluster.span
     compliance = np.linalg.inv(u.T @ gram @ u)
-    assert beta.axes is not None
     share, spread = np.linalg.eigh(u.T @ beta.axes @ np.diag(np.asarray(beta.value)[0]) @ beta.axes.T @ u)
     share = np.maximum(share, 0.0)  # rounding
     n = spread @ np.diag(np.sqrt(share / (1.0 - share))) @ spread.T

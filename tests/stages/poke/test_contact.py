@@ -95,7 +95,6 @@ def test_the_peak_rate_is_taken_where_the_force_rises_fastest_and_not_from_too_f
     force = np.interp(time, [0.5, 1.0, 1.2], [0.0, 1.0, 3.0])
     rate, interval = peak_rate(time, force, 0.01)
     assert rate == pytest.approx(10.0)
-    assert interval is not None
     assert interval[0] < 10.0 < interval[1]
     assert peak_rate(time[:10], force[:10], 0.01)[0] == 0.0
     assert peak_rate(time[:9], force[:9], 0.01) == (None, None)

@@ -22,7 +22,6 @@ def around(height_m: float, noise_m: float = 0.0) -> FloatArray:
 @pytest.mark.parametrize("height_m", [0.0, -0.004, 0.006])
 def test_table_is_seen_beside_the_surface_as_high_as_it_is(height_m: float) -> None:
     found = find_table(around(height_m, 1e-3), SIZE_M)
-    assert found is not None
     assert found.height_m == pytest.approx(height_m, abs=1e-4)
     assert found.sd_m == pytest.approx(1e-3, rel=0.1)
 
@@ -51,7 +50,6 @@ def test_thickness_that_nobody_stated_is_taken_from_the_table_or_is_not_known() 
 def test_modulus_has_an_interval_by_stiffness_and_by_thickness_and_is_not_known_without() -> None:
     def found(layer: KnownLayer) -> tuple[float, float, float]:
         modulus = modulus_of(layer, 0.6, (0.57, 0.63), force_n=3.0, radius_m=0.01)
-        assert modulus is not None
         return modulus.interval_pa[0], modulus.pa, modulus.interval_pa[1]
 
     ends = [layer_modulus(1e-3 * 3.0 / one, 3.0, thickness_m=0.03) for one in (0.57, 0.6, 0.63)]

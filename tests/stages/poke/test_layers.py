@@ -21,7 +21,6 @@ def test_a_flat_surface_becomes_an_even_lattice_whose_lowest_layer_is_the_ground
     np.testing.assert_allclose(layers.rest[layers.bottom, 2], 0.02)
     np.testing.assert_allclose(np.unique(layers.rest[:, 2].round(12)), [0.02, 0.03, 0.04, 0.05])
     found = clusters.find_lattice(layers.rest)
-    assert found is not None
     assert found[0] == layers.shape
     np.testing.assert_array_equal(found[1], layers.cell)
 

@@ -74,7 +74,6 @@ def test_each_poke_has_its_stiffness_and_the_field_is_judged_by_pokes_left_out()
     assert reported.model.field_kind == "materials"
     beside = Poke(np.array([0.15, 0.05, 0.03]), Tip("flat", (0.02, 0.02)), depth=1e-3)
     met = reported.model.stiffness_at(beside, SPACING)
-    assert met is not None
     assert met.value == pytest.approx(90.0, rel=0.03)
     assert met.interval[0] < 90.0 < met.interval[1]
     assert [row.stiffness_n_per_m for row in reported.rows()] == pytest.approx(reported.model.stiffness.tolist())
@@ -92,7 +91,6 @@ def test_the_interval_holds_the_truth_under_noise_and_shrinks_with_it() -> None:
         low, high = reported.interval
         assert low <= LAW.beta <= high
         assert low <= reported.value <= high
-        assert reported.stiffness is not None
         assert reported.stiffness[1][0] <= STIFFNESS <= reported.stiffness[1][1]
         widths.append(high - low)
     assert widths[0] < widths[1]

@@ -68,7 +68,6 @@ def test_a_displacement_is_found_to_a_millimetre_or_two(seed: int) -> None:
 
     found = align(np.concatenate([points, others]), solids)
 
-    assert found is not None
     assert off_m(found, truth) < 0.002
     assert off_m(found, np.eye(4)) > 0.004
     assert found.rms_m < 0.003

@@ -168,7 +168,6 @@ def test_without_shrinkage_a_covariance_is_its_classs_own() -> None:
     density = np.stack([multivariate_normal(x.mean(axis=0), np.cov(x.T, ddof=0)).pdf(points) for x in own], axis=1)
 
     plain = plain_quadratic(points, 2 * target, points, 5)
-    assert plain is not None
     np.testing.assert_allclose(np.exp(plain[:, ::2]), density / density.sum(axis=1, keepdims=True), atol=1e-6)
     assert np.exp(plain[:, 1::2]).max() < 1e-8  # classes without a point
     assert plain_quadratic(points[::4], target[::4], points, 3) is None

@@ -67,7 +67,6 @@ def test_accuracy_without_copies_is_told_and_promised() -> None:
     label, features = rows.new()
     model = result.model()
     truth = (model.predict_proba({"touch": features}).argmax(axis=1) == label).mean()
-    assert found.without_copies is not None
     low, high = found.without_copies.accuracy.interval
     assert low <= truth <= high < found.best.accuracy.value
     assert model.promised["interval"] == (low, high)

@@ -100,8 +100,6 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
     one = examine(cube, CubeFit(), True)
 
     assert one.overlapping is not None
-    assert one.one_cluster is not None
-    assert one.ratio is not None
     assert one.ratio <= 0.5
     assert one.one_cluster.aee >= 0.8 * one.theta.aee
     row, along, out = cubes_figures.side_line(cube)
