@@ -68,7 +68,6 @@ def test_code_of_drivers_names_what_exists(page: Path) -> None:
 
 def test_a_page_shows_how_every_command_is_used() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
-
     assert [name for name in COMMANDS if not re.search(rf"(?:deformscope |`){name}[` \n]", text)] == []
 
 
@@ -146,7 +145,6 @@ def test_the_readmes_python_runs(
     names: dict[str, Any] = {}
     exec(compile(script, "README.md", "exec"), names)
     out, err = capsys.readouterr()
-
     assert out.startswith("beta of sample:poke\n")
     assert "\n2.17 N/mm under the tip (1.99 to 2.35)\n" in out
     assert "\nlab:two-60-150\n  verdict " in out

@@ -238,7 +238,6 @@ def test_each_folder_imports_what_it_may() -> None:
             free = free or not name.startswith("deformscope.") or not target.startswith("deformscope.")
             if not free and other not in LAYERS[mine]:
                 wrong.append(f"{name} imports {target}")
-
     assert wrong == []
 
 
@@ -254,7 +253,6 @@ def test_no_files_import_each_other() -> None:
 def test_there_are_no_cycles() -> None:
     """Each folder can be understood with those alone that it imports. Files know recordings, which know no files."""
     order = TopologicalSorter(LAYERS)
-
     order.prepare()
 
 
@@ -268,7 +266,6 @@ def test_imports_point_one_way(layer: str) -> None:
         for forbidden in FORBIDDEN[layer]
         if within(target, forbidden)
     ]
-
     assert wrong == []
 
 
@@ -277,7 +274,6 @@ def test_other_engines_are_imported_in_their_own_processes_alone() -> None:
     importers = [
         name for name, path in modules().items() if any(within(to, e) for to in imported(path) for e in engines)
     ]
-
     assert importers == ["studies.engines.peer_process"]
 
 
@@ -288,7 +284,6 @@ def _prints(script: str, expected: str) -> None:
     shown = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment
     )
-
     assert shown.stderr == ""
     assert shown.stdout == expected
 
@@ -350,7 +345,6 @@ print(ended)
 def test_version_is_declared_once_and_cited() -> None:
     built = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
-
     assert "version" in built["project"]["dynamic"]
     assert built["tool"]["hatch"]["version"] == {"path": "deformscope/version.py"}
     assert deformscope.__version__ == cited

@@ -73,7 +73,6 @@ def test_every_block_is_code_commands_or_what_a_command_prints(page: Path) -> No
 @pytest.mark.parametrize(("page", "line"), OURS, ids=[line[:70] for _, line in OURS])
 def test_the_flags_of_a_command_in_a_page_are_known(page: Path, line: str) -> None:
     name, options = understood(line)
-
     assert type(options).__name__ == cli.COMMANDS[name].config
 
 
@@ -163,13 +162,11 @@ TABLE = ["lab:table", "  verdict    2 regions", "  region 1   0.418 N/mm (0.387 
 )
 def test_numbers_are_compared_as_they_are_printed(shown: str, same: bool) -> None:
     one = printed.Printed(README, "deformscope x", ("...", shown, "..."))
-
     assert (printed.differing(one, TABLE) == []) is same
 
 
 def test_times_and_names_with_a_stamp_are_not_compared() -> None:
     shown = [*TABLE[:-1], "  time       17 s"]
-
     assert printed.differing(printed.Printed(README, "deformscope x", tuple(shown)), TABLE) == []
 
 
@@ -190,7 +187,6 @@ def test_what_is_written_is_as_shown(tmp_path: Path) -> None:
     (one,) = printed.printed(page)
     printed.write(page, [(one, TABLE)])
     (renewed,) = printed.printed(page)
-
     assert renewed.shown == ("...", TABLE[2], "...")
     assert page.read_text().endswith("\n```\n\n```\ndeformscope x\n```\n")
 
@@ -202,5 +198,4 @@ def test_the_recording_of_the_docs_is_the_one_that_is_kept() -> None:
     manifest = tomllib.loads((ROOT / "recordings" / "manifest.toml").read_text(encoding="utf-8"))
     of = (entry for entry in manifest["recording"] if entry["file"] == "tension.rrd")
     kept = {entry["command"].replace("recordings/", "") for entry in of}
-
     assert kept <= {one.command for one in EVERY}

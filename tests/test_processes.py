@@ -25,7 +25,6 @@ with starting():
 def test_a_script_that_does_not_guard_itself_runs_once(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(WITHOUT_GUARD)
-
     ran = subprocess.run(
         [sys.executable, script],
         capture_output=True,
@@ -34,7 +33,6 @@ def test_a_script_that_does_not_guard_itself_runs_once(tmp_path: Path) -> None:
         check=False,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
-
     assert ran.returncode == 0, ran.stderr
     assert ran.stdout == "the script runs\n3\n"
 
@@ -48,9 +46,7 @@ def test_they_have_one_thread_of_blas_leave_signals_to_their_parent_and_the_pare
     with starting():
         pool = ProcessPoolExecutor(1, SPAWN, follow_parent)
         child = pool.submit(os.getpid).result(PATIENCE_S)
-
     os.kill(child, signal.SIGINT)
-
     assert [pool.submit(os.getenv, name).result(PATIENCE_S) for name in BLAS_THREADS] == ["1", "1", "1"]
     assert pool.submit(os.getpid).result(PATIENCE_S) == child
     assert sys.modules["__main__"] is main
@@ -67,7 +63,6 @@ def test_a_ctrl_c_does_not_end_them_while_they_begin() -> None:
     with starting():
         pool = ProcessPoolExecutor(1, SPAWN)
         begun = pool.submit(blocked)
-
     assert begun.result(PATIENCE_S)
     assert not blocked()
     pool.shutdown()
@@ -103,6 +98,5 @@ def test_a_ctrl_c_waits_for_no_split_of_a_classification(tmp_path: Path) -> None
             _, errors = running.communicate(timeout=PATIENCE_S)
         finally:
             running.kill()
-
     assert began.startswith(b"a split is computed")
     assert b"KeyboardInterrupt" in errors

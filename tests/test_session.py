@@ -98,10 +98,8 @@ class Rig:
 
 def test_a_rig_is_recorded_until_it_is_enough_and_nothing_is_left() -> None:
     rig, notes = Rig(), Notes()
-
     run(rig, live_stages((), {}, lambda items: rig.count == 3), notes)
     last = finish(rig, notes)
-
     assert notes.said == [HealthReport(number, ()) for number in (1, 2, 3, 0, -1)]
     assert last == HealthReport(-1, ())
 
@@ -113,7 +111,6 @@ def test_what_an_experiment_notes_is_recorded_before_its_results() -> None:
 
     notes = Notes()
     run(Rig(), experiment(), notes)
-
     assert notes.said[1:3] == [
         SessionNote(5, "stage", "beta gives nothing: too dark"),
         Step(("a result",), notes=(SessionNote(5, "stage", "beta gives nothing: too dark"),)),

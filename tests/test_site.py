@@ -61,9 +61,7 @@ def environment() -> dict[str, str]:
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the site needs pip install 'deformscope[docs]'")
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(tmp_path)]
-
     built = subprocess.run(command, cwd=ROOT, env=environment(), capture_output=True, text=True)
-
     assert (built.returncode, built.stdout + built.stderr) == (0, "")
     page = (tmp_path / "reference" / "rig-file.html").read_text(encoding="utf-8")
     assert "hard_stop_n" in page
@@ -76,7 +74,6 @@ def test_every_page_stands_in_the_navigation() -> None:
     named = set(
         re.findall(r"[\w/-]+\.md", str(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]))
     )
-
     made = {f"reference/{name}.md" for name in runpy.run_path(str(ROOT / "tools" / "reference_pages.py"))["PAGES"]}
     assert {page_name(page) for page in DOCS.rglob("*.md")} | made == named
 
@@ -91,9 +88,7 @@ def test_a_notebook_is_shown_with_its_outputs(tmp_path: Path) -> None:
     ]
     path = tmp_path / "fit.ipynb"
     path.write_text(json.dumps({"cells": cells}), encoding="utf-8")
-
     page, pictures = runpy.run_path(str(ROOT / "tools" / "reference_pages.py"))["notebook_page"](path)
-
     assert page.startswith("# A fit\n\nWords.\n\n[fit.ipynb](fit.ipynb)")
     assert "](../howto/run-a-notebook.md)" in page
     assert "```python\nprint(1)\n```\n\n```text\nbeta\n0.5\n```\n\n![What the cell draws](fit-0.png)" in page
@@ -128,7 +123,6 @@ def test_a_page_runs_as_typed(page: Path, tmp_path: Path) -> None:
 def test_lines_to_type_are_shown_whole(page: Path) -> None:
     """Narrower than a block of the site and of GitHub, so that none is cut off."""
     typed = (block for kind, _, block in BLOCK.findall(page.read_text(encoding="utf-8")) if kind in TYPED)
-
     assert [line for block in typed for line in block.splitlines() if len(line) > WIDEST] == []
 
 
@@ -145,7 +139,6 @@ def test_all_pages_together_are_short() -> None:
 def test_addresses_of_before_lead_to_pages() -> None:
     plugins = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["plugins"]
     (maps,) = (one["redirects"]["redirect_maps"] for one in plugins if "redirects" in one)
-
     assert "exploring.md" in maps
     assert [new for new in maps.values() if not (DOCS / new).is_file()] == []
     assert [old for old in maps if (DOCS / old).exists()] == []
@@ -170,9 +163,7 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.delenv("MPLBACKEND", raising=False)  # the tests' own: a kernel draws into the notebook
     ships = nbformat.read(path, 4)
     notebook = nbformat.read(path, 4)
-
     client.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
-
     for cell, before in zip(notebook.cells, ships.cells, strict=True):
         if cell.cell_type == "code":
             assert pictures(cell) == pictures(before), cell.source
@@ -203,7 +194,6 @@ def test_messages_of_the_troubleshooting_page_are_the_programs() -> None:
         path.read_text(encoding="utf-8") for part in ("deformscope", "drivers") for path in (ROOT / part).rglob("*.py")
     )
     quoted = re.findall(r"^\| `(.*?)` \|", text, re.MULTILINE)
-
     assert len(quoted) > 20
     assert [one for one in quoted if f'"{one}' not in code] == []
 
@@ -214,5 +204,4 @@ def test_sentences_are_short(page: Path) -> None:
     prose = [line for line in text.splitlines() if not line.startswith(("#", "|", "!"))]
     sentences = [one for one in re.split(r"(?<=[.:?!])\s+|\n\n|\n- |\n\d\. ", "\n".join(prose)) if one.strip()]
     long = [one for one in sentences if len(one.split()) > LONGEST]
-
     assert len(long) <= (1 - SHARE) * len(sentences), long

@@ -21,9 +21,7 @@ def test_near_is_inside_or_within_the_distance() -> None:
     beyond = np.abs(points) - 0.5 * SIDES_M
     away = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
     sure = np.abs(away - 0.01) > 1e-6  # float32
-
     near = box().near(points, 0.01)
-
     np.testing.assert_array_equal(near[sure], (away <= 0.01)[sure])
     assert 0 < np.count_nonzero(near) < len(points)
 

@@ -40,7 +40,6 @@ def test_a_class_name_stands_for_one_class(package: str, trees: Trees) -> None:
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(path)
-
     assert {name: found for name, found in places.items() if len(found) > 1 and name not in SHARED} == {}
 
 
@@ -53,7 +52,6 @@ def test_functions_are_short(trees: Trees) -> None:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         if (length := (node.end_lineno or node.lineno) - node.lineno + 1) > LONGEST_FUNCTION
     ]
-
     assert long == []
 
 
@@ -69,7 +67,6 @@ def test_what_kernel_factories_make_has_names(trees: Trees) -> None:
             )
             if many or (unnamed and isinstance(value, ast.Call) and _made(value)):
                 wrong.append(f"{path}:{node.lineno}")
-
     assert wrong == []
 
 
@@ -87,7 +84,6 @@ def test_constants_that_a_robot_moves_by_name_their_source(trees: Trees) -> None
             explained = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
             if name and not (explained and isinstance(after.value.value, str)):
                 bare.append(f"{path}: {name}")
-
     assert bare == []
 
 
@@ -106,5 +102,4 @@ def test_the_picture_of_the_layers_is_drawn_from_the_whitelist() -> None:
     tool = runpy.run_path(str(ROOT / "tools" / "layers.py"))
     page = (ROOT / "docs" / "developers" / "architecture.md").read_text(encoding="utf-8")
     shown = page.split(tool["BEGIN"])[1].split(tool["END"])[0]
-
     assert shown == tool["drawing"](), "draw it again: python tools/layers.py --write"

@@ -32,19 +32,16 @@ def engine(body: BenchBody, device: str, precision: Precision = "float64") -> An
 def test_step(benchmark: Any, body: BenchBody, device: str) -> None:
     msm = engine(body, device, "float32")
     benchmark.extra_info["steps"] = STEPS
-
     benchmark(lambda: msm.step(msm.start(), body.held_position, BETA, steps=STEPS))
 
 
 def test_relax(benchmark: Any, body: BenchBody, device: str) -> None:
     static = benchmark(partial(engine(body, device).relax, body.held_position, BETA))
-
     assert static.converged.all()
 
 
 def test_sweep(benchmark: Any, body: BenchBody, device: str) -> None:
     static = benchmark(partial(engine(body, device).relax, body.held_position, np.arange(100) * 0.01))
-
     assert static.converged.all()
 
 
@@ -52,7 +49,5 @@ def test_gradient(benchmark: Any, body: BenchBody, device: str) -> None:
     msm = engine(body, device)
     position = msm.relax(body.held_position, BETA).position
     cotangent = np.random.default_rng(0).standard_normal(position.shape)
-
     slope = benchmark(partial(msm.gradient, position, BETA, 0.0, cotangent=cotangent))
-
     assert np.isfinite(slope.beta_by_cluster).all()

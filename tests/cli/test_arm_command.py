@@ -88,7 +88,6 @@ def test_keys_move_the_tip_a_step_each(rig: Path) -> None:
     rig.write_text(RIG)  # before there is any box
     start_m = jogged(rig, [(5, "q")])
     moved_m = jogged(rig, [(5, "d"), (60, "r"), (120, "2"), (130, "s"), (200, "q")])
-
     assert moved_m - start_m == pytest.approx([0.005, -0.005, 0.005], abs=8e-4)
 
 
@@ -96,7 +95,6 @@ def test_a_jog_is_stopped_by_the_supervisor_at_the_box(rig: Path) -> None:
     """A key that is held runs into the box's side: the same verdict as in an exploration."""
     start_m = jogged(rig, [(5, "q")])
     rig.write_text(RIG + BOX.replace("0.10, 0.75]", "0.10, 0.3]").replace("0.3]", f"{start_m[2] + 0.03:.3f}]"))
-
     with pytest.raises(Exception, match="workspace left"):
         jogged(rig, [(5 + 3 * count, "r") for count in range(200)])
 
@@ -142,7 +140,6 @@ def test_a_jog_that_is_stopped_is_recorded_whole(
         keys = typed([(5 + 3 * count, "r") for count in range(200)])
         rig.write_text(RIG + BOX.replace("0.75]", "0.3]"))
     monkeypatch.setattr(arm_commands, "terminal_keys", lambda: contextlib.nullcontext(lambda: next(keys)))
-
     assert main(["arm", "jog", str(rig), "--record", str(tmp_path / "jog.rrd")]) == by
     assert (f"the recording is complete: {tmp_path / 'jog.rrd'}" in capsys.readouterr().err) == (by != 2)
     assert verify_here(tmp_path / "jog.rrd") in (0, EXIT_LOSSES)
@@ -152,7 +149,6 @@ def test_a_jog_that_is_stopped_is_recorded_whole(
 
 def test_go_brings_the_tip_over_a_place(rig: Path, tmp_path: Path) -> None:
     found = tmp_path / "there.json"
-
     assert main(["arm", "go", str(rig), "--above", "0.2,0.15", "--height", "0.12", "--json", str(found)]) == 0
     assert json.loads(found.read_text())["center_m"] == pytest.approx([0.2, 0.15, 0.05 + 0.12 + 0.01], abs=3e-3)
 
@@ -161,7 +157,6 @@ def test_where_it_is_and_home(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     """On the driver's own thread, with a double behind it."""
     path, found = tmp_path / "rig.toml", tmp_path / "where.json"
     path.write_text('[devices.arm]\ndriver = "jaco"\ndouble = true\n')
-
     assert main(["arm", "where", str(path), "--json", str(found)]) == 0
     there = json.loads(found.read_text())
     assert len(there["joints_deg"]) == 6

@@ -49,7 +49,6 @@ def test_a_table_and_all_of_it_as_json(capsys: pytest.CaptureFixture[str]) -> No
     assert main([*SHORT, "--only", "step", "--json", "bench.json"]) == 0
     out, err = capsys.readouterr()
     told = json.loads(Path("bench.json").read_text(encoding="utf-8"))
-
     assert told.keys() == TOP
     assert told["complete"] is True
     assert {"cpu", "cores", "load", "device", "gpu", "warp", "numpy", "deformscope", "date"} <= told["machine"].keys()
@@ -81,7 +80,6 @@ def test_every_case_gives_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.setattr(starting.tempfile, "TemporaryDirectory", lambda: contextlib.nullcontext(cache))
     assert main([*SHORT, "--repeats", "1", "--only", case, "--json", "bench.json"]) == 0
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
-
     assert {row["case"] for row in rows} == {case}
     assert all(row["facts"]["converged"] == row["facts"]["candidates"] for row in rows if case == "relax")
     assert all(row["repeats"] == 1 and row["median"] > 0 for row in rows)
@@ -101,7 +99,6 @@ def told_rows() -> list[dict[str, object]]:
 def test_json_has_stdout_to_itself(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     rows_as_measured(monkeypatch, 2.0)
     assert main([*SHORT, "--json", "-"]) == 0
-
     told = json.loads(capsys.readouterr().out)
     assert told.keys() == TOP
     assert all(row.keys() == OF_ROWS for row in told["rows"])
@@ -114,7 +111,6 @@ def test_a_row_is_compared_with_an_earlier_run(
     assert main([*SHORT, "--json", "bench.json"]) == 0
     assert told_rows()[0]["against"] is None
     Path("bench.json").rename("before.json")
-
     rows_as_measured(monkeypatch, 3.0, 3.0, 3.1)
     assert main([*SHORT, "--json", "bench.json", "--against", "before.json"]) == 0
     assert told_rows()[0]["against"] == 1.5
@@ -124,7 +120,6 @@ def test_a_row_is_compared_with_an_earlier_run(
 @pytest.mark.parametrize("text", ["", "{}", '{"format": 99, "rows": []}', '{"format": 1, "rows": [{}]}', "[1]"])
 def test_an_earlier_run_that_is_none_is_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
     Path("before.json").write_text(text, encoding="utf-8")
-
     assert main([*SHORT, "--against", "before.json"]) == EXIT_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert "before.json" in line
@@ -132,7 +127,6 @@ def test_an_earlier_run_that_is_none_is_refused(text: str, capsys: pytest.Captur
 
 def test_samples_that_disagree_are_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     rows_as_measured(monkeypatch, 1.0, 2.0, 3.0)
-
     assert main([*SHORT, "--json", "bench.json"]) == 0
     assert told_rows()[0]["doubt"] == "samples spread by 50%"
     assert "spread by 50%" in " ".join(capsys.readouterr().out.split())
@@ -140,7 +134,6 @@ def test_samples_that_disagree_are_said(monkeypatch: pytest.MonkeyPatch, capsys:
 
 def test_a_time_that_no_clock_gives_fails(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     rows_as_measured(monkeypatch, 1.0, -0.04, 1.0)
-
     assert main([*SHORT, "--json", "bench.json"]) == EXIT_INPUT
     assert str(told_rows()[0]["doubt"]).startswith("FAILED")
     assert "-0.04 ms/step" in capsys.readouterr().err
@@ -150,7 +143,6 @@ def test_a_time_that_no_clock_gives_fails(monkeypatch: pytest.MonkeyPatch, capsy
 def test_memory_is_told_of_bodies_that_take_some() -> None:
     assert main([*SHORT[:-3], "13824", "--only", "memory", "--json", "bench.json"]) == 0
     rows = json.loads(Path("bench.json").read_text(encoding="utf-8"))["rows"]
-
     assert all(row["unit"] == "B/particle (process)" for row in rows)
     assert len(rows) in (0, 2)  # some systems do not say
 
@@ -170,7 +162,6 @@ def test_contestants_take_turns_and_are_compared_within_rounds() -> None:
     first, second = compare(
         "step", [ours, Contestant("a step", "theirs", theirs.run, "steps/s", 2.0, beside=ours)], lambda seconds: 3
     )
-
     assert ran == ["ours", "theirs"] * 4
     assert first.samples == (1000.0, 2000.0, 4000.0)
     assert (first.median, first.spread, first.costs) == (2000.0, 1500.0, None)
@@ -186,7 +177,6 @@ def test_what_was_measured_is_kept_when_it_is_interrupted(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(report, "MEASURES", ((frozenset({"step"}), interrupted),))
-
     assert main([*SHORT, "--json", "bench.json"]) == EXIT_INTERRUPTED
     out, err = capsys.readouterr()
     told = json.loads(Path("bench.json").read_text(encoding="utf-8"))
@@ -216,7 +206,6 @@ def test_a_gpu_that_is_not_there_is_said() -> None:
     wp = pytest.importorskip("warp")
     if wp.is_cuda_available():
         pytest.skip("warp finds a CUDA device")
-
     assert main(["bench", "--device", "cuda"]) == EXIT_INPUT
 
 
@@ -227,6 +216,5 @@ def test_it_runs_where_numpy_scipy_and_warp_are_all_there_is() -> None:
         *("--quick", "--device", "cpu", "--sizes", "64", "--only", "step,memory,relax", "--repeats", "1"),
         without=lacking,
     )
-
     assert (ran.returncode, "Traceback" in ran.stderr) == (0, False), ran.stderr
     assert json.loads(ran.stdout)["complete"] is True

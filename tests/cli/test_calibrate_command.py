@@ -286,7 +286,6 @@ def test_committed_recordings_are_what_their_manifest_says(
 
 def test_a_number_that_differs_by_more_is_noticed() -> None:
     whole = StageCost("flow", 2.0, 1.0)
-
     assert differing_by_more(whole, StageCost("flow", 2.0 + 1e-6, 1.0)) is None
     assert differing_by_more(whole, StageCost("flow", 2.0 + 3e-6, 1.0)) == "wall_ms"
     assert differing_by_more(whole, StageCost("beta", 2.0, 1.0)) == "stage"

@@ -98,7 +98,6 @@ def test_camera_from_touches_and_from_poses(rig: Path) -> None:
     X = rigid(Rotation.from_euler("x", 135, degrees=True).as_matrix(), [0.0, -0.9, 0.6])
     places = np.array([0.0, -0.35, 0.05]) + random.uniform(-0.2, 0.2, (8, 3))
     seen = (places - X[:3, 3]) @ X[:3, :3] + 1e-3 * random.standard_normal((8, 3))
-
     assert calibrate("camera", rig, touched_m=places, seen_m=seen)[0] == 0
     camera = load_rig(rig).camera
     assert np.array(camera.T_arm_camera) == pytest.approx(X, abs=6e-3)
@@ -117,7 +116,6 @@ def test_time_is_written_and_the_picture_drawn(rig: Path, tmp_path: Path) -> Non
     noise = 0.01 * np.random.default_rng(2).standard_normal(len(time_s))
     picture = tmp_path / "time.png"
     signals = {"x_time_s": time_s, "x": taps, "y_time_s": time_s[::10] + 0.02, "y": (taps + noise)[::10]}
-
     recording = tmp_path / "time.rrd"
     assert calibrate("time", rig, "--picture", str(picture), "--record", str(recording), **signals)[0] == 0
     assert verify_here(recording) == 0
@@ -148,9 +146,7 @@ def test_pushes_along_the_table_s_edges_and_a_weight_in_tilts(rig: Path) -> None
     hanging = np.array([0.2 + felt(one, -weight_n) for one in poses])
     time_s = np.arange(0.0, 8.0, 0.01)
     rest = 0.2 + felt(pose, -weight_n) + 0.005 * np.random.default_rng(3).standard_normal((len(time_s), 3))
-
     found = solve_force(made, PushedTip(pose, ForceReadings(time_s, rest), pushed, axes, poses, hanging))
-
     assert found.found["R_tip_force"] == pytest.approx(mounted, abs=0.03)
     assert found.found["weight"].weight_n == pytest.approx(0.4, abs=0.02)
     assert found.found["weight"].down == pytest.approx([0.0, 0.0, -1.0], abs=0.06)
@@ -171,7 +167,6 @@ def test_views_turned_about_one_axis_alone_are_refused_with_the_next_pose(
     about_y = Rotation.from_rotvec(np.linspace(-0.6, 0.6, 8)[:, None] * [0.0, 1.0, 0.0])
     arm = rigid(about_y.as_matrix(), np.random.default_rng(5).uniform(-0.1, 0.1, (8, 3)))
     board = np.linalg.inv(X) @ arm @ rigid(np.eye(3), np.array([0.0, 0.0, 0.05]))
-
     assert calibrate("camera", rig, T_base_ee=arm, T_camera_board=board)[0] == 2
     said = capsys.readouterr().err
     assert "expected views turned by 7 degrees or more about two axes" in said
@@ -181,7 +176,6 @@ def test_views_turned_about_one_axis_alone_are_refused_with_the_next_pose(
 
 def test_without_a_terminal_nobody_is_asked(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig.write_text(RIG.replace('driver = "jaco"', 'driver = "jaco"\ndouble = true'))
-
     assert main(["calibrate", "tip", str(rig)]) == 2
     assert "no terminal for questions" in capsys.readouterr().err
 
@@ -189,7 +183,6 @@ def test_without_a_terminal_nobody_is_asked(rig: Path, capsys: pytest.CaptureFix
 def test_the_first_day_in_its_order() -> None:
     rig = parse_rig(RIG, "rig.toml")
     steps = commissioning_steps(rig, "rig.toml")
-
     assert [step.what for step in steps] == ["tip", "place", "camera", "force", "arm", "time", "explore"]
     assert {step.what for step in steps if step.state != "to do"} == {"time"}  # the only one that is optional
     following = next_step(steps)

@@ -88,7 +88,6 @@ def test_all_are_listed_and_the_damaged_as_damaged(listed: dict[str, dict[str, A
 
 def test_a_row_says_what_made_it_and_what_it_found(listed: dict[str, dict[str, Any]]) -> None:
     tension, explored = listed["tension.rrd"], listed["explore.rrd"]
-
     assert (tension["kind"], explored["kind"]) == ("images", "exploration")
     assert tension["settings.stride"] == 2
     assert tension["beta_low"] <= tension["beta"] <= tension["beta_high"]
@@ -117,7 +116,6 @@ def test_only_what_changed_is_read_again(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, here)
     assert catalog(here)["read"] in (0, 6)  # times of a copy may be others
     assert catalog(here)["read"] == 0
-
     add_discard(here / "tension.rrd", {"reason": "the clamp slipped", "episode": 0, "label": ""})
     (here / "none.rrd").unlink()
     copy(SHIPPED / "squeeze.rrd", here / "short.rrd")
@@ -176,7 +174,6 @@ def test_a_page_has_a_picture_of_each_that_opens_it(folder: Path, tmp_path: Path
     page = (here / "catalog.html").read_text()
     (picture,) = (here / ".catalog").iterdir()
     made = picture.stat().st_mtime_ns
-
     assert re.search(r'<a href="tension%20one\.rrd"><img src="data:image/png;base64,', page)
     catalog(here, "--page")
     assert picture.stat().st_mtime_ns == made
@@ -254,7 +251,6 @@ def compared(first: Path, second: Path, tmp_path: Path) -> dict[str, Any]:
 def test_a_recording_does_not_differ_from_itself(tmp_path: Path) -> None:
     found = compared(SHIPPED / "explore.rrd", SHIPPED / "explore.rrd", tmp_path)
     by_name = {one["name"]: one for one in found["results"]}
-
     assert found["settings"] == {}
     assert {one["difference"]["value"] for one in found["results"] if "difference" in one} == {0}
     touched = by_name["touch 2.apparent_stiffness_n_per_mm"]["difference"]
@@ -265,7 +261,6 @@ def test_a_recording_does_not_differ_from_itself(tmp_path: Path) -> None:
 
 def test_settings_and_results_that_differ_are_named_and_what_has_no_contact_is_not_aligned(tmp_path: Path) -> None:
     found = compared(SHIPPED / "tension.rrd", SHIPPED / "explore.rrd", tmp_path)
-
     assert found["settings"]["stride"] == {"first": 2, "second": None}
     assert "without a contact" in found["unaligned"]
     assert found["series"] == []

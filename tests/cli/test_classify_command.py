@@ -105,7 +105,6 @@ def test_the_saved_classifier_answers_as_the_library_s(folder: Path) -> None:
     loaded = ds.load_classifier(folder / "m.npz")
     result = ds.classify(folder / "t.npz", splits=6, curve_splits=3)
     found = json.loads((folder / "t.json").read_text())
-
     np.testing.assert_array_equal(loaded.predict_proba(new), result.model().predict_proba(new))
     assert loaded.promised["accuracy"] == pytest.approx(result.accuracy)
     assert json.loads(json.dumps(result.to_dict(), allow_nan=False))["classification"] == found
@@ -138,7 +137,6 @@ def test_arrays_of_a_script_with_one_modality_and_merged_classes() -> None:
     table = two_modalities()
     arrays = {"label": table.label, "touch": table.modalities["touch"]}
     result = ds.classify(arrays, merge={"granular": ["flour", "rice"]}, splits=4, curve_splits=0)
-
     assert result.evaluation.table.classes == ("empty", "granular", "water")
     assert result.evaluation.best.method == "pooled"
     assert result.evaluation.protocol == "stratified"
@@ -152,7 +150,6 @@ def test_many_classes_of_few_trials_and_a_page_alone(tmp_path: Path, capsys: pyt
     page = tmp_path / "r.html"
     assert main(["classify", str(tmp_path / "t.npz"), *FAST, "--quick", "--report", str(page), "--json", "-"]) == 0
     out, err = capsys.readouterr()
-
     assert {one["splits"] for one in json.loads(out)} == {6}
     assert "fewer than 5 trials of c00" in err
     assert "stratified splits" in page.read_text()
@@ -167,7 +164,6 @@ def test_a_disk_that_is_full_for_the_classifier_does_not_cost_the_json(
     monkeypatch.setattr("deformscope.files.classifier_file.save_classifier", no_room)
     found = tmp_path / "t.json"
     files = ["--json", str(found), "--save", str(tmp_path / "m.npz")]
-
     assert main(["classify", str(write(tmp_path / "t.npz")), *FAST, "--quick", "--splits", "2", *files]) != 0
     assert json.loads(found.read_text())
 

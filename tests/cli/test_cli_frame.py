@@ -134,7 +134,6 @@ def test_an_existing_recording_is_not_written_over(
     }
     positional = [] if name == "demo" else ["x.npz"]
     args = [*name.split(), *needed.get(name, positional)]
-
     assert cli.main([*args, "--viewer", "none", "--record", str(kept)]) == 2
     assert "a new file after --record; got one that exists" in one_line(capsys)
     assert kept.read_bytes() == b"kept"
@@ -147,7 +146,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_runs_as_a_module() -> None:
     shown = run_python("-m", "deformscope", "--version")
-
     assert (shown.returncode, shown.stderr) == (0, "")
 
 
@@ -219,7 +217,6 @@ def test_values_of_one_word() -> None:
         "--beta-range 0.1,0.9 --json - --record r.rrd --viewer none --overwrite --seed 4"
     )
     parsed = cli.parse(config.BetaConfig, ["a.png", "b.png", *flags.split()])
-
     assert parsed.sources == ("a.png", "b.png")
     assert parsed.images.roi == (400, 200, 750, 350)
     assert parsed.images.contact == (500, 190, 120.5, 30)
@@ -234,7 +231,6 @@ def test_values_of_one_word() -> None:
 def test_defaults_are_the_thesis() -> None:
     beta = cli.parse(config.BetaConfig, ["v.mp4"])
     theta = cli.parse(config.ThetaConfig, ["v.mp4"])
-
     assert (beta.mode, beta.alpha, beta.beta_range) == ("linear", 1, (0, 0.99))
     assert (beta.fitted_cluster_size, beta.fitted_theta) == (3, 0.0)
     assert (theta.mode, theta.cluster_size, theta.alpha, theta.beta, theta.theta_range) == (
@@ -294,7 +290,6 @@ def test_defaults_are_the_thesis() -> None:
 def test_options_that_cannot_be_are_refused(args: str, says: str) -> None:
     with pytest.raises(InputError) as refused:
         cli.parse(config.BetaConfig, args.split(), "deformscope calibrate beta")
-
     assert says in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -410,7 +405,6 @@ def test_a_reader_that_goes_away_is_quiet() -> None:
         result = run_python("-c", TALK, stdout=writer)
     finally:
         os.close(writer)
-
     assert (told.returncode, told.stderr) == (141, "")
     assert (flags.returncode, flags.stderr) == (141, "")
     assert (result.returncode, result.stderr) == (141, "")
@@ -427,7 +421,6 @@ def test_each_library_to_install_is_known_to_the_errors() -> None:
     needed = dict(
         re.findall(r"^need (\S+)\.so\.\d+ (\S+)$", SYSTEM_LIBRARIES.read_text(encoding="utf-8"), re.MULTILINE)
     )
-
     assert needed == cli.PACKAGES
 
 
@@ -527,7 +520,6 @@ def test_looking_whether_a_file_can_be_written_leaves_all_as_it_was(tmp_path: Pa
     common.check_writable(kept, "--json")
     common.check_writable(tmp_path / "new.json", "--json")
     common.check_writable(Path(os.devnull), "--json")
-
     assert [path.name for path in tmp_path.iterdir()] == ["kept.json"]
     assert kept.read_text() == "kept"
 
@@ -566,7 +558,6 @@ def test_a_file_is_replaced_when_whole(tmp_path: Path) -> None:
 def test_a_device_is_written_to_not_replaced() -> None:
     with common.replacing(Path(os.devnull)) as file:
         file.write(b"gone")
-
     assert Path(os.devnull).is_char_device()
 
 
@@ -584,7 +575,6 @@ def test_json_is_plain(tmp_path: Path) -> None:
     result = Result(math.nan, {"aee": np.array([1.0, math.inf]), "n": np.int64(3), "ok": np.bool_(True)}, Path("a"))
     common.write_json([result, (np.float32(0.5), None)], str(tmp_path / "r.json"))
     text = (tmp_path / "r.json").read_text()
-
     assert text.endswith("\n")
     assert json.loads(text) == [
         {"value": None, "curve": {"aee": [1.0, None], "n": 3, "ok": True}, "where": "a"},
@@ -632,7 +622,6 @@ with json_alone("-"):
 print("after")
 """
     told = run_python("-c", script)
-
     assert told.stdout == '{\n  "beta": 0.5\n}\nafter\n'
     assert sorted(told.stderr.split()) == ["below", "python"]
 

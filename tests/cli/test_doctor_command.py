@@ -44,9 +44,7 @@ def verdicts(path: Path, capsys: pytest.CaptureFixture[str], *arguments: str) ->
 def test_the_example_works_with_doubles(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(doubled(example))
-
     status, found = verdicts(path, capsys)
-
     assert {name: verdict for name, (verdict, _) in found.items()} == dict.fromkeys(DEVICES, "ok")
     assert status == 0
 
@@ -59,14 +57,11 @@ def test_devices_that_fail_are_rows_among_the_others(
         assert there in example
         example = example.replace(there, missing)
     path.write_text(doubled(example, "tip", "pads", "hand"))
-
     status, found = verdicts(path, capsys)
-
     assert tuple(found) == DEVICES
     assert [name for name in DEVICES if found[name][0] == "ok"] == ["arm", "camera", "depth"]
     assert all("| try: " in told for verdict, told in found.values() if verdict == "FAIL")
     assert status == 2
-
     assert main(["doctor", str(path), "--seconds", "0.1"]) == 2
     printed = capsys.readouterr()
     last = printed.out.splitlines()[-1]
@@ -87,9 +82,7 @@ def test_whatever_a_device_raises_is_a_row(
     path = tmp_path / "rig.toml"
     path.write_text(doubled(example))
     monkeypatch.setattr(double_device, "_wire_process", fail)
-
     status, found = verdicts(path, capsys)
-
     assert found.pop("pads")[1].startswith("unexpected ZeroDivisionError: by zero | try: ")
     assert {verdict for verdict, _ in found.values()} == {"ok"}
     assert len(found) == len(DEVICES) - 1
@@ -113,7 +106,6 @@ def test_what_the_robot_looks_like_is_a_row(tmp_path: Path, capsys: pytest.Captu
 def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.arm]\ndriver = "jaco"\ndouble = true\n[record]\nfolder = "{"a" * 5000}"\n')
-
     assert main(["doctor", str(path), "--seconds", "0.1"]) == 2
     told = capsys.readouterr().out
     assert "FAIL  disk" in told
@@ -124,7 +116,6 @@ def test_a_folder_that_no_disk_can_have_is_a_row(tmp_path: Path, capsys: pytest.
 def test_the_example_with_doubles_is_recorded(command: list[str], example: str, tmp_path: Path) -> None:
     path, told = tmp_path / "rig.toml", tmp_path / "told.json"
     path.write_text(doubled(example))
-
     status = main([*command, str(path), "--seconds", "1", "--json", str(told)])
     found = json.loads(told.read_text())
     devices = found["devices"]
@@ -142,7 +133,6 @@ def test_doubles_of_the_example_run_for_others(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "rig.toml"
     path.write_text(doubled(example) if all_doubled else example)
-
     assert main(["double", str(path), "--seconds", "0.1"]) == 0
     said = capsys.readouterr()
     assert [line for line in said.out.splitlines() if line.startswith("[")] == [
@@ -154,7 +144,6 @@ def test_doubles_of_the_example_run_for_others(
 def test_a_rig_without_anything_to_double_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text('[devices.camera]\ndriver = "webcam"\n')
-
     assert main(["double", str(path)]) == 2
     assert "expected a rig with devices of optoforce, dsa, sdh; got none" in capsys.readouterr().err
 
@@ -169,7 +158,6 @@ def test_what_a_device_remarks_of_itself_is_to_be_looked_at(
     keys = 'driver = "realsense"\ndouble = true\nwidth = 64\nheight = 48\nfps = 6\nwarm_up_s = 0.1'
     path = tmp_path / "rig.toml"
     path.write_text(f"[devices.depth]\n{keys}\n")
-
     assert main(["doctor", str(path), "--seconds", "0.1", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)["findings"]
     (fine, look) = [one for one in found if "(realsense" in one["what"] and "lost" not in one["told"]]

@@ -123,9 +123,7 @@ def test_another_arm_maps_two_foams(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use_a_simulated_clock(monkeypatch)
-
     found = explored(kind, 8, tmp_path, capsys)
-
     with capsys.disabled():
         print(f"\n{kind}: IoU {found['truth']['iou']:.3f} after {len(found['touches'])} touches")
     assert found["truth"]["iou"] >= 0.9
@@ -138,9 +136,7 @@ def test_each_place_of_the_plan_is_asked_for(
     use_a_simulated_clock(monkeypatch)
     use_quick_scene(monkeypatch)
     asked = asked_of_the_person(monkeypatch)
-
     found = explored("placed", 2, tmp_path, capsys)
-
     above = [request for request in asked if request.words.startswith("lift the tip, and place it")]
     places = [request.T_base_ee[:2, 3] for request in above]
     np.testing.assert_allclose(places, [touch["xy_m"] for touch in found["touches"]], atol=1e-9)
@@ -159,9 +155,7 @@ def test_a_dry_run_makes_the_motion_of_the_first_touch_in_the_air(
     use_quick_scene(monkeypatch)
     count_as_real(monkeypatch)
     record = tmp_path / "dry.rrd"
-
     found = explored("kuka", 8, tmp_path, capsys, "--yes", "--dry-run", "--first", "0.35,0.15", "--record", str(record))
-
     said = capsys.readouterr().err
     assert found["touches"] == []
     assert found["stop_reason"] == "stopped: dry run"
@@ -207,9 +201,7 @@ def test_a_person_is_asked_to_press_the_tip_of_an_arm_without_joint_torques(
     )
     rig = tmp_path / "kuka.toml"
     rig.write_text(RIGS["kuka"])
-
     status = main(["explore", str(rig), "--touches", "1", "--yes", "--dry-run", "--first", "0.35,0.15"])
-
     said = capsys.readouterr().err
     assert said.count("Press the tip straight up from below with a finger") == 1
     if presses:

@@ -178,7 +178,6 @@ def test_a_recording_without_a_frame_that_was_used_is_refused(tmp_path: Path, mo
     monkeypatch.setattr(
         "deformscope.experiments.explore.recorded_touches.read_items", lambda *_, **options: iter([state])
     )
-
     with pytest.raises(InputError, match="without 1 depth images, 0 forces and 0 states"):
         recorded_inputs(tmp_path / "e.rrd")
 
@@ -216,7 +215,6 @@ def test_what_cannot_be_explored_is_said_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-
     assert main(arguments) != 0
     said = capsys.readouterr().err
     assert words in said
@@ -300,7 +298,6 @@ def test_every_fault_is_noticed_and_its_recording_whole(
     arguments = ["explore", "lab:disc", *STOPPED, "--seed", "4", "--fault", f"{injected.word}@1"]
     # the laboratory's camera gives 10 pictures a second; an arm that hardly moves is noticed later (`fault_study`)
     within_s = 0.2 if injected in CAMERA else 0.4 if injected in AS_IT_MOVES else ALLOWED_S[injected]
-
     assert main([*arguments, "--record", str(record), "--json", str(told)]) == 2
     assert capsys.readouterr().err.count("Traceback") == 0
     assert 0.0 <= json.loads(told.read_text())["fault"]["noticed_after_s"] <= within_s
@@ -328,7 +325,6 @@ def test_over_the_slowest_link_that_is_let_it_explores_with_the_stick_as_command
 
     monkeypatch.setattr(TouchLab, "open", open_slow)
     monkeypatch.setattr(Robot, "_report_to_watch", report)
-
     assert main(["explore", "lab:two-60-150", *STOPPED, "--json", str(told)]) == 0
     found = json.loads(told.read_text())
     assert (found["stop_reason"], len(found["touches"])) == ("budget", 2)
@@ -360,7 +356,6 @@ def test_ctrl_c_stops_the_arm_and_keeps_all(
     record, told, terminal = tmp_path / "e.rrd", tmp_path / "e.json", Terminal()
     monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.DWELL, number))
     monkeypatch.setattr(sys, "stderr", terminal)
-
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record), "--json", str(told)]) == status
     said = terminal.getvalue()
     assert "Ctrl-C again to leave immediately" in said
@@ -384,7 +379,6 @@ def test_a_second_ctrl_c_leaves_at_once(
     """Slow: test_explore_ends.py has it without devices."""
     monkeypatch.setattr(TouchingRobot, "_begin", interrupted_at(Phase.APPROACH, signal.SIGINT, signal.SIGINT))
     record = tmp_path / "e.rrd"
-
     assert main(["explore", "lab:two-60-150", *STOPPED, "--record", str(record)]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert not record.exists()
@@ -491,6 +485,5 @@ def test_beneath_a_gripper_it_finds_what_it_finds_beneath_capsules(tmp_path: Pat
         assert main([*arguments, *more]) == 0
         iou.append(json.loads(told.read_text())["truth"]["iou"])
     assert iou[1] == pytest.approx(iou[0], abs=0.02)
-
     assert main(["replay", str(record), "--json", str(told)]) == 0
     assert json.loads(told.read_text())["identical"]

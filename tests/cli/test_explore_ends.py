@@ -100,12 +100,10 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
 ) -> None:
     files = {name: tmp_path / f"e.{name}" for name in ("rrd", "json", "npz", "png")}
     arguments = ["--record", str(files["rrd"]), "--json", str(files["json"]), "--map", str(files["npz"])]
-
     with pytest.MonkeyPatch.context() as monkeypatch:
         fail_on(monkeypatch, STAGES[stage], 2, error)
         assert main([*EXPLORE, *arguments, "--picture", str(files["png"])]) == 0, capsys.readouterr().err
     shown = capsys.readouterr()
-
     found = json.loads(files["json"].read_text())
     assert [len(touch["failed"]) > 0 for touch in found["touches"]] == [False, True, False, False]
     (failed,) = found["touches"][1]["failed"]
@@ -117,7 +115,6 @@ def test_a_stage_that_fails_on_one_touch_does_not_end_it(
     assert not bench.robots[-1].moving
     assert files["png"].read_bytes().startswith(b"\x89PNG")
     assert files["npz"].exists()
-
     (recorded,) = (one.item for one in read_results(files["rrd"], (StageFailure,)))
     assert isinstance(recorded, StageFailure)
     assert (recorded.stage, recorded.touch) == (stage, 2)
@@ -143,12 +140,10 @@ def test_failures_without_end_end_it_in_order(
     )
     targets = STAGES | {"plan": plan, "look": look}
     record, told = tmp_path / "e.rrd", tmp_path / "e.json"
-
     with pytest.MonkeyPatch.context() as monkeypatch:
         fail_on(monkeypatch, targets[stage], touches and None, ZeroDivisionError("division by zero"))
         assert main([*EXPLORE, "--record", str(record), "--json", str(told)]) == 2
     shown = capsys.readouterr()
-
     found = json.loads(told.read_text())
     assert len(found["touches"]) == touches
     assert found["stop_reason"] == "stopped: estimates failed"
@@ -264,7 +259,6 @@ def test_an_interrupted_halt_is_tried_again(
 ) -> None:
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.halt", 1, KeyboardInterrupt())
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
-
     assert main(TWICE) == 1
     assert len(bench.robots[0].halts) == 1
     assert re.search(r"^  arm +at rest$", capsys.readouterr().out, re.MULTILINE)
@@ -275,7 +269,6 @@ def test_an_arm_that_was_not_reached_is_told_loudly(
 ) -> None:
     monkeypatch.setattr(FakeRobot, "halt", lambda robot, reason: False)
     fail_once(monkeypatch, "tests.cli.fake_bench.FakeRobot.touch", 2, RuntimeError("a bug"))
-
     assert main(TWICE) == 1
     assert "COULD NOT BE STOPPED" in capsys.readouterr().out
 
@@ -299,7 +292,6 @@ def test_an_output_that_cannot_be_written_does_not_keep_the_others(
         return replaced(path, target)
 
     monkeypatch.setattr(Path, "replace", replace)
-
     assert main([*TWICE, *arguments]) == 2
     shown = capsys.readouterr()
     assert "no space left on device" in shown.err.splitlines()[-1]
@@ -325,7 +317,6 @@ def test_a_signal_while_it_computes_is_no_loss(
 
     monkeypatch.setattr(FakeRobot, "touch", touch)
     told = tmp_path / "e.json"
-
     assert main([*TWICE, "--json", str(told)]) == 128 + number
     assert len(json.loads(told.read_text())["touches"]) == 2
     assert "the arm is stopped" in capsys.readouterr().err
@@ -340,7 +331,6 @@ def test_a_second_ctrl_c_leaves_at_once(
 
     monkeypatch.setattr(FakeRobot, "touch", interrupted)
     record = tmp_path / "e.rrd"
-
     assert main([*TWICE, "--record", str(record)]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert bench.robots[0].halts
@@ -400,7 +390,6 @@ def test_a_gradual_surface_has_no_regions_anywhere(
     sure = {"1": 0.0, "2": 0.02, "3": 0.03, "4": 0.0, "5": 0.0, "gradual": 0.95}
     monkeypatch.setattr(RegionPosterior, "probability", sure)
     told, arrays = tmp_path / "e.json", tmp_path / "e.npz"
-
     assert main([*EXPLORE, "--json", str(told), "--map", str(arrays), "--picture", str(tmp_path / "e.png")]) == 0
     shown, found = capsys.readouterr(), json.loads(told.read_text())
     assert (found["verdict"], found["regions"], found["region_count"]) == ("gradual", [], 0)
@@ -422,9 +411,7 @@ def test_what_devices_lost_is_named_and_a_whole_recording_with_losses_ends_with_
     lost = {"tip": {"readings": 12, "reconnects": 1}}
     monkeypatch.setattr("deformscope.recording.losses.losses_of", lambda report: lost)
     record = ["--record", str(tmp_path / "e.rrd")] if recorded else []
-
     assert main([*TWICE, *record, "--json", str(tmp_path / "e.json")]) == (3 if recorded else 0)
-
     shown = capsys.readouterr()
     assert "lost" in shown.out
     assert "tip: 12 readings lost, 1 reconnects" in shown.out

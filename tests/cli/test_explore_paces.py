@@ -23,7 +23,6 @@ def test_a_quick_pace_finds_the_regions_of_a_careful_one(seed: int, tmp_path: Pa
         assert main([*arguments, "--record", str(tmp_path / f"{pace}.rrd")]) == 0
         found[pace] = json.loads(told.read_text())
     careful, quick = found["careful"], found["quick"]
-
     assert len(careful["touches"]) == len(quick["touches"]) == TOUCHES
     assert (quick["verdict"], quick["region_count"]) == (careful["verdict"], careful["region_count"])
     assert quick["region_count"] == quick["truth"]["region_count"] == 2

@@ -58,9 +58,7 @@ def explored_recorded_and_replayed(
     count_as_real(monkeypatch)
     record, told = tmp_path / "r.rrd", tmp_path / "r.json"
     arguments = ["explore", str(rig), "--touches", "1", "--beta-model", "none", "--record", str(record)]
-
     assert main([*arguments, "--yes", "--json", str(told)]) == 0, capsys.readouterr().err
-
     found = json.loads(told.read_text())
     (touch,) = found["touches"]
     assert found["stop_reason"] == "budget"
@@ -90,7 +88,6 @@ def test_with_clocks_apart_it_is_explored_recorded_and_replayed(
     """`calibrate time` found the arm 20 ms late: all its stamps are put back, and a replay gives the same results."""
     rig.write_text(RIG + '[calibrated.time]\ndate = 2026-01-02\noffset_s = 0.02\ndevice = "arm"\nbeside = "tip"\n')
     explored_recorded_and_replayed(rig, tmp_path, capsys, monkeypatch)
-
     late = {(item.device, item.stamp.late_ns) for item in read_items(tmp_path / "r.rrd") if isinstance(item, Frame)}
     assert late == {("arm", 20_000_000), ("tip", None), ("depth", None)}
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().out.split())
@@ -125,7 +122,6 @@ def test_the_supervisor_looks_in_time_while_plans_and_maps_are_computed(
     found = tmp_path / "r.json"
     arguments = ["explore", str(rig), "--touches", "20", "--threshold", "0.001", "--json", str(found)]
     assert main([*arguments, "--record", str(tmp_path / "r.rrd")]) in (0, 3), capsys.readouterr().err
-
     gaps_ms = json.loads(found.read_text())["supervisor_gaps_ms"]
     idle_ms, period_s, until = [], 0.01, time.monotonic() + 60.0
     due = last = time.monotonic()
@@ -148,9 +144,7 @@ def test_a_real_arm_does_not_move_unless_somebody_says_yes(
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
     moved: list[Any] = []
     monkeypatch.setattr("deformscope.robot.robot.Robot.let_move", lambda robot, preflight: moved.append(preflight))
-
     assert main(["explore", str(rig), "--touches", "1"]) == 2
-
     said = capsys.readouterr().err
     assert "--yes" in said
     assert not moved
@@ -163,9 +157,7 @@ def test_an_arm_that_is_not_calibrated_does_not_move(
     rig.write_text(rig.read_text().replace("compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5", ""))
     calibrated = {"[tool] compliance_m_per_n": False, "[camera] T_arm_camera": False}
     count_as_real(monkeypatch, calibrated=calibrated)
-
     assert main(["explore", str(rig), "--touches", "1", "--yes", "--record", "r.rrd"]) == 2
-
     assert not list(rig.parent.glob("*.rrd"))  # there was nothing to record yet
     said = capsys.readouterr().err
     assert "calibration: [tool] compliance_m_per_n: missing" in said
@@ -194,9 +186,7 @@ def test_a_rig_that_cannot_explore_is_refused_in_one_line(
     if "dsa" in new:
         changed = changed.replace("state_hz = 100\ncommand_deadline_s = 0.5\n", "")
     rig.write_text(changed)
-
     assert main(["explore", str(rig)]) == 2
-
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
@@ -230,9 +220,7 @@ def test_what_goes_wrong_before_the_checks_is_told_in_one_line(
         raise error
 
     monkeypatch.setattr(what, "zero" if what is Optoforce else "cycle", fail)
-
     assert main(["explore", str(rig), "--touches", "1"]) == 2
-
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
@@ -248,9 +236,7 @@ def test_the_compliance_of_an_arm_is_measured_and_written_into_its_rig_file(rig:
     before = '"two-60-150"', "compliance_m_per_n = 2e-4\ncompliance_sd = 2e-5"
     rig.write_text(rig.read_text().replace(before[0], '"homogeneous-rigid"').replace(before[1], ""))
     found, recording = tmp_path / "a.json", tmp_path / "a.rrd"
-
     assert main(["calibrate", "arm", str(rig), "--touches", "1", "--json", str(found), "--record", str(recording)]) == 0
-
     measured, written = json.loads(found.read_text()), load_rig(rig)
     assert measured["kind"] == "arm"
     assert len(measured["touches"]) == 1
@@ -268,9 +254,7 @@ def test_an_arm_is_not_sent_beside_the_surface(at: str, rig: Path, capsys: pytes
 
 def test_doctor_says_whether_a_rig_can_explore(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig.write_text(rig.read_text().replace("two-60-150", "tow-60-150"))
-
     assert main(["doctor", str(rig), "--seconds", "0.5"]) == 0
-
     (told,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("look") and "explore" in line]
     assert "try: two-60-150" in told
 
@@ -278,9 +262,7 @@ def test_doctor_says_whether_a_rig_can_explore(rig: Path, capsys: pytest.Capture
 def test_doctor_lists_what_there_is_to_do_once(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--example", "--doubles"]) == 0
     rig.write_text(capsys.readouterr().out)
-
     assert main(["doctor", str(rig), "--seconds", "0.1"]) == 0
-
     shown = capsys.readouterr().out
     assert shown.count("place ") == 1
     assert "lacks" not in shown
@@ -302,7 +284,6 @@ def test_the_example_fits_together_once_its_lines_are_uncommented(
     grid = MapGrid(setup.size_m, 0.05)
     places_m = np.column_stack([grid.centres_m, np.full(len(grid.centres_m), 0.19)])
     in_base_m = np.array([setup.placement.point_in_base_m(place_m) for place_m in places_m])
-
     assert all(setup.calibrated.values())
     assert ((in_base_m > low_m) & (in_base_m < high_m)).all()
     touching_m = np.column_stack([grid.centres_m, np.full(len(grid.centres_m), 0.06)])

@@ -45,7 +45,6 @@ def test_the_flow_is_written_in_x_y(capsys: pytest.CaptureFixture[str]) -> None:
     with np.load("f.npz") as written:
         assert written.files == ["flow_px"]
         flow_px = written["flow_px"]
-
     assert (flow_px.shape, flow_px.dtype) == ((96, 128, 2), np.float32)
     np.testing.assert_allclose(np.median(inner(flow_px), axis=(0, 1)), MOTION_PX, atol=WITHIN_PX)
     out, err = capsys.readouterr()
@@ -65,7 +64,6 @@ def test_the_way_back_the_picture_and_the_json(capsys: pytest.CaptureFixture[str
     assert_shows(Path("f.rrd"), says="median motion", beside_particles=True, chart=False)
     with open_source(["f.rrd"]) as recorded:
         np.testing.assert_array_equal([frame.image for frame in recorded][1], cv2.imread("after.png", 0))
-
     np.testing.assert_allclose(there, -back, atol=WITHIN_PX)
     assert picture is not None
     assert np.ptp(picture) > 200
@@ -110,7 +108,6 @@ def test_images_that_do_not_go_together_are_refused(after: str, says: str, capsy
 def test_an_error_below_python_stays_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     """OpenCV complains on stderr by itself."""
     Path("broken.png").write_bytes(b"\x89PNG\r\n\x1a\n but then nothing")
-
     assert main(["flow", "before.png", "broken.png", "--out", "f.npz"]) == 2
     out, err = capfd.readouterr()
     assert out == ""

@@ -101,17 +101,14 @@ def wait_for(stream: IO[str] | None, words: str) -> str:
 
 def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, told = tmp_path / "r.rrd", tmp_path / "r.json"
-
     assert main(["record", "lab:bench", "--seconds", "2", "--record", str(file), "--json", str(told)]) in WHOLE
     found = json.loads(told.read_text())
-
     assert found["recording"] == str(file)
     assert set(found["devices"]) == {"tip", "wrist", "pads", "hand", "arm", "camera", "depth"}
     for name, health in found["devices"].items():
         assert health["received"] > 5, name
     assert check_recording(file).problems == []
     capsys.readouterr()
-
     assert verify_here(file, "--json", "-") in WHOLE
     verified = json.loads(capsys.readouterr().out)
     assert verified["ok"]
@@ -124,7 +121,6 @@ def test_a_bench_of_doubles_is_recorded_whole(tmp_path: Path, capsys: pytest.Cap
 def test_doubles_on_an_idle_machine_lose_nothing(tmp_path: Path) -> None:
     told = tmp_path / "r.json"
     record = ["record", "lab:bench", "--seconds", "3", "--record", str(tmp_path / "r.rrd"), "--json", str(told)]
-
     assert main(record) in WHOLE
     devices = json.loads(told.read_text())["devices"]
     assert devices["tip"]["received"] > 2000
@@ -143,7 +139,6 @@ def test_frames_and_bytes_in_the_file_agree(recorded: Path) -> None:
     )
     readings = [event for event in Decoder().feed(data) if isinstance(event, Reading)]
     frames = [item for item in items if isinstance(item, WrenchFrame)]
-
     assert len(frames) == len(readings) > 100
     assert [tuple(frame.counts) for frame in frames] == [tuple(reading.counts[0]) for reading in readings]
     assert dict([item for item in items if isinstance(item, HealthReport)][-1].devices)["tip"].received == len(frames)
@@ -154,7 +149,6 @@ def test_ctrl_c_ends_a_recording_cleanly(rig: Path, tmp_path: Path, started: lis
     wait_for(process.stderr, "Ctrl-C ends it")
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
-
     assert process.wait(PATIENCE_S) in WHOLE
     assert check_recording(tmp_path / "r.rrd").problems == []
     assert verify_here(tmp_path / "r.rrd") in WHOLE
@@ -174,7 +168,6 @@ def test_what_was_written_before_a_kill_is_readable(
     process.kill()
     process.wait(PATIENCE_S)
     frames = [item for item in read_items(part) if isinstance(item, WrenchFrame)]
-
     assert not (tmp_path / "r.rrd").exists()
     assert len(frames) > 100
     assert [frame.index for frame in frames] == list(range(len(frames)))
@@ -193,7 +186,6 @@ def test_two_recordings_of_one_device_do_not_mix(
     rig.write_text(f'[devices.optoforce]\ndriver = "optoforce"\n{port}')
     first = start(started, "record", rig, "--record", "first.rrd", cwd=tmp_path)
     wait_for(first.stderr, "Ctrl-C ends it")
-
     assert main(["record", str(rig), "--seconds", "1", "--record", str(tmp_path / "second.rrd")]) != 0
     said = capsys.readouterr().err
     assert "another program" in said
@@ -209,7 +201,6 @@ def test_a_flipped_bit_is_found(recorded: Path, tmp_path: Path, capsys: pytest.C
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 4
     file.write_bytes(content)
-
     assert main(["verify", str(file)]) != 0
     assert "differ from what was recorded" in capsys.readouterr().err
 
@@ -221,7 +212,6 @@ def test_doctor_says_what_works_and_what_does_not(
     assert "ok    tip (optoforce, double)" in capsys.readouterr().out
     broken = tmp_path / "broken.toml"
     broken.write_text(SMALL.replace("double = true\nsens", 'port = "/dev/ttyNONE"\nsens'))
-
     assert main(["doctor", str(broken), "--seconds", "0.5", "--json", str(tmp_path / "d.json")]) != 0
     findings = {entry["what"]: entry for entry in json.loads((tmp_path / "d.json").read_text())["findings"]}
     assert findings["tip (optoforce)"]["verdict"] == "FAIL"
@@ -245,7 +235,6 @@ def test_devices_lists_running_doubles_with_serial_and_health(
     double = start(started, "double", "optoforce", "dsa", cwd=tmp_path)
     wait_for(double.stdout, "[devices.dsa]")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
     assert main(["devices", "--json", "-"]) == 0
     found = {entry["driver"]: entry for entry in json.loads(capsys.readouterr().out) if "double" in entry["note"]}
     assert found["optoforce"]["serial"] == "ISE0A129"
@@ -264,7 +253,6 @@ def test_devices_on_a_machine_with_none_helps(
     from deformscope.cli import devices
 
     monkeypatch.setattr(devices, "_found", list)
-
     assert main(["devices"]) == 0
     said = capsys.readouterr().out
     assert "No device was found" in said
@@ -274,7 +262,6 @@ def test_devices_on_a_machine_with_none_helps(
 def test_a_device_without_a_port_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'[devices.hand]\ndriver = "sdh"\n[record]\nfolder = "{tmp_path}"\n')
-
     assert main(["record", str(path)]) == 2
     told = capsys.readouterr().err
     assert "expected a port or a bus; got neither" in told
@@ -289,7 +276,6 @@ def test_double_wants_to_know_what(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_damaged_ledger_is_told(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recording = copied(recorded, tmp_path)
     ledger_path(recording).write_text("{")
-
     assert main(["verify", str(recording)]) == 2
     assert "it is damaged" in capsys.readouterr().err
 
@@ -360,7 +346,6 @@ def test_a_rig_that_is_ended_early_says_so(
     assert check_recording(file).problems == []
     assert verify_here(file) in WHOLE
     assert "by SIGTERM" in capsys.readouterr().out
-
     ends_by = signal.SIGINT
     assert main([*command, "--seconds", "60"]) == 128 + signal.SIGINT
     assert main(command) in WHOLE, "Ctrl-C is the end of a recording that has no other"
@@ -375,6 +360,5 @@ def test_a_closed_terminal_ends_a_recording_cleanly(
     process = start(started, "record", rig, "--record", recording, cwd=tmp_path)
     wait_for(process.stderr, "Ctrl-C ends it")
     process.send_signal(signal.SIGHUP)
-
     assert process.wait(PATIENCE_S) == 128 + signal.SIGHUP
     assert check_recording(recording).problems == []

@@ -69,9 +69,7 @@ def test_a_rig_without_the_device_is_refused_before_anything_opens(
     rig: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "r.rrd"
-
     assert main(["record", str(rig), "--seconds", "1", "--stage", "surface", "--record", str(file)]) == 2
-
     said = capsys.readouterr().err
     assert "expected a depth device for --stage surface; got none in the rig" in said
     assert "opening" not in said
@@ -89,7 +87,6 @@ def test_flags_that_contradict_each_other_are_refused() -> None:
 
 def test_flags_and_stages_have_the_same_names() -> None:
     asked: tuple[StageWord, ...] = get_args(WatchedStage)
-
     assert StageOptions(stage=(*asked, "flow")).names == asked
     assert tuple(NEEDS) == asked == get_args(StageName)
     assert SQUEEZED.keys() | NEEDS.keys() == {word for part in get_args(StageWord) for word in get_args(part) or [part]}

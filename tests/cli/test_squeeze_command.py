@@ -109,7 +109,6 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     toy["lab"] = {"camera": True}
     file = tmp_path / "r.rrd"
     status, found = squeeze(tmp_path, "--content", "rice", "--container", "box-07", "--record", str(file))
-
     assert status == 0
     assert found["discarded"] is None
     assert found["hand_stands"]
@@ -124,7 +123,6 @@ def test_a_recorded_squeeze_replays_to_the_last_bit(
     assert main(["replay", str(file)]) == 0
     assert "identical to the recorded numbers" in " ".join(capsys.readouterr().err.split())
     assert main(["report", str(file), "--out", str(tmp_path / "r.html")]) == 0  # of a squeeze that no model named
-
     from deformscope.experiments.squeeze import features as squeeze_features
     from deformscope.stages.squeeze.tactile import tactile_feature
 
@@ -142,7 +140,6 @@ def test_a_data_set_grows_and_is_corrected(tmp_path: Path, capsys: pytest.Captur
     assert [one.trial for one in dataset.entries()] == ["s-box-01-00000", "s-box-01-00001"]
     assert [one.seed for one in dataset.entries()] == [0, 1]
     assert not list(folder.glob("trials/*.rrd"))
-
     assert main(["dataset", "relabel", str(folder), "s-box-01-00001", "--content", "water"]) == 0
     assert main(["dataset", "discard", str(folder), "s-box-01-00000", "--reason", "it leaked"]) == 0
     assert "left out  1 (it leaked)" in capsys.readouterr().out
@@ -159,7 +156,6 @@ def test_a_recording_that_the_index_lacks_is_taken_in_again(tmp_path: Path) -> N
     assert SqueezeDataset(folder).recording_path("s-box-01-00000").is_file()
     for name in ("index.parquet", "features.parquet"):
         (folder / name).unlink()
-
     assert main(["dataset", "repair", str(folder)]) == 0
     after = SqueezeDataset(folder).rows()[0]
     for name, values in before.features.items():
@@ -175,7 +171,6 @@ def test_a_stopped_squeeze_is_kept_as_discarded_with_its_reason(
     folder = tmp_path / "d"
     given = ["--content", "rice", "--container", "box-01", "--dataset", str(folder), "--session", "s"]
     status, found = squeeze(tmp_path, *given)
-
     assert status == 2
     assert "tactile array saturated" in capsys.readouterr().err
     assert found["discarded"]["kind"] == "tactile array saturated"
@@ -202,7 +197,6 @@ def test_a_model_names_the_content_while_it_is_squeezed(tmp_path: Path) -> None:
     model, file = tmp_path / "m.npz", tmp_path / "r.rrd"
     save_classifier(small_model(), model)
     status, found = squeeze(tmp_path, "--model", str(model), "--record", str(file))
-
     assert status == 0
     assert sum(found["posterior"].values()) == pytest.approx(1.0)
     assert found["named"] in ("empty", "rice")
@@ -291,7 +285,6 @@ def test_the_container_is_sought_again_in_the_images_of_its_camera(order: int, m
     ]
     recording: Any = SimpleNamespace(path=Path("r.rrd"), settings={"squeezed": {"names": {"camera": "camera"}}})
     geometry: Any = None
-
     assert sighted_again(recording, [*seen[::order], *moved], geometry) == [["camera"]]
 
 
@@ -320,7 +313,6 @@ def test_a_real_hand_waits_for_somebody_who_says_yes(
 ) -> None:
     toy["setup"] = {"simulated": False}
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-
     assert squeeze(tmp_path, "--content", "rice")[0] == 2
     assert "a person who confirms" in capsys.readouterr().err
     assert LABS[-1].hand_double.motion.axes[0].position_deg == 60.0  # nothing has moved

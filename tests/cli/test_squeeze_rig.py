@@ -65,7 +65,6 @@ def squeeze(rig: Path, *more: str) -> tuple[int, dict[str, Any]]:
 def squeezed_recorded_and_replayed(rig: Path, capsys: pytest.CaptureFixture[str], *allowed: int) -> None:
     """allowed: exit statuses beside 0, as a busy machine loses frames"""
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status in (0, *allowed), capsys.readouterr().err
     assert found["discarded"] is None
     assert found["hand_stands"]
@@ -120,7 +119,6 @@ def test_ctrl_c_while_it_squeezes(
 ) -> None:
     made = use_simulated_squeeze_rigs(monkeypatch, lambda lab: setattr(lab, "at_contact", interrupt))
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status == 128 + signal.SIGINT
     assert "ended by Ctrl-C; the hand stands" in capsys.readouterr().err
     kept_as_discarded(made[0], found, "a person asked: Ctrl-C")
@@ -140,7 +138,6 @@ def test_a_hand_that_is_lost_while_it_squeezes(
 
     made = use_simulated_squeeze_rigs(monkeypatch, lose)
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status == 2
     assert "hand lost" in capsys.readouterr().err
     kept_as_discarded(made[0], found, "hand lost", EXIT_LOSSES)
@@ -153,7 +150,6 @@ def test_a_saturated_texel_while_it_squeezes(
     rig.write_text(rig.read_text() + "saturation_counts = 60\n")
     made = use_simulated_squeeze_rigs(monkeypatch)
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status == 2
     assert "tactile array saturated" in capsys.readouterr().err
     kept_as_discarded(made[0], found, "tactile array saturated: a texel at ")
@@ -167,7 +163,6 @@ def test_arrays_that_read_nothing_while_something_holds_the_fingers(
 
     made = use_simulated_squeeze_rigs(monkeypatch, spoil)
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status == 2
     said = capsys.readouterr().err
     assert re.search(r"finger [02] is driven, but stays at -?\d+\.\d deg; its array reads 0 counts", said)
@@ -184,7 +179,6 @@ def test_a_ctrl_c_that_comes_later_is_not_the_reason(
 
     made = use_simulated_squeeze_rigs(monkeypatch, soon)
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status == 2
     said = capsys.readouterr().err
     assert "ending; Ctrl-C again" in said
@@ -205,7 +199,6 @@ def test_ctrl_c_on_the_hosts_clock(
 
     monkeypatch.setattr(SqueezingHand, "begin", began)
     status, found = squeeze(rig, "--dataset", "d")
-
     assert status == 128 + signal.SIGINT
     assert found["hand_stands"]
     assert found["limits_restored"]
@@ -228,9 +221,7 @@ def test_a_rig_that_cannot_squeeze_is_refused_in_one_line(
 ) -> None:
     assert old in RIG
     rig.write_text(RIG.replace(old, new))
-
     assert squeeze(rig, "--yes")[0] == 2
-
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
@@ -238,7 +229,6 @@ def test_a_rig_that_cannot_squeeze_is_refused_in_one_line(
 
 def test_a_content_that_nobody_simulates_is_refused_in_one_line(rig: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["squeeze", str(rig), "--content", "sand", "--viewer", "none"]) == 2
-
     said = capsys.readouterr().err
     assert "empty, water, yogurt, flour, rice; got 'sand'" in said
     assert said.count("\n") == 1

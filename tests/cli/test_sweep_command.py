@@ -72,7 +72,6 @@ def swept(pairs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 def test_each_file_is_computed_once_in_each_way(swept: tuple[Path, int, dict[str, Any]], pairs: Path) -> None:
     out, status, found = swept
     rows = pq.read_table(out / "results.parquet").to_pylist()
-
     assert status == EXIT_LOSSES
     assert (found["tasks"], found["done"], found["computed"]) == (8, 6, 6)  # the same content is not computed twice
     names = [Path(row["source"]).name for row in rows]
@@ -90,7 +89,6 @@ def test_numbers_are_those_of_the_command_itself(swept: tuple[Path, int, dict[st
     assert main([*FIT, str(PAIR), "--cluster-size", "3", "--viewer", "none", "--json", str(alone)]) == 0
     lines = [json.loads(line) for line in (swept[0] / "tasks.jsonl").read_text().splitlines()]
     (mine,) = [one for one in lines if one["source"].endswith("p1.npz") and one["settings"] == {"cluster_size": 3}]
-
     expected = json.loads(alone.read_text())
     assert {name: value for name, value in mine["result"].items() if name != "seconds"} == {
         name: value for name, value in expected.items() if name != "seconds"
@@ -99,7 +97,6 @@ def test_numbers_are_those_of_the_command_itself(swept: tuple[Path, int, dict[st
 
 def test_the_overview_shows_distributions_failures_and_links(swept: tuple[Path, int, dict[str, Any]]) -> None:
     page = (swept[0] / "index.html").read_text()
-
     assert "6 of 8 tasks are done, 2 failed" in page
     assert "data:image/png;base64," in page
     assert "expected a pair file" in page
@@ -110,7 +107,6 @@ def test_the_overview_shows_distributions_failures_and_links(swept: tuple[Path, 
 
 def test_the_same_line_tries_again_what_failed_alone(swept: tuple[Path, int, dict[str, Any]], pairs: Path) -> None:
     status, found = sweep(pairs, swept[0], "--vary", "cluster-size=2,3", "--workers", "1")
-
     assert (status, found["computed"], found["done"]) == (EXIT_LOSSES, 2, 6)
 
 
@@ -135,7 +131,6 @@ def test_files_that_are_written_have_a_name_for_each_task(tmp_path: Path) -> Non
     out = tmp_path / "out"
     status, _ = sweep(tmp_path, out, "--send", command=[*FIT, "--save", "{key}.npz"])
     (written,) = (out / "files").iterdir()
-
     assert status == 0
     assert written.stem == pq.read_table(out / "results.parquet")["key"][0].as_py()
 
@@ -148,7 +143,6 @@ def test_files_that_a_killed_worker_left_are_made_anew(tmp_path: Path) -> None:
     (written,) = (out / "files").iterdir()
     written.with_suffix(".rrd").write_text("left")
     (out / "tasks.jsonl").write_text("")
-
     assert sweep(tmp_path, out, "--match", "a.npz", command=command)[0] == 0
     assert list((out / "files").iterdir()) == [written]
 
@@ -288,7 +282,6 @@ def killed_and_equal(tmp_path: Path, count: int, monkeypatch: pytest.MonkeyPatch
             os.kill(running.pid, signal.SIGKILL)
     before = len(journal.read_bytes().splitlines())
     assert subprocess.run(command, env=paths_of_tests(), timeout=PATIENCE_S, check=False).returncode == 0
-
     assert before < count
     lines = [json.loads(line) for line in journal.read_text().splitlines()]
     assert Counter(Counter(line["source"] for line in lines).values()) == {1: count}
@@ -369,7 +362,6 @@ def test_a_ctrl_c_leaves_what_is_done_as_a_table(tmp_path: Path, monkeypatch: py
             time.sleep(0.005)
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=PATIENCE_S)
-
     assert b"KeyboardInterrupt" in said
     kept = len(journal.read_bytes().splitlines())
     assert pq.read_table(out / "results.parquet").num_rows == kept < 300

@@ -114,7 +114,6 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     assert "one of an interrupted run; everything until 1.1 s is there" in said
     assert f"deformscope recover {killed}" in said
     assert "Verification failed" not in said
-
     assert main(["recover", str(killed), "--json", "-"]) == 0
     recovered = json.loads(capsys.readouterr().out)
     out = killed.with_name("run.recovered.rrd")
@@ -128,7 +127,6 @@ def test_an_unfinished_recording_is_no_damage_and_recover_makes_it_whole(
     assert sorted(left.name for left in killed.parent.iterdir()) == [
         *("run.part.rrd", "run.recovered.rrd", "run.recovered.rrd.ledger")
     ]
-
     status, found, said = verified(out, capsys)
     assert (status, found["ok"], found["finished"]) == (3, True, True)
     assert "recovered until 1.1 s: later data are lost" in said
@@ -141,7 +139,6 @@ def test_a_file_cut_within_a_message_gives_what_came_before(killed: Path, capsys
     status, found, said = verified(cut, capsys)
     assert (status, found["finished"]) == (2, False)
     assert f"deformscope recover {cut}" in said
-
     out = killed.with_name("saved.rrd")
     assert main(["recover", str(cut), "--out", str(out), "--json", "-"]) == 0
     recovered = json.loads(capsys.readouterr().out)
@@ -228,7 +225,6 @@ def test_truncated_is_told_from_damaged_and_from_a_run_cut_short(
     status, found, said = verified(whole, capsys)
     assert (status, found["truncated"], found["damaged"]) == (2, True, [])
     assert "truncated: " in said
-
     size = killed.stat().st_size
     writer = LedgerWriter(ledger_path(killed), killed)
     for end in (size // 2, size - 1000):
@@ -263,7 +259,6 @@ def test_devices_without_a_frame_are_named(tmp_path: Path, capsys: pytest.Captur
     status, found, said = verified(killed, capsys)
     assert (status, found["absent"]) == (2, ["side", "top"])
     assert "is there, but no frame of side, top" in said
-
     write_ledger(killed, {"frames": 3, "front/frames": 1, "side/frames": 2})
     assert main(["recover", str(killed), "--json", "-"]) == 0
     said = capsys.readouterr()

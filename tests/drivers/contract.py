@@ -123,19 +123,16 @@ class DeviceContract:
         readings = device.readings()
         taken = [readings.get(PATIENCE_S) for _ in range(20)]
         stamps = [reading.stamp.host_ns for reading in taken]
-
         assert stamps == sorted(stamps)
         assert readings.dropped == 0
         assert device.health().received >= before + 20
 
     def test_next_waits_for_a_new_reading(self, device: Device[Any]) -> None:
         asked_ns = time.monotonic_ns()
-
         assert device.next(PATIENCE_S).stamp.host_ns >= asked_ns
 
     def test_latest_is_at_hand_while_it_is_fresh(self, device: Device[Any]) -> None:
         newest = device.next(PATIENCE_S)
-
         assert device.latest(PATIENCE_S).stamp.host_ns >= newest.stamp.host_ns
         with pytest.raises(Stale, match="reading"):
             device.latest(-1.0)
@@ -159,7 +156,6 @@ class DeviceContract:
         wait_until(lambda: readings.dropped >= 3)
         device.close()
         newest = list(quick)[-4:]
-
         assert readings.received == readings.dropped + len(readings)
         assert list(readings) == newest
         assert device.health().dropped >= readings.dropped
@@ -177,7 +173,6 @@ class DeviceContract:
         reader.start()
         device.next(PATIENCE_S)
         device.close()
-
         assert ended.wait(PATIENCE_S)
         reader.join()
 
@@ -185,7 +180,6 @@ class DeviceContract:
         device.next(PATIENCE_S)
         readings = [device.next(PATIENCE_S) for _ in range(5)]
         health = device.health()
-
         assert health.link is Link.CONNECTED
         assert health.received >= len(readings)
         assert health.rate_hz > 0
@@ -202,14 +196,12 @@ class DeviceContract:
         device.next(PATIENCE_S)
         bench.unplug()
         lost = events.get(PATIENCE_S)
-
         assert lost.link is Link.LOST
         assert device.health().reason
         bench.plug()
         wait_until(lambda: device.link is Link.CONNECTED)
         after_ns = time.monotonic_ns()
         device.next(PATIENCE_S)
-
         assert device.health().reconnects == 1
         assert events.get(PATIENCE_S).link is Link.CONNECTED
         assert not readings.ended
@@ -223,7 +215,6 @@ class DeviceContract:
         device.next(PATIENCE_S)
         pulled_ns = time.monotonic_ns()
         bench.unplug()
-
         assert events.get(PATIENCE_S).host_ns - pulled_ns < bench.told_within_s * 1e9
 
     def test_it_closes_while_its_link_is_lost(self, bench: Bench, device: Device[Any]) -> None:
@@ -233,7 +224,6 @@ class DeviceContract:
         bench.unplug()
         wait_until(lambda: device.link is Link.LOST)
         device.close()
-
         assert list(readings) is not None
         assert readings.ended
         with pytest.raises(NotConnected):
@@ -245,6 +235,5 @@ class DeviceContract:
         bench.unplug()
         with pytest.raises((NotConnected, LinkLost, DeviceError)) as caught:
             bench.device.open()
-
         assert bench.device.name in str(caught.value)
         assert not bench.device.is_open

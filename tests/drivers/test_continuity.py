@@ -60,7 +60,6 @@ def test_a_link_lost_for_good_costs_the_time_until_the_end() -> None:
     sent.at.end(sent.now_ns)
     sent.wait(60.0)  # a look long after the end
     missing = sent.missing()
-
     assert missing.silent_s == pytest.approx(7.0, abs=0.01)
     assert missing.count == pytest.approx(7000, abs=10)
 
@@ -74,7 +73,6 @@ def test_a_link_lost_for_a_moment_costs_that_moment() -> None:
         sent.wait(0.15)
         sent.at.begin(sent.now_ns)
         sent.come(1000.0, 2.0)
-
     assert sent.missing().count == pytest.approx(600, abs=10)
     assert sent.missing().silent_s == pytest.approx(0.6, abs=0.01)
 
@@ -85,7 +83,6 @@ def test_silence_on_a_link_that_holds_is_counted_while_it_lasts_and_after() -> N
     sent.wait(4.0)
     during = sent.missing()
     sent.come(30.0, 5.0)
-
     assert during.count == pytest.approx(120, abs=2)
     assert sent.missing().count == pytest.approx(120, abs=2)
     assert sent.missing().silent_s == pytest.approx(4.0, abs=0.1)
@@ -107,7 +104,6 @@ def test_a_buffer_that_ran_over_costs_the_rest_also_where_the_counter_wrapped() 
     sent.burst(256)  # as much as the buffer holds
     sent.at.count_lost(3155)  # what a counter of 16 bits says
     sent.come(1000.0, 3.0)
-
     assert sent.missing().count == pytest.approx(70_000 - 256 - 3155, abs=70)
 
 

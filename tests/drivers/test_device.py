@@ -75,7 +75,6 @@ class TestOverCan(DeviceContract):
                 lost = events.get(5.0)
                 wire.plug()
                 device.next(5.0)
-
             assert lost.link is Link.LOST
             assert "none for 0.1 s" in lost.reason
 
@@ -167,7 +166,6 @@ def test_raw_bytes_are_what_went_over_the_wire(wire: PtyWire) -> None:
         sent = b"".join(chunk.data for chunk in chunks if chunk.sent)
         received = b"".join(chunk.data for chunk in chunks if not chunk.sent)
         counts = [int.from_bytes(received[at + 1 : at + 3], "big") for at in range(0, len(received), 4)]
-
     assert sent == b"=\x12\x34"
     assert received.count(b"!\x12\x34\x46") == 1
     assert [reading.count for reading in readings] == [
@@ -181,7 +179,6 @@ def test_a_queue_from_before_the_opening_misses_nothing(wire: PtyWire) -> None:
     with device:
         device.next(5.0)
     taken = list(readings)
-
     assert len(taken) == device.health().received
     assert b"".join(chunk.data for chunk in raw)[1:3] == taken[0].count.to_bytes(2, "big")
     assert [event.link for event in events] == [Link.CONNECTED, Link.CLOSED]
@@ -221,7 +218,6 @@ def test_a_bad_wire_is_counted_and_survived() -> None:
     with PtyWire(faulty) as wire, toy(wire) as device:
         wait_until(lambda: device.health().received > 300)
         health = device.health()
-
     assert health.skipped_bytes > 100
     assert health.refused["checksum"] > 3
     assert health.resyncs > 10
@@ -239,7 +235,6 @@ def test_cables_pulled_and_put_back_leave_nothing_behind(wire: PtyWire) -> None:
             wait_until(lambda cycle=cycle: device.health().reconnects == cycle + 1)
             device.next(5.0)
         after = open_things()
-
     # The double's own thread is new after every plug; its name is the same.
     assert after == before
 
@@ -287,7 +282,6 @@ def test_on_a_simulated_clock_a_run_is_the_same_every_time() -> None:
             return [(reading.stamp.host_ns, reading.count) for reading in readings.take()]
 
     first = run()
-
     assert first == run()
     assert len(first) == 1001
     assert first[0] == (10**9 + PERIOD_NS, 0)
@@ -315,7 +309,6 @@ def test_the_clock_of_the_device_is_fitted_through_random_delays() -> None:
         host_ns = round(7e9 + tick * 1e6 * (1 + skew) + delay_ns)
         fit.add(unwrap(tick % 65536, host_ns), host_ns)
     relation = fit.relation()
-
     assert relation.drift_ppm == pytest.approx(80, abs=1)
     assert relation.residual_ns < 20_000
     assert relation.to_host_ns(50_000) == pytest.approx(7e9 + 50_000 * 1e6 * (1 + skew) + 50_000, abs=20_000)
@@ -325,7 +318,6 @@ def test_a_wrapping_counter_is_followed_over_a_long_pause() -> None:
     from deformscope_drivers.clock import Unwrap
 
     unwrap = Unwrap(65536, 1e6)
-
     assert unwrap(65530, 0) == 65530
     assert unwrap(4, 10_000_000) == 65540
     assert unwrap(2, 8_000_000) == 65538  # one that came late
@@ -370,7 +362,6 @@ def test_readers_end_with_what_there_is_to_read_and_lose_nothing() -> None:
             time.sleep(0.0005)
             read.append(page.number)
         wait_until(lambda: book.link is Link.CLOSED)
-
         assert read == list(range(1, 51))
         assert book.health().dropped == 0
         assert book.health().reason == "the last page"
@@ -389,7 +380,6 @@ def test_next_turns_one_page_at_a_time() -> None:
         for _ in range(3):
             numbers.append(book.next(5.0).number)
             time.sleep(0.01)
-
         assert numbers == [1, 2, 3]
         with pytest.raises(NotConnected, match="the last page"):
             book.next(5.0)
@@ -398,7 +388,6 @@ def test_next_turns_one_page_at_a_time() -> None:
 def test_a_poll_at_the_end_closes_it() -> None:
     book = Book(2).open(own_thread=False)
     queue = book.readings()
-
     assert [page.number for _ in range(3) for page in book.poll()] == [1, 2]
     assert [page.number for page in queue] == [1, 2]
     with pytest.raises(NotConnected, match="the last page"):
@@ -450,6 +439,5 @@ def test_readers_end_whatever_closing_raises(wire: PtyWire, monkeypatch: pytest.
 
     monkeypatch.setattr(device, "_disconnect", fail)
     device.close()
-
     assert readings.ended
     assert device.link is Link.FAILED

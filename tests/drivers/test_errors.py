@@ -25,8 +25,6 @@ def test_an_error_of_another_process_has_its_kind_words_and_attributes(error: De
 @pytest.mark.parametrize("kind", VENDOR_ERRORS.values(), ids=lambda kind: kind.__name__)
 def test_every_error_of_the_jacos_vendor_crosses_with_its_kind(kind: type[VendorError]) -> None:
     error = kind("SendBasicTrajectory", "joint 3")
-
     came = pickle.loads(pickle.dumps(error))
-
     assert type(came) is kind
     assert (str(came), came.vendor_code) == (str(error), kind.vendor_code)

@@ -36,19 +36,16 @@ def both(decoder: Toy, data: bytes) -> list[str | Skipped]:
 
 def test_a_good_frame_within_a_bad_one_is_found() -> None:
     bad = b"<<\x10abc" + frame(b"inner") + b"123456789012"
-
     assert both(Toy(), bad + frame(b"next")) == [Skipped(6, "checksum"), "inner", Skipped(12, "noise"), "next"]
 
 
 def test_noise_before_between_and_after() -> None:
     stream = b"xx<y" + frame(b"one") + b"<-" + frame(b"two") + b"<<\x05ab"
-
     assert both(Toy(), stream) == [Skipped(4, "noise"), "one", Skipped(2, "noise"), "two", Skipped(5, "cut off")]
 
 
 def test_frames_behind_one_that_never_ends_come_out_when_the_stream_does() -> None:
     decoder = Toy()
-
     assert list(decoder.feed(b"<<\x14" + frame(b"late"))) == []
     assert decoder.pending == 11
     assert list(decoder.finish()) == [Skipped(3, "cut off"), "late"]
@@ -58,7 +55,6 @@ def test_frames_behind_one_that_never_ends_come_out_when_the_stream_does() -> No
 def test_feed_takes_all_even_if_nobody_looks_at_the_events() -> None:
     decoder = Toy()
     decoder.feed(frame(b"ab")[:3])
-
     assert list(decoder.feed(frame(b"ab")[3:])) == ["ab"]
 
 
@@ -77,7 +73,6 @@ def test_events_do_not_depend_on_how_the_stream_is_cut(pieces: list[bytes], cuts
         assert decoder.pending < 24
         at, turn = at + size, turn + 1
     events += decoder.finish()
-
     assert [e for e in events if isinstance(e, str)] == [e for e in whole if isinstance(e, str)]
     assert skipped(events) == skipped(whole)
     assert sum(skipped(whole).values()) + sum(len(e) + 4 for e in whole if isinstance(e, str)) == len(stream)

@@ -35,7 +35,6 @@ def test_a_double_that_is_killed_leaves_nothing(tmp_path: Path) -> None:
         transport.close()
         process.kill()
         process.wait(20.0)
-
     assert not Path(port).exists()
     assert list(tmp_path.iterdir()) == []
 

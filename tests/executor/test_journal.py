@@ -18,7 +18,6 @@ def test_lines_come_back_without_one_that_was_cut_off(cut_off: str, tmp_path: Pa
         journal.add("b")
     with path.open("a") as file:
         file.write(cut_off)
-
     with Journal(path, "lines") as journal:
         assert list(journal.lines()) == [{"a": 1}, [math.inf, None], "b"]
         journal.add("c")

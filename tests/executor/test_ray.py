@@ -48,7 +48,6 @@ def test_each_task_comes_back_once_though_a_node_was_killed(told: dict[str, Any]
 @pytest.mark.slow
 def test_what_the_killed_node_computed_was_tried_elsewhere_with_the_reason(told: dict[str, Any]) -> None:
     again = {number for number, count in told["attempts"].items() if count > 1}
-
     assert again <= told["again"].keys()
     assert all(
         reasons[0].startswith(("NodeDiedError", "WorkerCrashedError", "OwnerDiedError"))

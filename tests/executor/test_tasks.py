@@ -48,7 +48,6 @@ def square(number: int) -> tuple[int, int]:
 
 def test_all_are_computed_by_warm_workers_and_what_is_refused_is_not_tried_again(workers: Workers) -> None:
     found = {one.item: one for one in compute(workers, square, range(20))}
-
     assert {item: one.value[0] for item, one in found.items() if one.value} == {
         number: number**2 for number in range(20) if number != 13
     }
@@ -68,7 +67,6 @@ def test_one_worker_is_this_process_unless_it_is_to_stand_apart() -> None:
 def test_results_come_in_the_order_of_their_items_and_the_first_error_ends_it() -> None:
     done: list[None] = []
     squares = compute_all(ThreadWorkers(3), square, range(12), lambda: done.append(None))
-
     assert [value for value, _ in squares] == [number**2 for number in range(12)]
     assert len(done) == 12
     with pytest.raises(InputError, match="liked; got 13"):
@@ -87,7 +85,6 @@ def ends_its_worker(task: tuple[Path, int]) -> int:
 
 def test_a_task_that_ends_its_worker_is_tried_again_and_ends_no_other(two: LocalWorkers, tmp_path: Path) -> None:
     found = {one.item[1]: one for one in compute(two, ends_its_worker, [(tmp_path, number) for number in range(9)])}
-
     assert {number: one.value for number, one in found.items()} == {**{n: n for n in range(9)}, 3: None}
     assert [len(found[number].reasons) for number in (2, 3, 5)] == [0, ATTEMPTS, 1]
     assert all("its process ended" in reason for reason in found[3].reasons)
@@ -107,7 +104,6 @@ def test_a_worker_whose_forked_process_goes_on_is_lost(two: LocalWorkers, tmp_pa
     note = tmp_path / "helper"
     (found,) = compute(two, leaves_a_process, [note], attempts=1)
     os.kill(int(note.read_text()), signal.SIGKILL)
-
     assert "its process ended" in found.reasons[0]
 
 
@@ -121,7 +117,6 @@ def refused_by_the_system(folder: Path) -> int:
 
 def test_a_full_disk_at_a_worker_is_named_and_tried_again(workers: Workers, tmp_path: Path) -> None:
     (found,) = compute(workers, refused_by_the_system, [tmp_path])
-
     assert found.value == ATTEMPTS
     assert found.reasons == ("the system refused: No space left on device | frames.bin",) * (ATTEMPTS - 1)
 
@@ -135,7 +130,6 @@ def an_hour(item: str) -> str:
 def test_what_takes_too_long_is_ended_and_named(two: LocalWorkers) -> None:
     assert len(list(compute(two, an_hour, ["short", "short"]))) == 2  # both have begun: that counts too
     found = {one.item: one for one in compute(two, an_hour, ["an hour", "short"], attempts=2, limit_s=1.0)}
-
     assert found["short"].value == "short"
     assert found["an hour"].reasons == ("it took longer than 1 s",)
 
@@ -153,7 +147,6 @@ def raises_unfit(item: int) -> int:
 
 def test_an_error_that_cannot_pass_between_processes_passes_as_words(two: LocalWorkers) -> None:
     (found,) = compute(two, raises_unfit, [1])
-
     assert found.reasons == ("RuntimeError: Unfit: one",)
 
 
@@ -163,7 +156,6 @@ def environment(item: int) -> list[str | None]:
 
 def test_a_task_that_exits_is_a_reason_and_is_not_tried_again(two: LocalWorkers) -> None:
     (outcome,) = compute(two, sys.exit, ["no data in it"])
-
     assert str(outcome.error) == "it exited: no data in it"
     assert outcome.reasons == ("RuntimeError: it exited: no data in it",)
 
@@ -205,7 +197,6 @@ def test_what_is_computed_is_given_up_where_the_caller_breaks_off(how: str) -> N
         with pytest.raises(KeyboardInterrupt):
             coming.throw(KeyboardInterrupt)  # type: ignore[attr-defined]
     workers.close()
-
     assert not any(Path(f"/proc/{one}").exists() for one in seen)
 
 
@@ -234,10 +225,8 @@ def test_a_ctrl_c_that_does_not_end_a_wait_is_handled(kind: str, tmp_path: Path)
     """Taken by another thread it wakes the main one as little as one that comes just before its wait begins."""
     script = tmp_path / "script.py"
     script.write_text(MISSED.replace("WORKERS", kind))
-
     command = [sys.executable, str(script)]
     ran = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False, env=paths_of_tests())
-
     assert b"KeyboardInterrupt" in ran.stderr
 
 
@@ -249,7 +238,6 @@ def holds_the_interpreter(item: str) -> str:
 def test_what_never_returns_to_python_is_ended_too(two: LocalWorkers) -> None:
     list(compute(two, an_hour, ["short", "short"]))
     found = {one.item: one for one in compute(two, holds_the_interpreter, ["hangs", "short"], limit_s=1.0)}
-
     assert found["short"].value == "short"
     assert found["hangs"].reasons == ("it took longer than 1 s",)
 
@@ -260,5 +248,4 @@ def unfit_value(item: int) -> object:
 
 def test_a_value_that_cannot_pass_between_processes_is_a_reason(two: LocalWorkers) -> None:
     (found,) = compute(two, unfit_value, [1])
-
     assert "pickle" in found.reasons[0]

@@ -27,7 +27,6 @@ def test_a_loaded_model_answers_to_the_bit_as_the_trained_one(tmp_path: Path, mo
     save_classifier(model, path)
     loaded = load_classifier(path)
     new = two_modalities(seed=5).modalities
-
     np.testing.assert_array_equal(loaded.predict_proba(new), model.predict_proba(new))
     for step in (0, 1):
         np.testing.assert_array_equal(
@@ -43,7 +42,6 @@ def test_the_fusion_of_each_step_is_kept_and_a_file_without_it_answers_by_touch(
     save_classifier(made, path)
     new = {name: values[:, 6] for name, values in stepped(seed=5).series.items()}
     loaded = load_classifier(path)
-
     assert loaded.predict_at(0.6, new)[0] == ("tactile", "vision_small")
     np.testing.assert_array_equal(loaded.predict_at(0.6, new)[1], made.predict_at(0.6, new)[1])
     arrays = classifier_arrays(made)
@@ -96,7 +94,6 @@ def test_what_is_foreign_or_newer_is_refused_in_one_line(tmp_path: Path, model: 
     path = tmp_path / "m.npz"
     good = classifier_arrays(model)
     newer = np.array(FORMAT.replace("1", "2"))
-
     assert "got 'deformscope classifier 2' | try: a newer deformscope" in refusal(path, good | {"format": newer})
     assert "got a pair file" in refusal(path, {"rest": [0], "deformed": [0], "held": [0]})
     assert "got an .npz of force" in refusal(path, {"force": [0]})

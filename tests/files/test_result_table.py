@@ -77,7 +77,6 @@ def test_rows_of_any_columns_and_kinds_make_a_table(tmp_path: Path) -> None:
     rows += [{"mixed": "words", "late": 1.5}] * BATCH  # type: ignore[dict-item,list-item]
     write_table(make_table(rows, {"never": pa.string()}), tmp_path / "t.parquet")
     table = read_table(tmp_path / "t.parquet")
-
     assert table.num_rows == len(rows)
     assert table["n"].to_pylist()[: BATCH + 2] == [*range(BATCH + 1), None]
     assert table["mixed"].to_pylist() == [str(row["mixed"]) for row in rows]

@@ -26,7 +26,6 @@ PAIR = ["calibrate", "beta", "sample:pair", "--candidates", "5", "--json", "-"]
 @pytest.mark.parametrize("name", sample_names())
 def test_a_sample_is_small_and_says_what_it_is(name: str) -> None:
     folder = sample_path(name)
-
     assert sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) < 1_000_000
     about = tomllib.loads((folder / "sample.toml").read_text(encoding="utf-8"))
     assert about["title"]
@@ -59,7 +58,6 @@ def test_a_sample_is_what_its_tool_makes(name: str) -> None:
 def test_the_table_has_the_trials_of_the_squeezes() -> None:
     tool: dict[str, Any] = runpy.run_path(str(ROOT / "tools" / "samples.py"))
     table, squeezes = read_table(resolve("sample:table")), read_table(resolve("sample:squeezes"))
-
     assert resolve("sample:table").read_bytes() == tool["table"]()
     assert table.label.tolist() == squeezes.label.tolist()
     assert table.group.tolist() == squeezes.group.tolist()
@@ -80,7 +78,6 @@ def test_a_pair_by_its_name_is_a_pair(capsys: pytest.CaptureFixture[str]) -> Non
     assert main(PAIR) == 0
     found = json.loads(capsys.readouterr().out)
     fitted = ds.calibrate_beta("sample:pair", candidates=5)
-
     assert fitted.to_dict() == found
     assert fitted.model().stiffness
     together = ds.calibrate_beta(["sample:pair", "sample:pair"], candidates=5)
@@ -95,21 +92,17 @@ def test_the_cube_identifies_theta() -> None:
     """The outside, seen with noise, has the theta of every particle of the same finite elements without noise."""
     (exact,), _ = thesis_cubes((0.25,), (6,), (0.01,))
     theta = calibrate([exact.seen], FitOptions(Model("theta", cluster_size=None, basis="quadratic", beta=0.99)))
-
     found = ds.calibrate_theta("sample:cube")
-
     assert found.verdict == "identified"
     assert found.interval[0] < theta.estimate.value < found.interval[1]
 
 
 def test_the_video_has_particles_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "beta", "sample:video", "--stride", "5", "--candidates", "5", "--json", "-"]) == 0
-
     assert json.loads(capsys.readouterr().out)["aee_px"] > 0.0
 
 
 def test_squeezes_are_classified() -> None:
     given = ds.classify("sample:squeezes", splits=4, curve_splits=0)
-
     assert given.accuracy > 0.5
     assert set(given.entries()[0]["labels"]) == {"empty", "water", "yogurt", "flour", "rice"}

@@ -38,7 +38,6 @@ def dataset(folder: Path, *rows: TrialRow) -> SqueezeDataset:
 def test_what_is_added_comes_back_to_the_last_bit(tmp_path: Path) -> None:
     given = [trial(1), trial(2, "empty"), TrialRow(dataclasses.replace(trial(3).entry, discarded="saturated"))]
     found = dataset(tmp_path / "d", *given).rows()
-
     for before, after in zip(given, found, strict=True):
         np.testing.assert_equal(dataclasses.asdict(after.entry), dataclasses.asdict(before.entry))
         assert after.features.keys() == before.features.keys()
@@ -53,7 +52,6 @@ def test_what_is_added_comes_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_a_table_leaves_discarded_trials_out_and_marks_a_missing_modality(tmp_path: Path) -> None:
     made = dataset(tmp_path, trial(1), trial(2, "empty", "box-02"), trial(3, discarded="over-squeezed"))
     table = made.table()
-
     assert list(table.label) == ["rice", "empty"]
     assert list(table.group) == ["box-01", "box-02"]  # type: ignore[arg-type]
     assert np.isnan(table.modalities["vision"]).all(axis=1).tolist() == [False, True]
@@ -65,7 +63,6 @@ def test_a_table_leaves_discarded_trials_out_and_marks_a_missing_modality(tmp_pa
 
 def test_nothing_is_in_it_twice(tmp_path: Path) -> None:
     made = dataset(tmp_path, trial(1))
-
     with pytest.raises(InputError, match="s-box-01-00001, which is there"):
         made.add([trial(1)])
     again = trial(1)
@@ -78,7 +75,6 @@ def test_nothing_is_in_it_twice(tmp_path: Path) -> None:
 def test_labels_are_corrected_and_trials_discarded_and_taken_back(tmp_path: Path) -> None:
     made = dataset(tmp_path, trial(1), trial(2))
     name = made.entries()[0].trial
-
     made.change([name], content="flour")
     made.change([name], discarded="it leaked")
     assert (made.entries()[0].content, made.entries()[0].discarded) == ("flour", "it leaked")
@@ -94,7 +90,6 @@ def test_two_sets_become_one_with_their_recordings(tmp_path: Path) -> None:
     other = dataset(tmp_path / "b", trial(1), trial(2, recording="trials/s-box-01-00002.rrd"))
     (tmp_path / "b" / "trials").mkdir()
     (tmp_path / "b" / "trials" / "s-box-01-00002.rrd").write_bytes(b"bytes")
-
     assert one.merge(other) == 1
     assert [entry.seed for entry in one.entries()] == [1, 2]
     assert one.recording_path("s-box-01-00002").read_bytes() == b"bytes"
@@ -106,7 +101,6 @@ def test_two_sets_become_one_with_their_recordings(tmp_path: Path) -> None:
 
 def test_other_settings_are_refused(tmp_path: Path) -> None:
     dataset(tmp_path, trial(1))
-
     with pytest.raises(InputError, match="settings of the data set; got others"):
         SqueezeDataset(tmp_path, {"tactile_end": "last"}).add([trial(2)])
 
@@ -118,7 +112,6 @@ def test_a_missing_trial_and_what_is_no_data_set_are_refused_in_one_line(tmp_pat
     pq.write_table(table.slice(0, 1), path)
     with pytest.raises(InputError, match="features of s-box-01-00002; got none"):
         made.table()
-
     with pytest.raises(InputError, match=r"with its index\.parquet; got a folder without it"):
         SqueezeDataset(tmp_path).entries()
     with pytest.raises(InputError, match=r"with its index\.parquet; got no such folder"):
@@ -135,6 +128,5 @@ def test_a_table_that_lost_a_column_is_refused_in_one_line(tmp_path: Path, name:
     made = dataset(tmp_path, trial(1), trial(2))
     table = pq.read_table(tmp_path / name)
     pq.write_table(table.drop_columns([column]), tmp_path / name)
-
     with pytest.raises(InputError, match=f"got a {re.escape(name)} without "):
         made.rows()

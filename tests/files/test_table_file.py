@@ -33,7 +33,6 @@ def test_every_format_gives_the_same_table(tmp_path: Path, kind: str) -> None:
     else:
         parquet.write_table(pa.table(columns()), path)
     found = read_table(path)
-
     np.testing.assert_array_equal(found.label, wanted.label)
     np.testing.assert_array_equal(found.group, wanted.group)
     assert set(found.modalities) == {"touch", "vision"}
@@ -46,7 +45,6 @@ def test_arrays_of_any_shape_numbers_as_labels_and_series(tmp_path: Path) -> Non
     frames = np.arange(24.0, dtype=np.float32).reshape(4, 3, 2)
     np.savez(path, label=np.array([1, 2, 1, 2]), pads=frames, **{"series.pads": frames}, step_s=0.05)  # type: ignore[arg-type]
     found = read_table(path)
-
     assert found.classes == ("1", "2")
     assert found.group is None
     np.testing.assert_array_equal(found.modalities["pads"], frames.reshape(4, 6))
@@ -58,7 +56,6 @@ def test_empty_fields_of_a_csv_were_not_measured(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("label,trial,f.0,f.1\nNA,t1,1,\nb,t2,2,5\nb,t3,NaN,6\n")
     found = read_table(path)
-
     assert found.classes == ("NA", "b")
     np.testing.assert_array_equal(found.modalities["f"], [[1, np.nan], [2, 5], [np.nan, 6]])
 
@@ -102,7 +99,6 @@ def test_what_is_no_table_is_refused_in_one_line(tmp_path: Path, name: str) -> N
         path.write_bytes(content)
     with pytest.raises(InputError) as refusal:
         read_table(path)
-
     assert said in str(refusal.value)
     assert str(refusal.value).endswith(str(path))
     assert "\n" not in str(refusal.value)

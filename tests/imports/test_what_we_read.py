@@ -12,13 +12,11 @@ PAGES = runpy.run_path(str(Path(__file__).resolve().parents[2] / "tools" / "refe
 
 def test_the_page_names_every_type_encoding_and_ending() -> None:
     page = PAGES["what_we_read"]()
-
     names = [*STANDARD, *DEPTH_ENCODINGS, *COLOR_ENCODINGS, *BAGS, *FILES, *TABLES]
     assert [name for name in names if name.rpartition("/")[2] not in page] == []
 
 
 def test_every_row_says_how_unit_frame_and_clock_are_known() -> None:
     head, rows = PAGES["READ_HEAD"], PAGES["read_rows"]()
-
     assert {len(row) for row in rows} == {len(head)}
     assert [row for row in rows if not all(row[:2])] == []

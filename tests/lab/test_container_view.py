@@ -36,7 +36,6 @@ def test_every_pixel_of_the_container_lies_on_its_surface(shape: ContainerShape)
         np.testing.assert_allclose(out.max(axis=1), 1.0, atol=1e-4)
     else:
         wall = seen[seen[:, 2] < shape.half_m[2] - 1e-3]
-
         np.testing.assert_allclose(np.hypot(wall[:, 0], wall[:, 1]), shape.half_m[0], atol=1e-4)
 
 

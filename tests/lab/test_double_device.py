@@ -52,7 +52,6 @@ def test_a_double_needs_nothing_of_what_the_file_names(driver: str, way: str) ->
 def test_the_example_is_for_every_device_that_can_be_doubled() -> None:
     text = (resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8")
     devices = parse_rig(text, "example").devices
-
     assert {entry.driver.name for entry in devices} == set(WAYS)
     assert any(getattr(entry.config, "bus", "").startswith("socketcan:") for entry in devices)
 
@@ -66,5 +65,4 @@ def test_a_double_on_a_port_has_a_process_of_its_own_that_ends_with_it() -> None
             device.open()
             assert readings.get(PATIENCE_S) is not None
             device.close()
-
     assert not Path(f"/proc/{process}").exists()

@@ -48,9 +48,7 @@ def test_a_uniform_strain_on_the_surface_is_uniform_inside(element: Element, poi
     box = uneven_box(poisson, element)
     strain = np.array([[0.01, 0.004, -0.002], [0.0, -0.02, 0.003], [0.001, 0.0, 0.015]])
     wanted = box.nodes @ strain.T
-
     found = box.hold(every_component(outside(box))).solve(wanted)
-
     np.testing.assert_allclose(found.displacement, wanted, atol=1e-14)
 
 
@@ -61,9 +59,7 @@ def test_pure_bending_is_exact(element: Element) -> None:
     box = uneven_box(poisson, element)
     x, y, z = box.nodes.T
     wanted = curvature * np.stack([x * y, -(x**2) / 2 - poisson * (y**2 - z**2) / 2, -poisson * y * z], axis=1)
-
     found = box.hold(every_component(box.plane(0, 0.0) | box.plane(0, 0.1))).solve(wanted)
-
     np.testing.assert_allclose(found.displacement, wanted, atol=1e-12)
 
 
@@ -79,9 +75,7 @@ def test_a_block_between_plates_without_friction_is_uniaxial() -> None:
     held[box.plane(1, 0.0), 1] = True
     moved = np.zeros(held.shape)
     moved[top, 2] = -push
-
     found = box.hold(held).solve(moved)
-
     strain = push / 0.05
     np.testing.assert_allclose(
         found.displacement, strain * np.stack([poisson * x, poisson * y, -z], axis=1), atol=1e-14
@@ -96,9 +90,7 @@ def test_layers_in_series_share_one_stress() -> None:
     top = box.plane(2, z[-1])
     moved = np.zeros(box.nodes.shape)
     moved[top, 2] = -0.001
-
     found = box.hold(every_component(top | box.plane(2, 0.0))).solve(moved)
-
     middle = z[1]  # elements below 0.02 m are stiff: the first layer
     pressure = 0.001 / (middle / 90e3 + (z[-1] - middle) / 30e3)
     assert found.force[top, 2].sum() == pytest.approx(-pressure * 0.1 * 0.08)
@@ -108,7 +100,6 @@ def test_layers_in_series_share_one_stress() -> None:
 def test_forces_balance_and_nothing_pulls_where_nothing_holds() -> None:
     box, found = pressed_cube(0.4, 5)
     moment = np.cross(box.nodes, found.force).sum(axis=0)
-
     assert found.force[box.plane(2, 0.1), 2].sum() == pytest.approx(-found.force[box.plane(2, 0.0), 2].sum())
     np.testing.assert_allclose(found.force.sum(axis=0), 0.0, atol=1e-9)
     np.testing.assert_allclose(moment, 0.0, atol=1e-10)
@@ -118,7 +109,6 @@ def test_forces_balance_and_nothing_pulls_where_nothing_holds() -> None:
 def test_work_of_the_plates_is_twice_the_energy() -> None:
     box, found = pressed_cube(0.25, 4)
     u = found.displacement.ravel()
-
     assert (found.force * found.displacement).sum() == pytest.approx(u @ (box.stiffness @ u))
 
 
@@ -126,9 +116,7 @@ def test_a_load_is_carried_to_the_support() -> None:
     box = uneven_box(0.3)
     load = np.zeros(box.nodes.shape)
     load[box.corners[-1]] = [1.0, -2.0, 3.0]
-
     found = box.hold(every_component(box.plane(2, 0.0))).solve(np.zeros(load.shape), load)
-
     np.testing.assert_allclose(found.force.sum(axis=0), [-1.0, 2.0, -3.0], atol=1e-9)
     assert (found.displacement[box.corners[-1]] * load[box.corners[-1]] > 0.0).all()
 
@@ -152,7 +140,6 @@ def test_nearly_incompressible_keeps_its_volume_and_trilinear_locks() -> None:
         if element != "trilinear":
             assert flux == pytest.approx(0.1**2 * 0.01, rel=0.08)
             assert flux < 0.1**2 * 0.01
-
     assert forces["quadratic"] < forces["serendipity"] < 1.01 * forces["quadratic"]
     assert forces["trilinear"] > 1.3 * forces["quadratic"]
 
@@ -167,7 +154,6 @@ def test_any_displacement_of_an_element_is_sampled_between_its_nodes() -> None:
         return np.stack([x[:, 0] ** 2 * x[:, 1], x[:, 2] ** 2 - x[:, 0], x[:, 0] * x[:, 1] * x[:, 2]], axis=1)
 
     sampled = box.sample(np.stack([field(box.nodes), -field(box.nodes)]), points)
-
     np.testing.assert_allclose(sampled, [field(points), -field(points)], atol=1e-15)
     np.testing.assert_allclose(
         box.nodes[box.corners].reshape(4, 5, 3, 3)[2, 3, 1],
@@ -184,11 +170,9 @@ def test_one_factorisation_serves_many_displacements_and_conjugate_gradients_agr
     held[tip, 0] = True
     moved = np.zeros((3, *held.shape))
     moved[:, tip, 0] = np.array([0.001, -0.002, 0.0005])[:, None] * box.nodes[tip, 1] / 0.08
-
     together = box.hold(held).solve(moved)
     monkeypatch.setattr(elasticity, "MOST_FACTORISED", 0)
     iterated = box.hold(held).solve(moved)
-
     for row in range(3):
         alone = box.hold(held).solve(moved[row])
         np.testing.assert_allclose(together.displacement[row], alone.displacement, rtol=1e-6, atol=1e-12)
@@ -201,7 +185,6 @@ def test_what_cannot_be_solved_is_refused() -> None:
     box = ElasticBox(axis, axis, axis, young=1e4, poisson=0.3)
     sliding = np.zeros(box.nodes.shape, dtype=bool)
     sliding[box.plane(2, 0.0), 2] = True
-
     with pytest.raises(InputError, match="rigid motion"):
         box.hold(sliding)
     with pytest.raises(InputError, match=r"below 0\.5"):
@@ -220,6 +203,5 @@ def test_the_thesis_cube_is_as_another_solver_has_it(poisson: float, shared_data
     with np.load(shared_data / "fem" / f"cube_lin_n06_d3cm_nu{poisson:.2f}.npz") as file:
         place, wanted, force = file["X"], file["u"], float(file["top_force"])
     box, found = pressed_cube(poisson, 6, push=0.03)
-
     np.testing.assert_allclose(box.sample(found.displacement, place), wanted, atol=2e-7)
     assert found.force[box.plane(2, 0.1), 2].sum() == pytest.approx(force, rel=1e-5)

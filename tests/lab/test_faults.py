@@ -47,7 +47,6 @@ def test_every_fault_has_a_word_and_belongs_to_a_device() -> None:
 def test_a_fault_strikes_once_where_the_seed_says() -> None:
     fault = FaultAt(Injected.FORCE_FROZEN, 2)
     found = [struck(fault, seed) for seed in range(6)]
-
     assert {touch for touch, _, _ in found} == {2}
     assert len({phase for _, phase, _ in found}) > 2
     assert all(0 <= delay_ns <= 1e9 * WITHIN_S[phase] for _, phase, delay_ns in found)
@@ -60,7 +59,6 @@ def test_a_fault_does_what_it_says() -> None:
     for phase in PHASES:
         faults.phase_began(phase, 1)
     bench.wait_until(bench.clock() + 3_000_000_000)
-
     assert bench.sensor_double.silent
     assert bench.wire.spoiled == 0.0
     assert [fault.injected for fault in faults.waiting] == [Injected.STORM]

@@ -17,7 +17,6 @@ CLAMP_M, COARSE_M = 0.04, 0.015
 
 def test_a_clamp_over_all_of_a_foam_that_never_widens_presses_evenly() -> None:
     law = OgdenFoam((3.0e3, 40.0), (12.0, -4.0), 0.0)
-
     for pressed in press(law, BLOCK, BLOCK.width_m, [0.01, 0.03], COARSE_M):
         stretch = 1 - pressed.depth_m / BLOCK.height_m
         assert pressed.force_n == pytest.approx(-law.uniaxial(stretch)[0] * BLOCK.width_m * BLOCK.thickness_m, rel=1e-8)
@@ -30,7 +29,6 @@ def test_a_slight_push_is_linear_elasticity(poisson: float) -> None:
     law = OgdenFoam((3.0e3, 40.0), (12.0, -4.0), poisson)
     depth = 1e-7
     pressed = press(law, BLOCK, CLAMP_M, [depth], COARSE_M)[0]
-
     # the whole block this time, both halves of it, with scikit-fem's own elasticity
     x, y = (np.unique(np.round(axis, 12))[::2] for axis in pressed.nodes.T)
     mesh = MeshQuad.init_tensor(np.unique(np.concatenate([-x, x])), y)
@@ -46,7 +44,6 @@ def test_a_slight_push_is_linear_elasticity(poisson: float) -> None:
     place = np.array([[0.0, 0.03], [0.03, 0.05], [-0.03, 0.05], [0.07, 0.01], [-0.02, 0.02]])
     probe = Basis(mesh, ElementQuad2()).probes(place.T)
     truth = np.stack([probe @ moved[~vertical], probe @ moved[vertical]], axis=1)
-
     assert pressed.force_n == pytest.approx(force, rel=1e-4)
     np.testing.assert_allclose(pressed.at(place), truth, rtol=0, atol=1e-4 * depth)
 
@@ -67,16 +64,13 @@ def test_force_is_the_energys_slope_over_depth() -> None:
         energy.append(half._energy(state) * half.thickness)
         if depth == 0.01:
             force = half.result(state, depth).force_n
-
     assert force == pytest.approx((energy[2] - energy[0]) / (2 * step), rel=1e-5)
 
 
 def test_twice_as_firm_moves_alike_with_twice_the_force() -> None:
     law = FOAMS[0].law()
     firmer = OgdenFoam(tuple(2 * mu for mu in law.shear), law.exponent, law.poisson)
-
     one, two = (press(each, BLOCK, CLAMP_M, [0.01], COARSE_M)[0] for each in (law, firmer))
-
     np.testing.assert_allclose(two.displacement, one.displacement, rtol=0, atol=1e-9 * 0.01)
     assert two.force_n == pytest.approx(2 * one.force_n, rel=1e-7)
 
@@ -84,10 +78,8 @@ def test_twice_as_firm_moves_alike_with_twice_the_force() -> None:
 @pytest.mark.slow
 def test_load_steps_do_not_decide_the_state() -> None:
     law = FOAMS[3].law()
-
     once = press(law, BLOCK, CLAMP_M, [0.012], COARSE_M)[-1]
     often = press(law, BLOCK, CLAMP_M, [0.003, 0.006, 0.009, 0.012], COARSE_M)[-1]
-
     np.testing.assert_allclose(once.displacement, often.displacement, rtol=0, atol=1e-8)
 
 
@@ -95,9 +87,7 @@ def test_load_steps_do_not_decide_the_state() -> None:
 def test_finer_elements_change_little_and_do_not_lock() -> None:
     law = OgdenFoam((3.0e3, 40.0), (12.0, -4.0), 0.45)
     place = np.array([[0.0, 0.03], [0.03, 0.04], [0.05, 0.02]])
-
     coarse, fine = (press(law, BLOCK, CLAMP_M, [0.01], size)[-1] for size in (0.01, 0.006))
-
     assert coarse.force_n == pytest.approx(fine.force_n, rel=0.02)
     np.testing.assert_allclose(coarse.at(place), fine.at(place), rtol=0, atol=0.02 * 0.01)
 
@@ -105,7 +95,6 @@ def test_finer_elements_change_little_and_do_not_lock() -> None:
 def test_left_mirrors_right() -> None:
     pressed = press(FOAMS[2].law(), BLOCK, CLAMP_M, [0.01], COARSE_M)[0]
     right = np.array([[0.01, 0.05], [0.04, 0.03]])
-
     np.testing.assert_allclose(pressed.at(right * [-1, 1]), pressed.at(right) * [-1, 1], atol=1e-15)
 
 

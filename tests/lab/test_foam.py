@@ -21,19 +21,16 @@ def test_density_makes_it_densify_as_gibson_and_ashby_say(foam: Foam) -> None:
     law = foam.law()
     weightless = OgdenFoam(law.shear[:1], law.exponent[:1], law.poisson)
     limit = 1 - 1.4 * foam.density / 1200
-
     assert law.uniaxial(0.35)[0] / weightless.uniaxial(0.35)[0] == pytest.approx(0.35 / (limit - 0.65), rel=1e-9)
 
 
 def test_denser_of_two_equal_foams_is_firmer_when_pressed_far() -> None:
     light, dense = (Foam(density, 120.0, 12.0, 0.1).law() for density in (24.0, 50.0))
-
     assert dense.uniaxial(0.6)[0] == pytest.approx(light.uniaxial(0.6)[0], rel=1e-9)
     assert dense.uniaxial(0.3)[0] / light.uniaxial(0.3)[0] > 1.1
 
 
 def test_what_was_chosen_does_not_go_with_hardness() -> None:
     hardness = [foam.hardness for foam in FOAMS]
-
     assert abs(spearmanr(hardness, [foam.plateau for foam in FOAMS]).statistic) <= 0.1 + 1e-9
     assert abs(spearmanr(hardness, [foam.poisson for foam in FOAMS]).statistic) <= 0.1 + 1e-9

@@ -41,7 +41,6 @@ def test_stress_is_the_energys_derivative_and_tangent_the_stresss(d: int) -> Non
             change = (stress_and_tangent(TWO_TERMS, at + step)[0] - stress_and_tangent(TWO_TERMS, at - step)[0]) / (
                 2 * h
             )
-
             np.testing.assert_allclose(stress[:, i, j], slope, rtol=1e-6, atol=1e-6 * abs(stress).max())
             np.testing.assert_allclose(tangent[..., i, j], change, rtol=1e-6, atol=1e-6 * abs(tangent).max())
 
@@ -54,9 +53,7 @@ def test_small_strains_are_linear_elasticity(d: int) -> None:
     one = np.eye(d)
     hooke = lame * np.einsum("ij,kl->ijkl", one, one)
     hooke += shear * (np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one))
-
     stress, tangent = stress_and_tangent(law, one[None])
-
     np.testing.assert_allclose(stress, 0.0, atol=1e-12 * law.young)
     np.testing.assert_allclose(tangent[0], hooke, rtol=1e-12, atol=1e-12 * law.young)
 
@@ -65,10 +62,8 @@ def test_small_strains_are_linear_elasticity(d: int) -> None:
 def test_turning_the_body_or_the_axes_changes_nothing_else(d: int) -> None:
     at, turn = gradients(d), turned(d)
     stress, _ = stress_and_tangent(TWO_TERMS, at)
-
     body, _ = stress_and_tangent(TWO_TERMS, turn @ at)
     axes, _ = stress_and_tangent(TWO_TERMS, at @ turn)
-
     np.testing.assert_allclose(body, turn @ stress, rtol=1e-10, atol=1e-10 * abs(stress).max())
     np.testing.assert_allclose(axes, stress @ turn, rtol=1e-10, atol=1e-10 * abs(stress).max())
     cauchy = stress @ np.swapaxes(at, 1, 2)  # no torque: it is symmetric
@@ -78,9 +73,7 @@ def test_turning_the_body_or_the_axes_changes_nothing_else(d: int) -> None:
 def test_tangent_is_smooth_where_two_stretches_meet() -> None:
     turn = turned(2)
     exact, near = (turn @ np.diag([0.7, 0.7 * (1 + gap)])[None] @ turn.T for gap in (0.0, 1e-5))
-
     meeting, apart = (stress_and_tangent(TWO_TERMS, at)[1] for at in (exact, near))
-
     np.testing.assert_allclose(meeting, apart, rtol=0, atol=1e-3 * abs(apart).max())
 
 
@@ -89,10 +82,8 @@ def test_tangent_is_smooth_where_two_stretches_meet() -> None:
 def test_one_term_in_uniaxial_stress_is_known_in_closed_form(a: float, stretch: float) -> None:
     mu = 5.0e3
     widthless = OgdenFoam((mu,), (a,), 0.0).uniaxial(stretch)
-
     assert widthless[0] == pytest.approx(2 * mu / a * (stretch ** (a - 1) - 1 / stretch), rel=1e-9)
     assert widthless[1] == pytest.approx(1.0, abs=1e-12)
-
     law = OgdenFoam((mu,), (a,), 0.25)
     b = law.volume_share
     # no stress across: b l^a q^2 + q - (1 + b) = 0 in q = (lateral stretch)^a
@@ -105,9 +96,7 @@ def test_one_term_in_uniaxial_stress_is_known_in_closed_form(a: float, stretch: 
 
 def test_foam_yields_and_stops_getting_wider() -> None:
     law = OgdenFoam((1.0e4,), (20.0,), 0.3)
-
     slight, half = (1 - s for s in (1e-5, 0.5))
-
     assert -np.log(law.uniaxial(slight)[1]) / np.log(slight) == pytest.approx(0.3, rel=1e-3)
     assert -np.log(law.uniaxial(half)[1]) / np.log(half) < 0.1
     plateau = 2.0e4 * (1 + law.volume_share) / 20.0

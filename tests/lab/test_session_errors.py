@@ -64,7 +64,6 @@ def test_a_touch_is_felt_through_all_of_them() -> None:
     assert robot.most_force_n == pytest.approx(made.force_n[-3:, 2].max() / drawn.gain, rel=0.05)
     assert np.hypot(*made.force_n[-1, :2]) == pytest.approx(drawn.friction * made.force_n[-1, 2], abs=0.1)
     assert robot.scene.thickness_m == pytest.approx(scene.thickness_m * drawn.thickness)
-
     clean = LabRobot(robot.scene, options, sees=False)
     clean.touch(Touch(place, scene.thickness_m, UP))
     expected = drawn.scatter(place[None])[0]

@@ -17,7 +17,6 @@ POINT_M = np.array([0.3, 0.2, 0.1])
 
 def test_the_arm_stands_beside_the_table() -> None:
     x_m, y_m, z_m = Placement(T_BASE_SURFACE).T_surface_base[:3, 3]
-
     assert (x_m, z_m) == pytest.approx((SIZE_M[0] / 2, 0.0))
     assert y_m == pytest.approx(SIZE_M[1] + 0.15)
     assert np.hypot(x_m, y_m) == pytest.approx(0.63, abs=0.005)  # to the far corners
@@ -43,7 +42,6 @@ def test_the_arm_gives_as_much_as_its_stiffness_says(modulus_pa: float, tip: str
 
 def test_a_foam_of_hertz() -> None:
     foam = SpringyFoam(100e3, POINT_M, (0.0, 0.0, 1.0), Tool(radius_m=0.01))
-
     # 4/3 * 100e3 / 0.91 * sqrt(0.01) * 0.004 ** 1.5
     assert foam.press(POINT_M + np.array([0.0, 0.0, 0.006])) == pytest.approx([0.0, 0.0, 3.7067], rel=1e-4)
     assert foam.press(POINT_M + np.array([0.0, 0.0, 0.0101])) == pytest.approx([0.0, 0.0, 0.0])

@@ -166,7 +166,6 @@ def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() 
     measured, without = touch(0), dataclasses.replace(touch(0), peak_rate_n_per_s=None, peak_rate_interval_n_per_s=None)
     found = found_with(touches=(TouchOutcome(measured, 1.0, None, [], False),))
     (one,) = found.to_dict()["touches"]
-
     assert (one["peak_rate_n_per_s"], one["peak_rate_interval_n_per_s"]) == (6.0, [5.5, 6.5])
     assert found.to_dict()["units"]["peak_rate_n_per_s"] == "N/s"
     assert "<td>6 N/s (5.5 to 6.5)</td>" in found.findings().html()
@@ -178,7 +177,6 @@ def test_the_peak_force_rate_of_a_touch_is_shown_with_its_interval_everywhere() 
 @pytest.mark.parametrize(("count", "says"), [(1, "1 region"), (2, "2 regions"), (3, "at least 3 regions")])
 def test_three_regions_may_be_more(count: int, says: str) -> None:
     maps = dataclasses.replace(maps_after(3), region_count=count, verdict="regions")
-
     assert format_verdict(maps) == says
 
 

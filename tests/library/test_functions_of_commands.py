@@ -30,7 +30,6 @@ def told(capsys: pytest.CaptureFixture[str], *command: object, status: int = 0) 
 
 def test_verify_says_what_the_command_says(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = ds.verify(recording, stages=True, privacy=True)
-
     assert found.ok
     assert found.error is None
     assert found.to_dict() == told(capsys, "verify", recording, "--stages", "--privacy")
@@ -49,9 +48,7 @@ def test_verify_says_what_the_command_says(recording: Path, capsys: pytest.Captu
 def test_recover_makes_a_whole_recording(recording: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.rrd"
     cut.write_bytes(recording.read_bytes()[: 3 * recording.stat().st_size // 4])
-
     found = ds.recover(cut, tmp_path / "saved.rrd")
-
     saved = ds.verify(found.found["recovered"])
     assert saved.ok
     assert "it was recovered" in saved.losses[0]
@@ -67,7 +64,6 @@ def test_export_catalog_report_and_discard_are_the_commands(
     assert found.to_dict() | {"folder": other["folder"]} == other
     written = [(tmp_path / "a" / one["file"]).read_bytes() for one in other["files"]]
     assert written == [(tmp_path / "b" / one["file"]).read_bytes() for one in other["files"]]
-
     ds.discard(recording, "the tip slipped")
     assert [one.reason for one in ds.open_recording(recording).discarded()] == ["the tip slipped"]
     listed = ds.catalog(tmp_path)
@@ -94,7 +90,6 @@ def test_what_parameters_are_called_in_python(recording: Path, tmp_path: Path) -
 
 def test_viscous_is_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     found = ds.calibrate_viscous("sample:press")
-
     assert found.estimate.verdict == "plastic"
     assert found.to_dict() == told(capsys, "calibrate", "viscous", "sample:press")
 
@@ -106,6 +101,5 @@ def test_viscous_is_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_calibrations_are_the_commands(name: str, sample: str, capsys: pytest.CaptureFixture[str]) -> None:
     found = getattr(ds, f"calibrate_{name}")(sample)
-
     assert found.to_dict() == told(capsys, "calibrate", name, sample)
     assert found.figures()[0].png.startswith(b"\x89PNG")

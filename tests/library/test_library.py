@@ -155,7 +155,6 @@ def test_importing_it_loads_nothing_else() -> None:
     loaded = subprocess.run(
         command, capture_output=True, text=True, timeout=PATIENCE_S, check=True, env={"PYTHONPATH": str(ROOT)}
     )
-
     assert loaded.stdout == "['__future__', 'deformscope']\n"
 
 
@@ -168,7 +167,6 @@ def test_a_pair_gives_the_json_of_the_command(
     told = json.loads(capsys.readouterr().out)
     from_file = ds.calibrate_beta(path, candidates=12)
     from_arrays = ds.calibrate_beta(arrays, candidates=12, record=tmp_path / "r.rrd")
-
     assert from_file.to_dict() == told
     assert from_arrays.to_dict() == told
     assert from_arrays.value == pytest.approx(0.6, abs=0.02)
@@ -186,7 +184,6 @@ def test_a_pair_gives_the_json_of_the_command(
 
 def test_several_pairs_share_one_value(arrays: dict[str, np.ndarray]) -> None:
     found = ds.calibrate_beta([arrays, arrays], candidates=12)
-
     assert found.name == "all pairs"
     assert len(found.shown.comparisons) == 2
 
@@ -206,7 +203,6 @@ def test_images_as_arrays_give_what_their_files_give(tmp_path: Path) -> None:
     options = {"mask": mask, "spacing_px": 60.0, "held": ("top", "bottom"), "candidates": 8}
     from_arrays = ds.calibrate_beta(frames, **options)  # type: ignore[arg-type]
     from_files = ds.calibrate_beta(paths, **options)  # type: ignore[arg-type]
-
     assert from_arrays.to_dict() == from_files.to_dict()
     assert from_arrays.to_dict()["aee_px"] > 0.0
 
@@ -219,7 +215,6 @@ def test_a_fitted_pair_can_be_poked(arrays: dict[str, np.ndarray], tmp_path: Pat
     where = arrays["rest"][fitted.model().rest.shape[0] // 2]
     poke = {"at": tuple(where), "depth_m": depth_m, "tip": "flat", "size_m": (0.02,)}
     once, again = ds.predict(fitted, **poke), ds.predict(tmp_path / "model.npz", **poke)  # type: ignore[arg-type]
-
     assert once.depth_m == pytest.approx(depth_m, rel=1e-3)
     assert once.force_n is not None
     np.testing.assert_array_equal(once.deformed_m, again.deformed_m)
@@ -243,6 +238,5 @@ def test_a_fitted_pair_can_be_poked(arrays: dict[str, np.ndarray], tmp_path: Pat
 def test_what_cannot_be_used_is_one_error_in_the_words_of_python(call: object, says: str) -> None:
     with pytest.raises(ds.InputError) as raised:
         call()  # type: ignore[operator]
-
     assert says in str(raised.value)
     assert "--" not in str(raised.value)

@@ -79,7 +79,6 @@ def test_a_long_sequence_is_thinned_and_the_estimate_is_that_of_all_frames(
     quick = ds.calibrate_beta(images, **options)  # type: ignore[arg-type]
     words = caplog.text
     fine = ds.calibrate_beta(images, fine=True, **options)  # type: ignore[arg-type]
-
     assert f"{KEPT} of {COUNT} frames are tracked" in words
     assert "--fine tracks all" in words
     assert (quick.estimate.settings["frames"], quick.estimate.settings["frames_of"]) == (KEPT, COUNT)

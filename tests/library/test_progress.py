@@ -101,7 +101,6 @@ def test_what_another_thread_writes_meanwhile_arrives(call: Call, capsys: pytest
 
         call(progress=progress)
     out, err = capsys.readouterr()
-
     assert out == ""
     assert heard
     assert err.splitlines() == [f"line {number} of another thread" for number in range(len(heard))]
@@ -109,7 +108,6 @@ def test_what_another_thread_writes_meanwhile_arrives(call: Call, capsys: pytest
 
 def test_nothing_is_written_where_nobody_watches(call: Call, capfd: pytest.CaptureFixture[str]) -> None:
     call()
-
     assert capfd.readouterr() == ("", "")
 
 
@@ -124,7 +122,6 @@ class Terminal(io.StringIO):
 def test_progress_is_shown_at_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", Terminal())
     call()
-
     assert sys.stderr.getvalue()  # type: ignore[attr-defined]
 
 
@@ -135,7 +132,6 @@ def test_nothing_is_written_to_a_terminal_where_it_is_not_wanted(
 ) -> None:
     monkeypatch.setattr(sys, "stderr", Terminal())
     call(progress=progress)
-
     assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
 
 
@@ -154,7 +150,6 @@ def test_only_the_greeting_of_warp_is_left_out(
     monkeypatch.setattr(quiet, "_started", False)
     monkeypatch.setattr(warp, "init", lambda: os.write(2, b"before\n" + GREETING + b": no driver\nafter\n"))
     quiet_warp()
-
     assert capfd.readouterr().err == "before\nafter\n"
     with monkeypatch.context() as patched:
         patched.setattr(os, "dup2", lambda *descriptors: pytest.fail("stderr was redirected again"))
@@ -165,5 +160,4 @@ def test_the_library_redirects_no_stream_of_the_process() -> None:
     """`contextlib.redirect_stderr` does so for all threads; a command may, before it begins (`deformscope.cli`)."""
     package = Path(ds.__file__).parent
     code = {path: path.read_text() for path in package.rglob("*.py") if path.parent.name != "cli"}
-
     assert [path for path, text in code.items() if "redirect_std" in text] == []

@@ -33,7 +33,6 @@ def test_curves_show_events_and_phases() -> None:
     bare = pixels(curves_png([rising], "time [s]"))
     phases = pixels(curves_png([rising], "time [s]", phases=[("close", 0.5), ("hold", 1.5)]))
     events = pixels(curves_png([rising], "time [s]", [("first contact", 1.0)]))
-
     assert bare.shape == phases.shape == events.shape
     assert (bare != phases).any(axis=-1).mean() > 0.2  # most of the time is shaded
     assert 0.001 < (bare != events).any(axis=-1).mean() < 0.1  # a line and its name
@@ -44,11 +43,9 @@ def test_names_of_short_phases_stand_side_by_side(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(recorded, "png_of", lambda figure, dpi: drawn.append(figure) or b"")
     names = ("pre-shape", "look", "travel", "approach", "look", "air", "close", "squeeze", "hold", "open", "retreat")
     begin = (0.3, 2.0, 3.1, 9.4, 14.8, 15.5, 15.6, 17.0, 17.4, 18.2, 19.0)
-
     curves_png(
         [Curves("force [N]", np.linspace(0.0, 25.0, 50), np.zeros((50, 1)))], "", (), [*zip(names, begin, strict=True)]
     )
-
     (figure,) = drawn
     figure.canvas.draw()
     shown = [one for one in figure.axes[0].texts if isinstance(one, Annotation)]
@@ -62,7 +59,6 @@ def test_a_recording_without_costs_opens_and_says_what_it_lacks(
 ) -> None:
     path, out, told = tmp_path / "less.rrd", tmp_path / "less.html", tmp_path / "less.json"
     assert run_rrd("filter", "--drop-entity", "/cost", ROOT / "recordings" / "tension.rrd", "-o", path) == ""
-
     assert main(["report", str(path), "--out", str(out), "--json", str(told)]) == 0
     assert "costs of the stages" in capsys.readouterr().err
     assert json.loads(told.read_text())["lacks"] == ["costs of the stages"]
@@ -71,7 +67,6 @@ def test_a_recording_without_costs_opens_and_says_what_it_lacks(
 
 def test_a_fit_of_images_shows_its_posterior(tmp_path: Path) -> None:
     found = report_recording(ROOT / "recordings" / "tension.rrd")
-
     assert found.sections[0].title == "Error and posterior"
     assert found.words.startswith("beta = ")
     assert all(pixels(one.png).size for one in found.figures())
@@ -80,7 +75,6 @@ def test_a_fit_of_images_shows_its_posterior(tmp_path: Path) -> None:
 def test_what_is_no_recording_is_refused_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "none.rrd"
     path.write_bytes(b"nothing")
-
     assert main(["report", str(path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not path.with_suffix(".html").exists()
@@ -100,7 +94,6 @@ SECTIONS = {
 @pytest.mark.parametrize("path", samples(), ids=lambda path: path.stem)
 def test_each_sample_has_its_figures_and_lacks_nothing(path: Path) -> None:
     found = report_recording(path)
-
     assert isinstance(found, RecordingReport)
     assert found.lacks == []
     assert [one.title for one in found.sections] == SECTIONS[path.stem]

@@ -34,7 +34,6 @@ def test_it_gives_the_json_and_the_words_of_the_command(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = ds.replay(recorded)
-
     assert main(["replay", str(recorded), "--viewer", "none", "--json", str(tmp_path / "r.json")]) == 0
     shown = capsys.readouterr()
     assert found.to_dict() == json.loads((tmp_path / "r.json").read_text())
@@ -49,7 +48,6 @@ def test_numbers_that_differ_are_an_error(recorded: Path, monkeypatch: pytest.Mo
     (one,) = read_estimates(Replay(recorded))
     other = dataclasses.replace(one, value=one.value + 0.1)
     monkeypatch.setattr("deformscope.runs.replay.read_estimates", lambda _: [other])
-
     with pytest.raises(ds.InputError, match="numbers that differ by"):
         ds.replay(recorded)
 
@@ -58,7 +56,6 @@ def test_a_reason_in_other_words_is_the_same_reason() -> None:
     before = dataclasses.replace(estimate(), reasons=(Doubt("two-materials", "two foams", "weak"),))
     now = dataclasses.replace(before, reasons=(Doubt("two-materials", "two materials", "weak"),))
     other = dataclasses.replace(before, reasons=(Doubt("held-off", "two foams", "weak"),))
-
     assert compare([before], [now], Path("run.rrd")) is None
     with pytest.raises(ds.InputError, match="another reasons of Estimate"):
         compare([before], [other], Path("run.rrd"))

@@ -27,7 +27,6 @@ def test_a_squeeze_gives_the_json_of_the_command_and_its_features(
     assert main([*given, "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     squeezed = ds.squeeze("lab:containers", content="rice", container="box-07")
-
     assert capsys.readouterr() == ("", "")
     assert squeezed.to_dict() == found
     assert squeezed.features["tactile"].shape == (72,)
@@ -46,7 +45,6 @@ def test_a_data_set_grows_is_opened_classified_and_names_the_next_one(tmp_path: 
             where = {"dataset": folder, "session": "s", "keep": "features"}
             ds.squeeze("lab:containers", content=content, container=f"box-{number}", seed=number, **where)  # type: ignore[arg-type]
     opened = ds.open_dataset(folder)
-
     assert len(opened) == 8
     assert {one.content for one in opened.trials} == {"rice", "empty"}
     assert opened.to_dict()["trials"][0]["container"] == "box-0"
@@ -65,7 +63,6 @@ def test_a_squeeze_that_was_stopped_is_an_error_and_a_discarded_trial(tmp_path: 
     toy["squeeze"] = dataclasses.replace(ToySqueeze().squeeze, saturation_counts=200)
     with pytest.raises(ds.InputError, match="tactile array saturated"):
         ds.squeeze("lab:containers", content="rice", container="box-1", dataset=tmp_path / "d")
-
     (entry,) = ds.open_dataset(tmp_path / "d").trials
     assert entry.discarded is not None
     assert ds.open_dataset(tmp_path / "d").recording(entry.trial).is_file()

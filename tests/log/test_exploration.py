@@ -284,7 +284,6 @@ def test_why_it_was_stopped_is_data_a_line_of_text_and_a_red_state(tmp_path: Pat
     stop = ExplorationStop("force sensor silent", "no force for 36 ms", "its cable", "stop", 1)
     record(tmp_path / "run.rrd", [(7, 2, [PhaseStart(f"stopped: {stop.kind}", 1), stop])])
     (found,) = read_results(tmp_path / "run.rrd", (ExplorationStop,), trust=True)
-
     assert found == Row(7, 2, stop)
     text = cells(tmp_path / "run.rrd", "/exploration/stopped", "TextLog:text")
     assert [one for one in text if one] == [["force sensor silent: no force for 36 ms"]]
@@ -329,7 +328,6 @@ def test_what_cannot_be_shown_is_recorded_with_where_it_failed(tmp_path: Path, m
     prepare_results([told, maps], 5, Place(2, PICTURES_NS), failed=failed).send(rec)
     rec.flush(timeout_sec=10)
     rec.disconnect()
-
     (one,) = failed
     assert (one.stage, one.touch, one.reason) == ("display", 2, "FloatingPointError: no ink")
     results = [found.item for found in back(tmp_path / "run.rrd")]

@@ -42,7 +42,6 @@ def test_memory_is_flat(seconds: int, more: list[str], tmp_path: Path) -> None:
     assert len(settled) > 10
     assert max(settled) - settled[0] < MOST_MB, (told, looks)
     assert looks[-1][0] == seconds
-
     assert verify_here(path) == 3  # whole, with the losses that the health reports in it name
     counts = read_counts(path)
     assert counts["fingertip/frames"] == counts["fingertip/received"] == 1000 * seconds

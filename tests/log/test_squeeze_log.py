@@ -71,7 +71,6 @@ def test_every_result_comes_back_to_the_last_bit(tmp_path: Path) -> None:
         recorder.start(SqueezeLayout((STREAM,), "pads", (1, 5), ""), 1_000)
         recorder.write(Step(RESULTS, moment=Moment(2_000)))
     read = [one.item for one in read_results(file, tuple(map(type, RESULTS)))]
-
     assert len(read) == len(RESULTS)
     for before in RESULTS:
         after = next(one for one in read if type(one) is type(before))
@@ -86,21 +85,18 @@ def test_what_is_no_result_of_a_squeeze_is_refused() -> None:
 def test_features_without_vision_are_shown_as_words() -> None:
     features = dataclasses.replace(RESULTS[5], vision=None, vision_small=None, reason="no camera")  # type: ignore[type-var]
     batch = prepare_squeeze_results((features,), 0, Fingertips(STREAM, (1, 5)))
-
     assert "display/squeeze/change/words" in [path for path, _ in batch.parts]
 
 
 def test_the_model_before_stays_beside_the_one_after() -> None:
     rest = dataclasses.replace(RESULTS[3], since_s=-0.1, good=True)  # type: ignore[type-var]
     paths = [path for path, _ in prepare_squeeze_results((rest, RESULTS[3]), 0, None).parts]
-
     assert {"display/squeeze/container/before", "display/squeeze/container/after"} <= set(paths)
 
 
 def test_what_was_measured_stands_in_a_table() -> None:
     batch = prepare_squeeze_results((RESULTS[1], RESULTS[5]), 0, None)
     (chunk,) = [part for path, part in batch.parts if path == "display/squeeze/measured" and isinstance(part, Chunk)]
-
     ((text,),) = chunk.to_record_batch()["TextDocument:text"].to_pylist()
     for words in ("within", "force of a finger | 1 N", "contact area | not measured", "86 % of 11.0 cm"):
         assert words in text
@@ -124,7 +120,6 @@ def test_a_plot_of_contents_is_there_where_a_model_names_them(named: bool) -> No
 
 def test_the_views_are_one_window_with_the_devices_behind() -> None:
     views = squeeze_blueprint([STREAM], "pads", "")
-
     assert isinstance(views, rr.blueprint.Blueprint)
 
 
@@ -133,7 +128,6 @@ def test_a_depth_change_is_drawn_on_one_scale() -> None:
 
     png = np.frombuffer(depth_change_png(CHANGE, 0.11, 0.14), np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
-
     dent, missing = picture[3, 9], picture[3, 3]  # blue, green, red
     assert dent[2] > dent[0]
     assert len(set(map(int, missing))) > 1 or int(missing[0]) < 120

@@ -119,9 +119,7 @@ def written(path: Path, given: list[StageResult], **options: Any) -> dict[str, l
 
 def test_every_result_comes_back_at_its_frame(tmp_path: Path) -> None:
     given = results()
-
     rows = written(tmp_path / "r.rrd", given)
-
     found = read_stage_results(tmp_path / "r.rrd", trust=True)
     assert [(one.stage, one.used, one.host_ns, one.skipped, one.late_s) for one in found] == [
         (one.stage, one.used, one.host_ns, one.skipped, one.late_s) for one in given
@@ -135,7 +133,6 @@ def test_every_result_comes_back_at_its_frame(tmp_path: Path) -> None:
 
 def test_the_center_of_pressure_is_drawn_on_its_texel(tmp_path: Path) -> None:
     rows = written(tmp_path / "r.rrd", results())["/display/tactile/pads/contact"]
-
     hand = Hand.of(PADS)
     top, left = hand.corners[0]
     assert rows[0]["Points2D:positions"] == [pytest.approx([(left + 1.5) * 3.4, (top + 2.5) * 2.0])]
@@ -146,7 +143,6 @@ def test_the_center_of_pressure_is_drawn_on_its_texel(tmp_path: Path) -> None:
 def test_numbers_over_time_have_every_result_and_marks_may_be_the_newest_alone(tmp_path: Path) -> None:
     every = written(tmp_path / "file.rrd", results())
     newest = written(tmp_path / "live.rrd", results(), newest_pictures=True)
-
     for rows in (every, newest):
         assert [row["Scalars:scalars"] for row in rows["/display/stage/plot/lag/tactile"]] == [[400.0], [500.0]]
         assert rows["/display/stage/plot/beta"][0]["Scalars:scalars"] == [0.8, 0.9, 0.95]
@@ -161,7 +157,6 @@ def test_the_table_keeps_the_newest_of_every_stage(tmp_path: Path) -> None:
     given, latest = results(), dict[str, StageResult]()
     written(tmp_path / "one.rrd", given[:4], latest=latest)
     rows = written(tmp_path / "two.rrd", given[4:], latest=latest)
-
     (first,), (text,) = (rows["/display/stage/summary"][at]["TextDocument:text"] for at in (0, -1))
     assert text == summary(list(latest.values()))
     assert "| tactile | **0.0068 N** on 0.068 cm2, 1 of 2 pads | pads 8 |" in first
@@ -176,7 +171,6 @@ def test_the_table_keeps_the_newest_of_every_stage(tmp_path: Path) -> None:
 def test_particles_theta_and_fields_are_marked_over_the_image_and_in_the_table(tmp_path: Path) -> None:
     latest: dict[str, StageResult] = {}
     rows = written(tmp_path / "r.rrd", results(), latest=latest)
-
     assert len(rows["/display/stage/particles/camera/observed"][0]["Points2D:positions"]) == 14
     assert len(rows["/display/stage/particles/camera/lost"][0]["Points2D:positions"]) == 1
     assert rows["/display/stage/plot/theta"][0]["Scalars:scalars"] == [0.1, 0.2, 0.3]
@@ -196,9 +190,7 @@ def test_a_moment_without_motion_has_no_arrows(tmp_path: Path) -> None:
     still = [
         StageResult("flow", still[0].used, START_NS, 0, 0.0, FlowArrows(flow.at_px, 0 * flow.flow_px, flow.noise_px))
     ]
-
     rows = written(tmp_path / "r.rrd", still)
-
     assert rows["/display/stage/flow/camera/arrows"][0]["Arrows2D:vectors"] == []
 
 

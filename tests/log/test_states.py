@@ -41,7 +41,6 @@ def free(body: shapes.HeldLattice, position: FloatArray) -> FloatArray:
 
 def test_the_list_of_stages_has_what_was_computed(recording: Path) -> None:
     (states,) = recorded_stages(recording)
-
     assert (states.name, states.entity, states.missing) == ("states", "plot", False)
     assert states.timelines == ("beta", "theta")
     assert states.rows == 3 * 100 + 101
@@ -54,7 +53,6 @@ def test_the_sheet_stands_at_every_beta_as_an_independent_solve_has_it(recording
     seen = body.seen
     found = rows(recording, "beta/clusters-of-3-x-3-one-particle-pressed/particles", "beta")
     rest = reference.build_rest(seen.rest, body.model.grouping(seen), seen.held)
-
     assert sorted(found) == list(range(100))
     for step in (0, 37, 80):
         solved = reference_states.relax(rest, seen.deformed[seen.held], beta=step / 100.0)[0]
@@ -69,7 +67,6 @@ def test_the_cube_stands_at_every_theta_as_an_independent_solve_has_it(recording
         rows(recording, f"plot/{name}", "theta", "Scalars:scalars"),
     )
     rest = reference.build_rest(seen.rest, body.model.grouping(seen), seen.held, basis="quadratic")
-
     assert sorted(found) == sorted(volume) == list(range(101))
     for step in (0, 30):
         solved = reference_states.relax(

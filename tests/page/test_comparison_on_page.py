@@ -118,7 +118,6 @@ def test_other_settings_are_drawn_beside_the_recorded_in_two_colours_and_named()
     assert len({to_hex(handle.get_color()) for handle in handles}) == 2
     most = max(float((recorded_maps.labels == one).mean()) for one in range(recorded_maps.region_count))
     assert f"{100 * most:.0f} % of the surface the same" in axes.get_legend().get_title().get_text()
-
     touches = [synthetic.touch(number) for number in range(3)]
     softer = [dataclasses.replace(one, stiffness_n_per_mm=one.stiffness_n_per_mm / 2) for one in touches]
     axes = canvas(4.0, 3.0).add_axes((0.1, 0.1, 0.8, 0.7))

@@ -92,7 +92,5 @@ def test_a_stage_that_gives_nothing_is_remarked_and_that_it_goes_on() -> None:
     watched = Watched()
     watched.recorder.write([SessionNote(1, "stage", "beta gives nothing: too dark")])
     watched.recorder.write([SessionNote(2, "stage-over", "beta gives results")])
-
     said = [(remark.words, remark.bad) for remark in watched.session.state.remarks]
-
     assert said == [("stage beta gives nothing: too dark", True), ("stage beta gives results", False)]

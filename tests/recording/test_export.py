@@ -228,7 +228,6 @@ def test_an_mcap_is_read_alike_by_two_readers_of_others(
     monkeypatch.chdir(RECORDINGS.parent)  # where the arm's URDF is, as these recordings have it
     pytest.importorskip("mcap_ros2")
     rosbags = pytest.importorskip("rosbags.highlevel")
-
     (file,) = exported(path, "mcap", tmp_path / "bag").glob("*.mcap")
     tables = RecordingTables(Replay(path))
     first = list(read_mcap(file))

@@ -121,7 +121,6 @@ def test_a_stream_that_hangs_is_never_let_go_of() -> None:
     del stream, feed
     gc.collect()
     assert kept() is not None
-
     well = Stream()
     kept = weakref.ref(well)
     feed = feed_of(well)

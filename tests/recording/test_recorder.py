@@ -98,7 +98,6 @@ def test_what_a_recording_holds(tmp_path: Path) -> None:
     assert sorted(left.name for left in tmp_path.iterdir()) == ["run.rrd", "run.rrd.ledger"]
     assert rrd("verify", path).returncode == 0
     assert check_recording(path).problems == []
-
     moving: dict[str, set[int]] = {}
     static = set()
     for chunk in RrdReader(path).stream():
@@ -208,7 +207,6 @@ def test_overwrites_only_at_a_good_end(tmp_path: Path, caplog: pytest.LogCapture
     assert str(unfinished) in caplog.text
     assert rrd("verify", unfinished).returncode == 0
     assert Replay(unfinished).outcome["complete"] is False
-
     kept = unfinished.read_bytes()
     record(path, 3, overwrite=True)
     assert Replay(path).frame_count == 3
@@ -474,9 +472,7 @@ def test_of_a_recording_that_was_cut_off_the_rest_is_recovered(tmp_path: Path) -
         for batch in rig.batches(items):
             made.write(batch)
     cut.write_bytes(whole.read_bytes()[: int(0.4 * whole.stat().st_size)])
-
     recover_recording(cut)
-
     left = read_in_order(tmp_path / "cut.recovered.rrd")
     assert 0 < len(left) < len(items)
 

@@ -36,7 +36,6 @@ def test_two_runs_at_once_to_one_name(tmp_path: Path, overwrite: bool) -> None:
             pytest.fail("the second one began")
         with Recorder(tmp_path / "other.rrd") as other:
             other.write(InputFile("a", b"2"))
-
     assert sorted(left.name for left in tmp_path.glob("*.rrd")) == ["other.rrd", "run.rrd"]
     assert check_recording(path).problems == []
     assert not is_being_written(path)
@@ -83,7 +82,6 @@ def test_the_lock_of_a_run_that_was_killed_is_gone(tmp_path: Path) -> None:
         process.wait()
     with Recorder(path) as made:
         made.write(InputFile("a", b"2"))
-
     assert check_recording(path).problems == []
     assert part.exists(), "what the killed run had recorded is not touched"
 
@@ -98,7 +96,6 @@ def test_a_link_stays_a_link_to_the_new_recording(tmp_path: Path, dangling: bool
         target.write_bytes(b"old")
     with Recorder(link, overwrite=not dangling) as made:
         made.write(InputFile("a", b"1"))
-
     assert link.is_symlink()
     assert made.summary().path == target
     assert check_recording(link).problems == check_recording(target).problems == []

@@ -92,7 +92,6 @@ def test_settings_say_which_stages_are_expected(when: str, expected: bool) -> No
         "explore": {"hold_s": 0.0, "beta_model": "none", "border_m": 0.02, "goal": "regions"},
         "stages": {"names": ["beta", "tactile"]},
     }
-
     assert ShownStage("any", 2, "something", when=when).is_expected(settings) == expected
 
 
@@ -101,7 +100,6 @@ def test_settings_say_which_stages_are_expected(when: str, expected: bool) -> No
 
 def test_what_is_measured_within_a_stage_counts_once() -> None:
     value, costs = with_costs("outer", spin_in_two, 0.03, 0.06)
-
     assert value > 0
     by_name = {one.stage: one for one in costs}
     assert by_name.keys() == {"outer", "inner"}
@@ -133,7 +131,6 @@ def test_the_loop_records_what_was_computed_with_the_next_results(beside: bool) 
     else:
         run(Rig(), computing(), Steps())
     used_ms = (time.process_time() - began) * 1e3
-
     assert [(step.results, [one.stage for one in step.costs]) for step in notes] == [
         (("began",), []),
         (("found",), ["inner", "outer"]),
@@ -167,7 +164,6 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
 def test_costs_of_a_fit_are_positive_and_less_than_the_sessions(fitted: tuple[Path, float]) -> None:
     path, used_ms = fitted
     costs = [row.item for row in read_rows(Replay(path), (StageCost,))]
-
     assert {one.stage for one in costs} >= {"flow", "particles", "estimate", "simulation"}
     assert all(one.wall_ms > 0.0 and one.cpu_ms > 0.0 for one in costs)
     assert sum(one.cpu_ms for one in costs) < used_ms
@@ -175,7 +171,6 @@ def test_costs_of_a_fit_are_positive_and_less_than_the_sessions(fitted: tuple[Pa
 
 def test_the_stages_of_a_fit_are_all_there(fitted: tuple[Path, float]) -> None:
     found = {one.name: one for one in recorded_stages(fitted[0])}
-
     assert [name for name, one in found.items() if one.missing] == []
     frames = found["tracking"].rows
     assert (found["flow"].rows, found["simulation"].rows, found["estimate"].rows) == (frames - 1, frames, 1)
@@ -192,7 +187,6 @@ def test_a_deterministic_recording_has_no_costs(tmp_path: Path) -> None:
     with Recorder(path, settings={}, deterministic=True) as recorder:
         recorder.write(frame)
         recorder.write(Step((), costs=(StageCost("flow", 1.0, 1.0),)))
-
     assert list(read_rows(Replay(path), (StageCost,))) == []
 
 
@@ -218,7 +212,6 @@ def test_a_stage_that_was_removed_is_named(
     entity: str, name: str, fitted: tuple[Path, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = without(fitted[0], entity, tmp_path / "less.rrd")
-
     assert verify_here(path, "--stages", "--json", str(tmp_path / "v.json")) == 3
     printed, said = capsys.readouterr()
     assert f"stages missing: {name}\n" in said
@@ -232,10 +225,8 @@ def test_a_stage_that_was_removed_is_named(
 def test_a_recording_without_costs_opens(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = without(SAMPLES / "rig.rrd", "cost", tmp_path / "less.rrd")
     write_ledger(path)
-
     assert verify_here(path, "--stages") == 0
     printed, said = capsys.readouterr()
-
     assert "costs: not recorded" in said
     assert "stages missing: none" in said
     assert "- (stages.names=theta)" in printed
@@ -255,7 +246,6 @@ def test_a_recording_without_costs_opens(tmp_path: Path, capsys: pytest.CaptureF
 def test_each_sample_is_complete_with_what_it_cost(name: str, live: set[str], chapters: set[int]) -> None:
     stages = recorded_stages(SAMPLES / f"{name}.rrd")
     found = {one.name: one for one in stages}
-
     assert [one.name for one in stages if one.missing] == []
     assert {one.chapter for one in stages if one.rows} - {0} == chapters
     assert {one for one in live if found[one].live} == live

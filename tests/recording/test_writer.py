@@ -167,7 +167,6 @@ def test_one_that_hangs_is_left_behind_and_one_that_gets_on_is_not(gate: threadi
 def test_what_a_result_holds_within_others_counts_as_waiting() -> None:
     pose = np.zeros((4, 4))
     track = Track((Pose(pose), Pose(pose)), {"depth": np.zeros(10, np.float32)}, "name")
-
     assert arrays_size(track) == 2 * pose.nbytes + 40
     assert arrays_size((track, [pose])) == 3 * pose.nbytes + 40
 

@@ -105,7 +105,6 @@ class Scored:
 
 def test_a_number_and_its_interval_have_keys_and_columns_of_their_own() -> None:
     scores = [Scored(Ends(0.8, (0.7, 0.9))), Scored(Ends(0.5, (0.25, 0.75)), found=2)]
-
     assert to_columns(scores) == (("right", "interval"), [("80%", "70% to 90%"), ("50%", "25% to 75%")])
     assert to_json(scores[1]) == {"accuracy": 0.5, "accuracy_interval": [0.25, 0.75], "found": 2}
     assert to_json(Scored(None)) == {"accuracy": None, "accuracy_interval": None, "found": 1}

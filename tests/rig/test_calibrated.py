@@ -41,7 +41,6 @@ def test_values_are_written_and_all_else_stays() -> None:
         },
     )
     rig = parse_rig(made, "rig.toml")
-
     assert rig.tool.T_ee_tip == TIP
     assert rig.tool.length_m == 0.12
     assert rig.tool.compliance_sd == 2e-05
@@ -53,7 +52,6 @@ def test_values_are_written_and_all_else_stays() -> None:
 
 def test_an_empty_file_gets_its_sections() -> None:
     values = {"workspace": {"low_m": [0.0, 1.0, -2.0]}, "surface": {"scene": 'a "b" \\ c'}}
-
     assert edited("", values).strip() == lines_of(values).replace("[surface]", "\n[surface]")
 
 
@@ -68,14 +66,12 @@ def test_any_value_comes_back(number: float, count: int, text: str) -> None:
     import tomllib
 
     read = tomllib.loads(edited(RIG, {"camera": {"x": [number, 1.0], "n": count, "t": text}}))["camera"]
-
     assert read == {"x": [pytest.approx(number, rel=1e-8, abs=1e-300), 1.0], "n": count, "t": text}
 
 
 def test_ages() -> None:
     section = CalibratedSection(place=CalibrationEntry(DAY), tip=CalibrationEntry(DAY, oldest_days=5))
     ages = section.ages(DAY + datetime.timedelta(days=10))
-
     assert {name: (age.days, age.young) for name, age in ages.items()} == {"place": (10, True), "tip": (10, False)}
     assert section.ages(DAY - datetime.timedelta(days=1))["tip"].days == 0
 

@@ -38,9 +38,7 @@ def test_a_recording_has_stamps_put_back_and_as_they_arrived(tmp_path: Path) -> 
     assert main(["record", str(rig), "--seconds", "0.4", "--record", str(recording), "--viewer", "none"]) == 0
     assert verify_here(recording) == 0
     assert main(["replay", str(recording), "--viewer", "none"]) == 0  # its bytes give the same, put back alike
-
     assert first_ns(recording) >= 0
-
     items = list(read_items(recording))
     pads = [one for one in items if isinstance(one, TactileFrame)]
     arrivals = {one.host_ns for one in items if isinstance(one, RawBytes) and one.device == "pads"}

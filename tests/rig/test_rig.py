@@ -29,7 +29,6 @@ def test_a_device_is_its_drivers_configuration() -> None:
         TIP + "rate_hz = 333\nsensitivity = { counts_at_nominal = [10.0, 10, 10], nominal = [1, 1, 1] }", "a/bench.toml"
     )
     (tip,) = rig.devices
-
     assert rig.name == "bench"
     assert (tip.name, tip.driver.name, tip.double) == ("tip", "optoforce", False)
     assert tip.config.port == "/dev/ttyACM0"
@@ -108,7 +107,6 @@ def test_every_simulated_rig_is_one() -> None:
 def test_the_example_is_a_rig() -> None:
     text = (resources.files("deformscope") / "lab" / "rig-example.toml").read_text(encoding="utf-8")
     rig = parse_rig(text, "example")
-
     assert {device.driver.name for device in rig.devices} == {
         "optoforce",
         "dsa",
@@ -122,7 +120,6 @@ def test_the_example_is_a_rig() -> None:
 
 def test_a_file_stands_in_for_a_camera(tmp_path: Path) -> None:
     (device,) = parse_rig('[devices.cam]\ndriver = "image_folder"\npath = "frames"\nfps = 5', "r").devices
-
     assert device.driver.make(device.config).path == Path("frames")
 
 

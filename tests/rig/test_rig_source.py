@@ -57,7 +57,6 @@ def test_frames_bytes_and_health_of_all_devices_in_order_of_time() -> None:
         last = source.look()
         streams = {stream.device: stream for stream in source.streams}
     batches = frames_of(items, "tip")
-
     assert all(isinstance(frame, WrenchFrame) for frame in batches)
     assert [frame.index for frame in batches] == list(range(len(batches)))
     assert all(isinstance(frame, TactileFrame) for frame in frames_of(items, "pads"))
@@ -89,7 +88,6 @@ def test_on_a_simulated_clock_not_a_reading_is_lost() -> None:
             items += source.take(0.0)
         health = dict(source.look().devices)
     readings = [frame for frame in frames_of(items, "tip") if host_ns(frame) > start_ns]
-
     assert len(readings) == 3000
     assert len(frames_of(items, "pads")) == health["pads"].received > 50
     assert len(frames_of(items, "tip")) == health["tip"].received
@@ -106,7 +104,6 @@ def test_the_raw_bytes_say_what_the_frames_say() -> None:
     data = b"".join(item.data for item in items if isinstance(item, RawBytes) and not item.sent)
     counters = [event.counter for event in Decoder().feed(data) if isinstance(event, Reading)]
     frames = [frame.stamp.device_ticks for frame in frames_of(items, "tip")]
-
     assert len(counters) > 200
     assert [ticks % 65536 for ticks in frames] == counters
 
@@ -134,7 +131,6 @@ def test_a_cable_pulled_out_is_an_item_and_the_others_go_on() -> None:
             lost = gather(source, lambda seen: bool(changes(seen)) and len(frames_of(seen, "pads")) > 3)
             wire.plug()
             found = gather(source, lambda seen: len(frames_of(seen, "tip")) > 10)
-
     assert changes(lost)[0] is Link.LOST
     assert changes(found)[-1] is Link.CONNECTED
 
@@ -160,7 +156,6 @@ def test_watching_leaves_nothing_behind() -> None:
         finish(source, keeper)
         health = tip.device.health()
     frames = frames_of(keeper.items, "tip")
-
     assert [frame.index for frame in frames] == list(range(len(frames)))
     assert health.received == len(frames)
     assert health.dropped == 0
@@ -206,7 +201,6 @@ def test_a_recording_of_files_ends_with_them(tmp_path: Path) -> None:
     with RigSource([RigMember("camera", driver, device)]) as source:
         run(source, live_stages((), {}, lambda items: source.ended), keeper)
         finish(source, keeper)
-
     assert len(frames_of(keeper.items, "camera")) == 3
     assert not source.failures
 
@@ -224,7 +218,6 @@ def test_a_device_that_is_gone_for_good_is_a_loss_by_time() -> None:
             source.close()
             last = source.look()
             health = dict(last.devices)["tip"]
-
     lost = losses_of(last)["tip"]
     assert lost["silent_s"] >= 0.5
     assert lost["readings"] == lost["readings_by_time"] == pytest.approx(1000 * lost["silent_s"], rel=0.2)

@@ -384,7 +384,6 @@ def test_a_library_of_the_systems_is_taken_from_where_it_really_is(system: Path,
     path = library_in(system / "vendor")
     link = tmp_path / "link.so"
     link.symlink_to(path)
-
     assert system_library(path) == path
     assert system_library(link) == path
     assert system_library(system / "none.so") == system / "none.so"  # whoever loads it says that it is missing
@@ -395,7 +394,6 @@ def test_a_library_that_others_could_have_put_there_is_refused(writable: str, sy
     path = library_in(system / "vendor")
     changed = path if writable == "x.so" else path.parent / writable
     changed.chmod(changed.stat().st_mode | 0o002)
-
     with pytest.raises(InputError, match="only the administrator can change"):
         system_library(path)
 

@@ -117,9 +117,7 @@ def test_an_arm_is_stopped_before_it_leaves_its_box(model: str, way: float) -> N
     box = wall((0, 1, 3, 4)[nearing], 0.5 * (out_m[0][nearing] + out_m[1][nearing]))
     assert clearance.in_box_m(here, box) > 0 > clearance.in_box_m(met, box)
     assert clearance.in_box_m(here, None) == float("inf")
-
     noticed, sample = driven(chain, chain.home_deg, rates_deg_s, 3.0, box)
-
     assert noticed is Fault.ARM_BOX
     then_deg = np.array(sample.joints_deg) + 0.02 * rates_deg_s
     assert clearance.in_box_m(chain.forward(then_deg), box) > 0

@@ -83,7 +83,6 @@ def test_an_arm_that_is_pushed_from_the_side_stops_and_one_whose_torques_are_noi
     double.blur_torques(0.8, 0.0)
     noisy = check(scene.robot, [scene.plan], calibrated={})
     scene.lab.close()
-
     assert stopped.value.verdict.fault is Fault.COLLISION
     assert before.passed, before.table()
     assert [one.name for one in noisy.checks if not one.passed] == ["arm: joint torques"]
@@ -106,7 +105,6 @@ def test_an_arm_whose_torques_are_no_numbers_stops_and_does_not_begin(joint: int
     scene.robot.resume()
     mended = check(scene.robot, [scene.plan], calibrated={})
     scene.lab.close()
-
     assert stopped.value.verdict.fault is Fault.TORQUES
     assert "nan" in stopped.value.verdict.reason
     assert "collision_nm = 0" in advice(Fault.TORQUES)

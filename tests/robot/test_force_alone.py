@@ -82,9 +82,7 @@ def test_a_finger_is_felt_from_below_and_about_as_hard_as_asked_for(
         begins_ns = bench.clock() + round(1e9 * (1.0 + 1.5 * number))
         bench.lab.schedule(begins_ns, lambda push_n=push_n: bench.lab.push_tip(np.array(push_n, float)))
         bench.lab.schedule(begins_ns + 1_000_000_000, lambda: bench.lab.push_tip(np.zeros(3)))
-
     found = press_by_finger(bench.robot, say=said.append)
-
     assert found.passed == right, found
     assert bool(found.hint) != right
     assert "Press the tip straight up from below" in said[0]
@@ -120,7 +118,6 @@ def test_calibrate_force_and_the_force_at_contact_are_looked_at_where_nothing_el
     assert contact.passed
     assert contact.came.startswith("9.0 N, by 100 N/mm and 48 ms until the arm rests; 509 N if the sensor fails")
     assert contact.came.endswith("at most 2009 N if it then measures only a small part")
-
     scene = quick_scene(12)
     guarded = check(scene.robot, [scene.plan], calibrated={FORCE_TURNED: False})
     scene.lab.close()

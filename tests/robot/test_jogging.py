@@ -26,7 +26,6 @@ def test_a_press_moves_one_step(step: str, step_m: float) -> None:
     for key, (axis, sign) in MOVES.items():
         gone = way_m(Jog(), {0.0: step, 1.0: key})
         moved = np.flatnonzero(gone)
-
         assert moved.tolist() == [axis]
         assert np.sign(gone[axis]) == sign
         if axis < 3:
@@ -36,9 +35,7 @@ def test_a_press_moves_one_step(step: str, step_m: float) -> None:
 def test_a_held_key_goes_on_and_stops_when_it_is_let_go() -> None:
     jog, held = Jog(), {0.0: "d"} | {0.5 + 0.033 * count: "d" for count in range(30)}  # a terminal's repeats
     last_s = max(held)
-
     gone = way_m(jog, held)
-
     assert jog.command(round((last_s + GRACE_S) * 1e9) + PERIOD_NS) is None
     assert gone[0] <= SPEED_M_S * (last_s + GRACE_S)
     assert gone[0] > SPEED_M_S * (last_s - 0.5)
@@ -50,9 +47,7 @@ def test_any_other_key_stops(key: str) -> None:
     jog.press("3", 0)
     jog.press("w", 1)
     assert jog.command(2 * PERIOD_NS) is not None
-
     jog.press(key, 3 * PERIOD_NS)
-
     assert jog.command(3 * PERIOD_NS) is None
 
 
@@ -60,5 +55,4 @@ def test_a_line_that_breaks_stops_it() -> None:
     jog = Jog()
     for count in range(20):
         jog.press("r", count * 30_000_000)
-
     assert jog.command(19 * 30_000_000 + round(GRACE_S * 1e9)) is None

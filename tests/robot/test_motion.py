@@ -108,9 +108,7 @@ def test_the_stick_turns_to_where_it_is_sent_and_never_away(bench: Bench) -> Non
     """Rotation in the base frame, sent to an arm that takes it in its own, tilted the stick by 74 deg here."""
     goal = tilted(10.0)
     start_m = bench.robot.center_m
-
     move_tip(bench.robot, start_m, goal, 0.05)
-
     tilts_deg = bench.tilts_deg(goal)
     assert tilts_deg[0] == pytest.approx(10.0, abs=0.5)
     assert np.all(np.diff(tilts_deg) < 0.02)
@@ -125,7 +123,6 @@ def test_the_tip_goes_straight_and_the_stick_stays(bench: Bench) -> None:
         bench.robot.cycle(TipVelocity(np.array([0.03, -0.02, -0.02])))
     moved_m = bench.centers_m[-1] - start_m
     along = np.array([0.03, -0.02, -0.02]) / np.linalg.norm([0.03, -0.02, -0.02])
-
     assert moved_m == pytest.approx([0.09, -0.06, -0.06], abs=1.5e-3)
     across_m = bench.centers_m - start_m - np.outer((bench.centers_m - start_m) @ along, along)
     assert np.linalg.norm(across_m, axis=1).max() < 1e-3
@@ -145,7 +142,6 @@ def test_through_a_whole_touch_the_stick_is_within_a_degree_of_the_normal() -> N
     scene.robot.watch = watch
     run_touch(scene.robot, scene.plan, on_phase=lambda phase, time_ns: phases.append(phase))
     scene.lab.close()
-
     assert Phase.DWELL in phases
     assert len(tilts_deg) > 300
     assert max(tilts_deg) < 1.0
@@ -155,9 +151,7 @@ def test_joints_on_their_way_turn_tip_and_tool_no_faster_than_the_supervisor_all
     """15 deg/s of the first joint alone move a tip 0.5 m away at 0.13 m/s."""
     bench = Bench()
     goal_deg = np.array(bench.robot.pose.joints_deg) + np.array([20.0, -3.0, 3.0, 15.0, -15.0, 25.0])
-
     move_joints(bench.robot, goal_deg)
-
     assert bench.robot.pose.joints_deg == pytest.approx(goal_deg, abs=0.15)
     speeds_m_s = np.linalg.norm(np.diff(bench.centers_m, axis=0), axis=1) / 0.01
     assert 0.04 < speeds_m_s.max() < 0.055
@@ -178,7 +172,6 @@ def test_a_joint_slows_down_before_its_limit_and_stops_at_its_margin() -> None:
         assert motion.rates_deg_s == pytest.approx(motion.share * rates_deg_s)  # the direction stays
         shares.append(motion.share)
     assert shares == pytest.approx([1.0, 1.0, 1.0, 0.2])  # 20 deg/s at 15 deg, 2 deg/s at 6 deg
-
     joints_deg[2] = J2N6S300.lower_deg[2] + 5.1
     blocked = within_limits(J2N6S300, joints_deg, rates_deg_s, LIMITS_DEG_S, 5.0)
     assert blocked.fault is Fault.JOINT_LIMIT
@@ -191,7 +184,6 @@ def test_a_joint_slows_down_before_its_limit_and_stops_at_its_margin() -> None:
 def test_each_joint_keeps_its_own_rate_and_the_direction_stays() -> None:
     limits_deg_s = np.array([36.0, 36.0, 36.0, 8.0, 48.0, 48.0])
     motion = within_limits(J2N6S300, J2N6S300.home_deg, np.array([20.0, 0, 0, 16.0, 10.0, 0]), limits_deg_s, 5.0)
-
     assert motion.rates_deg_s == pytest.approx([10.0, 0, 0, 8.0, 5.0, 0])
     assert motion.share == pytest.approx(0.5)
 
@@ -202,7 +194,6 @@ def test_joint_rates_make_the_twist(chain: Chain) -> None:
     motion = rates_for_twist(chain, chain.home_deg, twist, chain.velocity_deg_s, 5.0)
     step_s = 1e-4
     before, after = chain.end_effector(chain.home_deg), chain.end_effector(chain.home_deg + step_s * motion.rates_deg_s)
-
     assert motion.share == 1.0
     assert (after[:3, 3] - before[:3, 3]) / step_s == pytest.approx(twist[:3], abs=1e-4)
     turned = Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).as_rotvec() / step_s
@@ -217,7 +208,6 @@ def test_a_seventh_joint_turns_the_others_away_from_their_limits_and_the_hand_st
         motion = rates_for_twist(J2S7S300, joints_deg, creep, np.full(7, 20.0), 5.0)
         assert motion.fault is Fault.NONE
         joints_deg = joints_deg + 0.01 * motion.rates_deg_s
-
     end = J2S7S300.end_effector(joints_deg)
     assert J2S7S300.to_limits_deg(joints_deg)[1] > 13.0
     assert end[:3, 3] == pytest.approx(start[:3, 3] + [2e-4, 0, 0], abs=3e-4)
@@ -231,10 +221,8 @@ def test_a_way_into_a_singularity_is_refused_and_a_way_along_it_is_not() -> None
     left, values, _ = np.linalg.svd(jacobian)
     assert values[-1] < 0.02 < values[-2]
     weak, strong = 0.02 * left[:, -1], 0.02 * left[:, 0]
-
     refused = rates_for_twist(J2N6S300, joints_deg, weak, LIMITS_DEG_S, 5.0)
     taken = rates_for_twist(J2N6S300, joints_deg, strong, LIMITS_DEG_S, 5.0)
-
     assert refused.fault is Fault.SINGULAR
     assert "singular value" in refused.reason
     assert taken.fault is Fault.NONE
@@ -276,7 +264,6 @@ def test_a_held_orientation_is_brought_back() -> None:
     for _ in range(200):
         held.advance(np.zeros(3), 0.01, pushed, follows=False)
         pushed = Rotation.from_rotvec(0.01 * held.back_rad_s(pushed)).as_matrix() @ pushed
-
     assert held.rotation == pytest.approx(np.eye(3))
     assert Rotation.from_matrix(pushed).magnitude() < 1e-3
 
@@ -291,7 +278,6 @@ def test_points_that_are_left_out_do_not_add_up_and_turning_by_itself_does() -> 
             commanded.advance(rate, 0.01, measured, follows=True)
             measured = Rotation.from_rotvec(0.01 * made).as_matrix() @ measured
         errors_deg.append(np.degrees(Rotation.from_matrix(measured @ commanded.rotation.T).magnitude()))
-
     assert errors_deg[0] < 2.5
     assert errors_deg[1] > 20.0
 

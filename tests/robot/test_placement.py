@@ -28,9 +28,7 @@ TURNED = transform(rotation_from_rpy(0.0, 0.0, 0.4), (-0.2, -0.5, 0.05))
 def test_there_and_back(tool: Tool) -> None:
     placement = Placement(TURNED, tool)
     normal = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
-
     T = placement.T_surface_center(placement.T_base_ee((0.1, 0.2, 0.3), normal))
-
     assert T[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
     assert T[:3, 2] == pytest.approx(-normal)
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0)
@@ -38,7 +36,6 @@ def test_there_and_back(tool: Tool) -> None:
 
 def test_a_straight_stick_points_down_from_above() -> None:
     placement = Placement(np.eye(4), Tool(length_m=0.1, radius_m=0.01))
-
     # the sphere's centre is a radius before the stick's end
     assert placement.T_base_ee((0.3, 0.0, 0.2), (0, 0, 1))[:3, 3] == pytest.approx([0.3, 0.0, 0.29])
 
@@ -55,7 +52,6 @@ def test_the_tip_is_led_down_all_over_the_table_but_for_its_edge_at_the_arm() ->
     for x, y in zip(xs.flat, ys.flat, strict=True):
         down_m = np.array([[x, y, 0.2], [x, y, 0.025]])
         assert follow(J2N6S300, placement, down_m, start_deg=start_deg).all(), (x, y)
-
     at_the_arm_m = np.array([[0.3, 0.38, 0.2], [0.3, 0.38, 0.03]])
     assert follow(J2N6S300, placement, at_the_arm_m, start_deg=start_deg).tolist() == [True, False]
 
@@ -68,7 +64,6 @@ def test_planned_poses_keep_a_margin_to_joint_limits() -> None:
     near = J2N6S300.inverse(target, start_deg, starts=1)
     assert near.converged
     assert J2N6S300.to_limits_deg(near.joints_deg).min() < 2.0
-
     inside = J2N6S300.inverse(target, start_deg, margin_deg=PLAN_MARGIN_DEG)
     assert J2N6S300.to_limits_deg(inside.joints_deg).min() >= PLAN_MARGIN_DEG - 1e-9
 
@@ -88,7 +83,6 @@ def test_a_way_past_a_singularity_that_turns_the_arm_about_is_refused() -> None:
             ends = reach(J2N6S300, placement, down_m, normal, start_deg=start_deg)
             if ends.reached.all() and ends.least_singular.min() > 0.03 and not led.all():
                 refused.append((x, azimuth))
-
     assert refused
 
 
@@ -109,6 +103,5 @@ def test_what_is_farther_than_all_links_together_is_not_sought(chain: Chain, mon
 
     monkeypatch.setattr(Chain, "inverse", counted)
     found = reach(chain, Placement(T_BASE_SURFACE), np.array([[0.3, 0.2, 0.06], [1.9, 1.9, 0.06]]))
-
     assert found.reached.tolist() == [True, False]
     assert len(sought) == 1

@@ -53,7 +53,6 @@ def test_who_asks_to_stop_is_heard_in_the_same_period() -> None:
     scene.robot.watch = ask
     with pytest.raises(RobotStopped, match="a person asked: Ctrl-C"):
         scene.robot.cycle(UP)
-
     assert scene.robot.supervisor.verdict.fault is Fault.ASKED
     assert scene.lab.arm_double.fifo_count == 0
     assert way_m(scene, 0.02) < 5e-4
@@ -68,12 +67,10 @@ def test_what_takes_long_is_interrupted_by_a_period_as_soon_as_one_is_due() -> N
     scene.robot.cycle()
     scene.robot.keep_up()  # no time has passed
     assert len(looks) == 1
-
     for _ in range(25):  # 0.1 s, in pieces of 4 ms
         scene.lab.wait_until(scene.lab.clock() + 4_000_000)
         scene.robot.keep_up()
     scene.lab.close()
-
     assert max(np.diff(looks)) <= 20_000_000
 
 
@@ -83,7 +80,6 @@ def test_a_fault_is_not_covered_by_a_wish_to_stop() -> None:
     with pytest.raises(RobotStopped):
         cycles(scene, 10)
     scene.robot.ask_to_stop("Ctrl-C")
-
     assert scene.robot.supervisor.verdict.fault is Fault.FORCE_SILENT
     scene.lab.close()
 
@@ -97,7 +93,6 @@ def test_the_arm_is_halted_before_a_failing_watcher_is_heard() -> None:
     scene.robot.watch = fail
     with pytest.raises(OSError, match="disk"):
         scene.robot.cycle(UP)
-
     assert "OSError" in scene.lab.arm.stopped_because
     assert scene.lab.arm_double.fifo_count == 0
     assert way_m(scene, 0.5) < 5e-4
@@ -112,9 +107,7 @@ def test_what_comes_after_a_stop_is_seen_and_moves_nothing() -> None:
     seen: list[tuple[RobotObservation, SafetyDecision]] = []
     scene.robot.watch = lambda observation, verdict: seen.append((observation, verdict))
     began_ns = scene.lab.clock()
-
     scene.robot.stand_by(0.5)
-
     assert scene.lab.clock() - began_ns == 500_000_000
     assert len(seen) == 50
     assert sum(len(one.forces) for one, _ in seen) > 400
@@ -137,10 +130,8 @@ def test_an_arm_that_its_driver_has_stopped_stops_the_robot() -> None:
     """As after a cycle that came too late: no command goes through any more, and nobody tries for ever."""
     scene = moving()
     scene.lab.arm.halt("the cycle was 244 ms late")
-
     with pytest.raises(RobotStopped, match=r"takes no commands.*244 ms late"):
         scene.robot.cycle(UP)
-
     assert scene.robot.supervisor.verdict.fault is Fault.REFUSED
     assert scene.lab.arm_double.fifo_count == 0
     scene.lab.close()
@@ -153,7 +144,6 @@ def test_an_arm_that_follows_100_ms_late_has_its_own_key() -> None:
     with pytest.raises(RobotStopped, match="arm frozen") as caught:
         upwards(scene, 30)
     assert advice(caught.value.verdict.fault).startswith("whether the arm was homed")
-
     scene.lab.wait_until(scene.lab.clock() + 300_000_000)  # until it stands
     scene.robot.resume()
     limits = scene.robot.supervisor.limits
@@ -173,13 +163,11 @@ def test_nothing_counts_as_lost_while_nobody_has_to_look() -> None:
     """While something is computed, or a person asked: longer than any queue holds."""
     scene = make_scene(3, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     cycles(scene, 5)
-
     scene.robot.rest()
     scene.lab.wait_until(scene.lab.clock() + 9_000_000_000)
     scene.robot.start()
     cycles(scene, 20)
     scene.robot.cycle(UP)
-
     assert scene.lab.force.health().dropped == 0
     assert len(scene.robot.seen.forces) > 0
     scene.lab.close()
@@ -194,9 +182,7 @@ def test_a_way_that_was_checked_is_not_begun_after_a_push() -> None:
         scene.robot.keep_up()
     assert scene.robot.supervisor.verdict.action is Action.BACK_OFF
     del scene.robot.commanded[:]
-
     with pytest.raises(InputError, match="nothing in the way"):
         step(scene.robot, UP)
-
     assert not any(scene.robot.commanded)
     scene.lab.close()

@@ -16,7 +16,6 @@ SQUEEZE = SqueezeSection()
 def test_both_fingertips_touch_the_container_upright(width_m: float) -> None:
     shape = GripShape.of(ContainerSection(size_m=(width_m, 0.09, 0.16)), SQUEEZE)
     tips = fingertips(shape.contact_deg)
-
     assert tips[0, 0] - PAD_M == pytest.approx(width_m / 2, abs=1e-6)
     assert tips[2, 0] + PAD_M == pytest.approx(-width_m / 2, abs=1e-6)
     assert shape.contact_deg[1] + shape.contact_deg[2] == pytest.approx(0.0)
@@ -26,7 +25,6 @@ def test_both_fingertips_touch_the_container_upright(width_m: float) -> None:
 
 def test_a_given_distal_angle_is_kept() -> None:
     shape = GripShape.of(ContainerSection(), SqueezeSection(distal_deg=20.0))
-
     assert shape.contact_deg[2] == 20.0
     assert fingertips(shape.contact_deg)[0, 0] - PAD_M == pytest.approx(0.03, abs=1e-6)
     assert fingertips(shape.open_deg)[0, 0] - PAD_M > 0.05  # as far from the container as with upright fingertips
@@ -40,7 +38,6 @@ def test_what_the_fingers_cannot_close_on_is_refused() -> None:
 def test_a_grasp_is_drawn_from_the_seed_around_the_middle_of_the_longest_edge() -> None:
     container = ContainerSection()
     drawn = [draw_grasp(container, SQUEEZE, seed) for seed in range(200)]
-
     np.testing.assert_array_equal(drawn[3].T_hand_container, draw_grasp(container, SQUEEZE, 3).T_hand_container)
     along_m = np.array([one.along_m for one in drawn])
     assert np.abs(along_m).max() <= 2 * SQUEEZE.spread_m
@@ -55,7 +52,6 @@ def test_a_grasp_is_drawn_from_the_seed_around_the_middle_of_the_longest_edge() 
 def test_the_middle_grasp_has_the_pads_on_the_middle_of_both_walls(squeeze: SqueezeSection) -> None:
     container = ContainerSection(size_m=(0.07, 0.05, 0.2))
     at = (np.linalg.inv(grasp_middle(container, squeeze)) @ pads_at_contact(container, squeeze).T).T
-
     np.testing.assert_allclose(at[:, 1:3], 0.0, atol=1e-9)
     # both fingers stand there in another model of the hand: ipa320/schunk_modular_robotics, sdh.urdf.xacro
     assert GripShape.of(container, squeeze).middle_m[:2] == pytest.approx((0.0, 0.01905), abs=1e-5)

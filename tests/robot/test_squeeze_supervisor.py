@@ -37,7 +37,6 @@ def test_a_squeeze_that_is_well_goes_on(supervisor: SqueezeSupervisor) -> None:
 
 def test_a_saturated_texel_stops_it(supervisor: SqueezeSupervisor) -> None:
     verdict = supervisor.judge(seen(PERIOD_NS, peak=4095))
-
     assert (verdict.fault, verdict.time_ns) == (SqueezeFault.SATURATED, PERIOD_NS)
     assert "4095 counts" in verdict.reason
 
@@ -60,7 +59,6 @@ def test_the_way_counts_from_the_first_contact_on(supervisor: SqueezeSupervisor)
 def test_silence_stops_it_in_time_but_not_one_late_look(missing: dict[str, object], fault: SqueezeFault) -> None:
     late = SqueezeSupervisor(SqueezeSection(), (0, 2), 0)
     assert late.judge(seen(10 * round(1e9 * SqueezeSection().hand_silent_s), **missing)).fault is SqueezeFault.NONE
-
     supervisor = SqueezeSupervisor(SqueezeSection(), (0, 2), 0)
     for period in range(1, 50):
         verdict = supervisor.judge(seen(period * PERIOD_NS, **missing))
@@ -77,14 +75,12 @@ def test_the_rig_file_says_how_long_the_hand_may_be_silent(silent_s: float, stop
     while supervisor.verdict.fault is SqueezeFault.NONE:
         period += 1
         supervisor.judge(seen(period * PERIOD_NS, hand_ns=(), position_deg=()))
-
     assert supervisor.verdict.time_ns == round(1e9 * stopped_s)
 
 
 def test_the_first_fault_stays(supervisor: SqueezeSupervisor) -> None:
     supervisor.stop(SqueezeFault.ASKED, "Ctrl-C", 5)
     verdict = supervisor.judge(seen(PERIOD_NS, peak=4095))
-
     assert (verdict.fault, verdict.reason, verdict.time_ns) == (SqueezeFault.ASKED, "Ctrl-C", 5)
 
 

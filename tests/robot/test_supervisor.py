@@ -37,7 +37,6 @@ def judged(supervisor: Supervisor, now_ns: int, **changed: object) -> SafetyDeci
 
 def test_all_well_goes_on() -> None:
     supervisor = Supervisor(Limits(), 0)
-
     assert all(judged(supervisor, k * PERIOD).action is Action.GO_ON for k in range(1, 500))
 
 
@@ -53,7 +52,6 @@ def test_all_well_goes_on() -> None:
 )
 def test_one_force_is_enough(newtons: float, action: Action, fault: Fault) -> None:
     verdict = judged(Supervisor(Limits(), 0), PERIOD, forces=(force(1), force(2, newtons), force(3)))
-
     assert (verdict.action, verdict.fault) == (action, fault)
 
 
@@ -64,9 +62,7 @@ def test_the_worse_wins_and_holds_until_acknowledged() -> None:
     assert judged(supervisor, 3 * PERIOD, forces=(force(3, 20.0),)).action is Action.STOP
     assert judged(supervisor, 4 * PERIOD).fault is Fault.FORCE_HARD
     assert supervisor.verdict.time_ns == 3 * PERIOD
-
     supervisor.acknowledge(5 * PERIOD)
-
     assert judged(supervisor, 6 * PERIOD).action is Action.GO_ON
 
 
@@ -110,7 +106,6 @@ def test_silence_is_noticed_in_time(fault: Fault, changed: dict[str, object], wi
 
 def test_a_silent_camera_is_nothing_where_it_is_not_needed() -> None:
     supervisor = Supervisor(Limits(), 0)
-
     assert all(judged(supervisor, k * PERIOD).action is Action.GO_ON for k in range(1, 100))
     assert judged(supervisor, 101 * PERIOD, camera_needed=True).action is Action.GO_ON
 
@@ -118,9 +113,7 @@ def test_a_silent_camera_is_nothing_where_it_is_not_needed() -> None:
 def test_the_same_picture_twice_is_a_frozen_camera() -> None:
     supervisor = Supervisor(Limits(), 0)
     judged(supervisor, PERIOD, pictures=(CameraSample(1, "a"),), camera_needed=True)
-
     verdict = judged(supervisor, 2 * PERIOD, pictures=(CameraSample(2, "a"),), camera_needed=True)
-
     assert verdict.fault is Fault.CAMERA_FROZEN
 
 
@@ -130,7 +123,6 @@ def test_a_frozen_force_is_noticed_in_time() -> None:
         frozen = tuple(force(k * PERIOD - j * MS, pattern="same") for j in range(9, -1, -1))
         if judged(supervisor, k * PERIOD, forces=frozen).action is Action.STOP:
             break
-
     assert supervisor.verdict.fault is Fault.FORCE_FROZEN
     assert k * PERIOD <= 50 * MS
 
@@ -139,16 +131,13 @@ def test_damaged_frames_now_and_then_are_no_storm() -> None:
     supervisor = Supervisor(Limits(), 0)
     counted = [judged(supervisor, k * PERIOD, refused=7 + k // 3) for k in range(1, 300)]
     assert counted[-1].action is Action.GO_ON
-
     assert judged(supervisor, 300 * PERIOD, refused=counted.__len__() + 7).fault is Fault.CHECKSUMS
 
 
 def test_readings_that_are_not_usable() -> None:
     supervisor = Supervisor(Limits(), 0)
     assert judged(supervisor, PERIOD, forces=(force(PERIOD, usable=False),)).action is Action.GO_ON
-
     some = tuple(force(2 * PERIOD, usable=False) for _ in range(3))
-
     assert judged(supervisor, 2 * PERIOD, forces=some).fault is Fault.FORCE_UNUSABLE
 
 
@@ -157,7 +146,6 @@ def test_an_arm_that_says_the_same_while_it_is_sent_on() -> None:
     for k in range(1, 100):
         if judged(supervisor, k * PERIOD, arms=(arm(k * PERIOD),), commanded_m_s=0.03).action is Action.STOP:
             break
-
     assert supervisor.verdict.fault is Fault.ARM_FROZEN
     assert k * PERIOD <= 100 * MS
 
@@ -168,7 +156,6 @@ def test_pauses_between_do_not_hide_an_arm_that_says_the_same() -> None:
         judged(supervisor, k * PERIOD, arms=(arm(k * PERIOD),), commanded_m_s=0.03 if k % 10 < 5 else 0.0)
         if supervisor.verdict.action is Action.STOP:
             break
-
     assert supervisor.verdict.fault is Fault.ARM_FROZEN
     assert k == 20  # the first period in which it has been sent on for 90 ms
 
@@ -180,7 +167,6 @@ def test_an_arm_that_rests_for_long_and_then_begins_late_is_not_frozen() -> None
     for k in range(100, 108):  # 80 ms: as long as an arm may take to begin
         judged(supervisor, k * PERIOD, arms=(arm(k * PERIOD),), commanded_m_s=0.05)
     judged(supervisor, 108 * PERIOD, arms=(arm(108 * PERIOD, 1e-4),), commanded_m_s=0.05)
-
     assert supervisor.verdict.action is Action.GO_ON
 
 
@@ -188,7 +174,6 @@ def test_the_arm() -> None:
     broken = ArmSample(PERIOD, np.full((4, 4), np.nan), (0.0,))
     assert judged(Supervisor(Limits(), 0), PERIOD, arms=(broken,)).fault is Fault.ARM_INVALID
     assert judged(Supervisor(Limits(), 0), PERIOD, arms=(arm(1, fifo=9),)).fault is Fault.ARM_FIFO
-
     fast = Supervisor(Limits(speed_m_s=0.1), 0)
     for k in range(1, 20):
         judged(fast, k * PERIOD, arms=(arm(k * PERIOD, 0.0015 * k),))
@@ -210,7 +195,6 @@ def test_an_arm_that_turns_too_fast(rate_deg_s: float, action: Action) -> None:
         verdict = judged(supervisor, k * PERIOD, arms=(turned(k * PERIOD, 0.01 * k * rate_deg_s),))
         if verdict.action is not Action.GO_ON:
             break
-
     assert verdict.action is action
     assert verdict.fault is (Fault.ARM_TURN if action is Action.STOP else Fault.NONE)
     assert k * PERIOD <= 50 * MS or action is Action.GO_ON
@@ -220,9 +204,7 @@ def test_an_arm_that_turns_too_fast(rate_deg_s: float, action: Action) -> None:
 def test_a_tool_that_stands_otherwise_than_commanded(angle_deg: float, fault: Fault) -> None:
     supervisor = Supervisor(Limits(tilt_deg=5.0), 0)
     commanded = rotation_from_rpy(0.0, np.radians(30.0), 0.0)
-
     verdict = judged(supervisor, PERIOD, arms=(turned(PERIOD, 30.0 + angle_deg),), commanded_rotation=commanded)
-
     assert verdict.fault is fault
     assert judged(Supervisor(Limits(), 0), PERIOD, arms=(turned(PERIOD, 90.0),)).fault is Fault.NONE
 
@@ -244,7 +226,6 @@ def test_a_joint_on_its_way_to_its_limit(left_deg: float, rate_deg_s: float, fau
         joints_deg[2] = J2N6S300.lower_deg[2] + left_deg + 0.01 * (k - 5) * rate_deg_s
         sample = ArmSample(k * PERIOD, np.eye(4), tuple(joints_deg))
         verdict = judged(supervisor, k * PERIOD, arms=(sample,))
-
     assert verdict.fault is fault
     assert fault is Fault.NONE or "joint 3" in verdict.reason
 
@@ -255,7 +236,6 @@ def test_the_box_may_be_entered_and_not_left() -> None:
     for k in range(1, 30):
         judged(leaving, k * PERIOD, arms=(arm(k * PERIOD, 0.09 + 0.0005 * k),))
         judged(entering, k * PERIOD, arms=(arm(k * PERIOD, 0.16 - 0.0005 * k),))
-
     assert leaving.verdict.fault is Fault.WORKSPACE
     assert entering.verdict.fault is Fault.NONE or entering.verdict.fault is Fault.WORKSPACE
 
@@ -265,7 +245,6 @@ def test_the_tip_is_what_has_to_stay_in_the_box() -> None:
     reaches[0, 3] = 0.2
     limits = Limits(low_m=(-1.0, -1.0, -1.0), high_m=(0.1, 1.0, 1.0))
     supervisor = Supervisor(limits, 0, reaches)
-
     assert judged(supervisor, PERIOD).fault is Fault.WORKSPACE
 
 

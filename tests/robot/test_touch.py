@@ -39,7 +39,6 @@ def touched(seed: int, modulus_pa: float, tip: str, tilt_deg: float) -> tuple[Fa
 )
 def test_it_presses_as_told_and_never_harder(modulus_pa: float, tip: str, tilt_deg: float, force_n: float) -> None:
     scene, record = touched(3, modulus_pa, tip, tilt_deg)
-
     assert record.ending is TouchEnding.SET_FORCE
     assert record.settled
     assert scene.lab.contact.max_force_n < 1.1 * force_n < SOFT_N
@@ -74,7 +73,6 @@ def test_from_low_above_something_rigid_that_is_higher_than_believed(higher_m: f
     record = run_touch(scene.robot, low)
     scene.lab.close()
     spans = {span.phase: span.end_s - span.start_s for span in record.phases}
-
     assert record.ending is TouchEnding.SET_FORCE
     assert scene.lab.contact.max_force_n < most_n
     assert spans[Phase.APPROACH] < 1.6
@@ -91,7 +89,6 @@ def test_a_tip_on_a_slope_stays_or_follows_the_force_across(
     plan = dataclasses.replace(scene.plan, normal=np.array([0.0, 0.0, 1.0]), tangential=tangential)
     record = run_touch(scene.robot, plan)
     scene.lab.close()
-
     assert record.center_m is not None
     assert record.contact_m is not None
     across_m = (record.center_m - record.contact_m)[:2]
@@ -110,9 +107,7 @@ def test_the_record_is_the_foams_own_law(foam: tuple[FaultScene, TouchRecord]) -
     along_n = record.force_n[loading] @ scene.plan.normal
     pressed = along_n > 0.3
     true_m = record.position_m[loading] + record.force_n[loading] / ARM_STIFFNESS_N_M
-
     expected_n = np.array([scene.lab.contact.world.press(place_m) @ scene.plan.normal for place_m in true_m])
-
     # while it is loaded at 10 mm/s, force and place belong together within a few milliseconds
     assert np.median(np.abs(along_n - expected_n)[pressed]) < 0.03
     names = [span.phase for span in record.phases]
@@ -132,7 +127,6 @@ def test_a_touch_whose_energy_is_asked_for_leaves_as_slowly_as_it_came() -> None
 
 def test_the_same_seed_gives_the_same_touch(foam: tuple[FaultScene, TouchRecord]) -> None:
     (_, one), (_, other) = foam, touched(5, 60e3, "sphere", 0.0)
-
     assert np.array_equal(one.force_n, other.force_n)
     assert np.array_equal(one.position_m, other.position_m)
 
@@ -148,7 +142,6 @@ def test_it_ends_at_the_greatest_depth_and_where_nothing_is() -> None:
     )
     nothing = run_touch(scene.robot, away)
     scene.lab.close()
-
     assert nothing.ending is TouchEnding.NO_CONTACT
     assert nothing.center_m is None
 
@@ -157,7 +150,6 @@ def test_no_preflight_no_motion() -> None:
     scene = make_scene(6, modulus_pa=60e3)
     scene.robot.resume()
     before = scene.lab.arm_double.joints_deg
-
     with pytest.raises(InputError, match="preflight"):
         scene.robot.cycle(TipVelocity(np.array([0.0, 0.0, 0.01])))
     outside = TouchPlan(scene.plan.point_m + np.array([0.0, -0.9, 0.0]), scene.plan.normal)
@@ -165,7 +157,6 @@ def test_no_preflight_no_motion() -> None:
     with pytest.raises(InputError, match="workspace: plan inside"):
         scene.robot.let_move(report)
     scene.lab.close()
-
     failed = {one.name for one in report.checks if not one.passed}
     assert failed == {"calibration: tool", "workspace: plan inside", "arm: reach"}
     assert all(name in report.table() for name in failed)
@@ -176,10 +167,8 @@ def test_no_tare_in_contact() -> None:
     scene = make_scene(8, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     tare_n = scene.robot.tare_n.copy()
     scene.lab.schedule(scene.lab.clock(), lambda: scene.lab.contact.hit((0.0, 0.0, 2.0), 60.0))
-
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
-
     assert record.ending is TouchEnding.NOT_REACHED
     assert "tare" in record.reason
     assert np.array_equal(scene.robot.tare_n, tare_n)
@@ -188,10 +177,8 @@ def test_no_tare_in_contact() -> None:
 def test_a_soft_stop_stands_and_then_backs_away() -> None:
     scene = quick_scene(9)
     scene.lab.schedule(scene.lab.clock() + 4_000_000_000, lambda: scene.lab.contact.hit((0.0, 0.0, 9.5), 0.1))
-
     record = run_touch(scene.robot, scene.plan)
     height_m = float(scene.robot.center_m[2] - scene.plan.point_m[2])
-
     assert record.ending is TouchEnding.SOFT_STOP
     assert record.fault is Fault.FORCE_SOFT
     assert height_m > 0.9 * scene.plan.standoff_m
@@ -220,7 +207,6 @@ AS_OTHERS = (
 )
 def test_a_fault_is_noticed_in_time_and_the_arm_stands(injected: Injected) -> None:
     run = run_fault(20_000 + list(Injected).index(injected), injected)
-
     assert run.in_time, run
     assert run.max_force_n < SOFT_N
 
@@ -231,7 +217,6 @@ def test_a_tip_that_may_touch_is_not_taken_for_free() -> None:
     low = scene.robot.center_m - np.array([0.0, 0.0, scene.robot.placement.center_offset_m + 0.002])
     report = check(scene.robot, [TouchPlan(low, scene.plan.normal)], calibrated={})
     scene.lab.close()
-
     (found,) = (one for one in report.checks if one.name == "tip: in free air")
     assert not found.passed
     assert found.came == "0.2 cm"
@@ -244,7 +229,6 @@ def test_a_camera_that_repeats_itself_is_found_before_anything_moves() -> None:
     inject(scene.lab, Injected.CAMERA_FROZEN, np.random.default_rng(0))
     report = check(scene.robot, [scene.plan], calibrated={})
     scene.lab.close()
-
     assert before.passed
     assert {one.name for one in report.checks if not one.passed} == {"camera: alive"}
     assert "camera: alive: reconnect the camera" in report.table()
@@ -261,7 +245,6 @@ def test_a_slow_link_to_the_arm_is_no_fault(call_ms: float) -> None:
     scene.robot.watch = lambda *_: aside_deg.append(turned_aside_deg(scene.robot, scene.lab))
     record = run_touch(scene.robot, scene.plan)
     scene.lab.close()
-
     assert report.passed, report.table()
     assert record.ending is TouchEnding.SET_FORCE
     assert np.linalg.norm(record.force_n, axis=1).max() < scene.plan.set_force_n + 0.5
@@ -274,7 +257,6 @@ def test_a_link_that_is_too_slow_for_the_control_cycle_is_found_before_anything_
     scene.lab.call_s = 0.01
     report = check(scene.robot, [scene.plan], calibrated={})
     scene.lab.close()
-
     (found,) = (one for one in report.checks if one.name == "arm: link")
     assert not found.passed
     assert found.came == "10.0 ms"
@@ -290,7 +272,6 @@ def test_an_arm_that_begins_at_a_joints_limit_is_found_before_anything_moves() -
     double._arm.links = double.chain.forward(double._arm.joints_deg)
     report = check(scene.robot, [scene.plan], calibrated={})
     scene.lab.close()
-
     (found,) = (one for one in report.checks if one.name == "arm: joints")
     assert not found.passed
     assert found.came == "joint 3 3.0 deg"
@@ -303,7 +284,6 @@ def test_a_way_that_the_arm_cannot_be_led_is_refused_before_it_moves() -> None:
     far = TouchPlan(np.array([0.3, -0.35, 0.08]), np.array([0.0, 0.0, 1.0]), travel_height_m=0.15)
     record = run_touch(scene.robot, far)
     scene.lab.close()
-
     assert record.ending is TouchEnding.NOT_REACHED
     assert "singularity" in record.reason
     assert np.array_equal(scene.lab.arm_double.joints_deg, before_deg)
@@ -319,7 +299,6 @@ def test_a_first_way_that_leads_below_the_surface_is_refused() -> None:
     (passed,) = _first_ways(scene, 0.0)
     (failed,) = _first_ways(scene, 0.3)
     scene.lab.close()
-
     assert passed.passed
     assert not failed.passed
     assert "joystick" in failed.hint

@@ -53,7 +53,6 @@ def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: FaultScene, abov
     places_m = np.array(track)
     crossing = np.abs(places_m[:, 0] - start_m[0]) > PASSED_M
     crossing &= np.abs(places_m[:, 0] - point_m[0]) > PASSED_M
-
     assert crossing.sum() > 50
     assert places_m[crossing, 2].min() > height_m - 2 * REACHED_M
     assert places_m[:, 2].max() < height_m + 2 * PASSED_M
@@ -66,10 +65,8 @@ def test_it_crosses_no_lower_than_told_and_hardly_higher(scene: FaultScene, abov
 def test_phases_are_told_as_they_begin() -> None:
     scene = make_scene(5, modulus_pa=60e3, tip="sphere", tilt_deg=0.0)
     told: list[tuple[Phase, int, int]] = []
-
     run_touch(scene.robot, scene.plan, on_phase=lambda phase, at: told.append((phase, at, scene.lab.clock())))
     scene.lab.close()
-
     assert [phase for phase, *_ in told] == [
         *(Phase.TRAVEL, Phase.TARE, Phase.APPROACH, Phase.PRESS, Phase.DWELL, Phase.RETREAT)
     ]
@@ -79,7 +76,6 @@ def test_phases_are_told_as_they_begin() -> None:
 def test_a_plan_crosses_at_its_height_or_above_the_point() -> None:
     up = np.array([0.0, 0.0, 1.0])
     low, high = (TouchPlan(np.array([0.3, 0.2, 0.05]), up, travel_height_m=height_m) for height_m in (0.02, 0.2))
-
     assert low.places_m(0.01)[0] == pytest.approx([0.3, 0.2, 0.11])
     assert high.places_m(0.01)[0] == pytest.approx([0.3, 0.2, 0.2])
 
@@ -101,7 +97,6 @@ def test_where_no_straight_way_leads_it_turns_its_joints_above_the_surface(
     scene.robot.watch = lambda seen, verdict: lows.append(scene.robot.center_m[2])
     to_above(scene.robot, normal=normal, **way)
     scene.robot.watch = None
-
     assert np.linalg.norm(scene.robot.center_m - way["center_m"]) < 2 * REACHED_M
     begin = next(index for index, z in enumerate(lows) if z > way["height_m"])
     assert min(lows[begin:]) > way["center_m"][2] - 2 * REACHED_M
@@ -114,10 +109,8 @@ def test_joints_that_would_sink_on_their_way_are_not_turned(scene: FaultScene, m
     monkeypatch.setattr(travel, "follow", lambda *_, **__: np.array([True, False, True, True]))
     monkeypatch.setattr(travel, "best_joints", lambda *_: low)
     across = scene.robot.center_m[:2]
-
     with pytest.raises(NotThere, match="a path that the arm can follow"):
         to_above(scene.robot, normal=normal, **way)
-
     assert np.linalg.norm(scene.robot.center_m[:2] - across) < 2 * PASSED_M
 
 

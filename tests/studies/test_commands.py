@@ -133,7 +133,6 @@ def test_the_documentation_names_studies_that_exist() -> None:
         for page in pages
         for name in re.findall(r"-m studies ((?:reproduce )?\w+)", page.read_text(encoding="utf-8"))
     }
-
     assert named - {"NAME", "reproduce NAME", "reproduce"} <= set(summaries())
     assert sorted(set(summaries()) - named) == []
 

@@ -27,7 +27,6 @@ def test_new_cartons_are_named_at_each_time(monkeypatch: pytest.MonkeyPatch) -> 
     (trials,) = contents.trials(options)
     rows = [trials.try_one(seed) for seed in trials.cases]
     trained, new = rows[: options.train], rows[options.train :]
-
     for of in (lambda row: row.entry.container, lambda row: row.entry.session):
         assert not {of(row) for row in trained} & {of(row) for row in new}
     for carton in {row.entry.container for row in rows}:

@@ -46,7 +46,6 @@ def truth(labels: np.ndarray, level: tuple[float, ...] = (0.0, 1.0), rigid: tupl
 
 def test_a_perfect_map_scores_so() -> None:
     score = score_map(reported(halves(7)), truth(halves(7)))
-
     assert (score.iou, score.least_iou, score.boundary_m, score.levels_covered) == (1.0, 1.0, 0.0, 1.0)
     assert (score.field_rms, score.field_covered) == (0.0, 1.0)
     assert score.right
@@ -57,7 +56,6 @@ def test_a_perfect_map_scores_so() -> None:
 def test_what_is_off_is_reported_apart() -> None:
     # the right half of the truth is smaller, and its level 0.3 off
     score = score_map(reported(halves(6)), truth(halves(7), (0.0, 1.3)))
-
     assert score.least_iou == pytest.approx(3 / 4)
     assert score.boundary_m == pytest.approx(0.01)
     assert score.levels_covered == 0.5
@@ -71,7 +69,6 @@ def test_levels_in_the_wrong_order_are_found_out() -> None:
 
 def test_a_wrong_number_of_regions_is_not_right_and_tells_no_levels() -> None:
     score = score_map(reported(np.zeros((4, 10), dtype=int), (0.0,)), truth(halves(7)))
-
     assert not score.right
     assert score.levels_covered is None
     assert score.least_iou == 0.0
@@ -80,7 +77,6 @@ def test_a_wrong_number_of_regions_is_not_right_and_tells_no_levels() -> None:
 def test_rigid_is_found_by_its_flag_and_left_out_of_field_and_levels() -> None:
     known = truth(halves(7), (0.0, 5.0), rigid=(1,))
     bound = reported(halves(7), (0.0, 3.0))
-
     assert score_map(bound, known).rigid_found is False
     flagged = score_map(replace(bound, rigid=np.array([False, True])), known)
     assert flagged.rigid_found is True
@@ -99,7 +95,6 @@ def test_a_gradual_verdict_calls_no_regions() -> None:
         rigid=np.zeros(0, dtype=bool),
     )
     smooth = TrueMap(None, np.zeros(0), np.zeros(0, dtype=bool), halves(5) + 0.05)
-
     assert not called_labels(gradual).any()
     assert not score_map(gradual, truth(halves(5))).right
     assert score_map(gradual, truth(halves(5), rigid=(1,))).rigid_found is False

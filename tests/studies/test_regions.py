@@ -57,7 +57,6 @@ def test_bins_hold_as_many_each_and_their_band_is_the_binomial_s() -> None:
     assert sum(one.right for one in bins) == sum(one.right for one in honest)
     bold = reliability([replace(one, claimed=min(one.claimed + 0.2, 1.0)) for one in honest])
     assert not all(one.holds for one in bold)
-
     low, high = clopper_pearson(7, 20)
     assert binom.sf(6, 20, low) == pytest.approx(0.05)
     assert binom.cdf(7, 20, high) == pytest.approx(0.05)

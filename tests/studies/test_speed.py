@@ -32,11 +32,9 @@ def test_numpy_takes_the_reference_s_step(shape: tuple[int, ...], size: int) -> 
     x, v = rest + 0.3 * rng.standard_normal(rest.shape), rng.standard_normal(rest.shape)
     body = reference.build_rest(rest, lattice(rest, shape, np.arange(len(rest)), size), index)
     x_wanted, v_wanted = reference_states.step(x, v, body, rest[index] + 0.1, beta=0.7, alpha=0.8, dt=1.0)
-
     x_new, v_new = NumpyLattice.build(size, held).step(
         x.T.reshape(d, *shape), v.T.reshape(d, *shape), (rest[index] + 0.1).T, 0.7, alpha=0.8, dt=1.0
     )
-
     np.testing.assert_allclose(x_new.reshape(d, -1).T, x_wanted, rtol=0, atol=WITHIN)
     np.testing.assert_allclose(v_new.reshape(d, -1).T, v_wanted, rtol=0, atol=WITHIN)
 
@@ -45,7 +43,6 @@ def test_other_engines_that_are_not_installed_are_asked_for(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(peers, "find_spec", lambda name: None)
-
     assert main(["speed", "--quick", "--peers"]) == EXIT_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert "pip install 'deformscope[peers]'" in line
@@ -65,7 +62,6 @@ def test_each_comparison_gives_rows(tmp_path: Path, capsys: pytest.CaptureFixtur
     flags = ["--quick", "--sizes", "64", "--repeats", "1", "--json", str(tmp_path / "speed.json")]
     assert main(["speed", *flags]) == 0
     rows = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))["rows"]
-
     assert {row["case"] for row in rows} == {"step", "sweep", "theta", "surface"}
     assert [row["who"] for row in rows[:2]] == ["deformscope", "NumPy, batched SVD"]
     assert rows[1]["costs"] > 0

@@ -118,7 +118,6 @@ def test_outcomes_are_in_the_order_of_their_cases() -> None:
     kept: list[int] = []
     trials = Trials("numbers", square, [0, 2, 4])
     found = tried(trials, StudyOptions(1), {1: Odd(-1)}, lambda case, outcome: kept.append(case))
-
     assert [one.number for one in found] == [0, -1, 4]
     assert kept == [0, 4]
 

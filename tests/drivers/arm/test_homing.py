@@ -113,7 +113,6 @@ def test_an_arm_that_was_switched_on_is_homed_through_its_own_process(arm: Hoste
         until(lambda: arm.set_velocity(JointVelocity((5.0, 0.0, 0.0, 0.0, 0.0, 0.0)), 1.0) is not None)
     path.write_text("")
     state = arm.home()
-
     assert arm.homed
     np.testing.assert_allclose(state.joints_deg, J2N6S300.home_deg, atol=0.1)
     made = [one for one in calls(path) if one[0] != "EraseAllTrajectories"]

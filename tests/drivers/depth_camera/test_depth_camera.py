@@ -62,7 +62,6 @@ def test_the_dummys_pictures_are_as_they_are_known() -> None:
     with DepthCamera(DepthCameraConfig(port="Dummy", width=320, height=240, fps=30, unit_m=0.001)) as camera:
         pictures = camera.readings()
         first, second = pictures.get(5.0), pictures.get(5.0)
-
     assert camera.model == "Table Tennis"
     assert first.depth.shape == (240, 320)
     assert first.depth.dtype == np.uint16
@@ -89,7 +88,6 @@ def test_what_the_camera_does_not_do_is_refused(config: DepthCameraConfig, asked
     before = open_things()
     with pytest.raises(SettingsRefused) as caught:
         DepthCamera(config).open()
-
     assert asked in str(caught.value)
     assert came in str(caught.value)
     assert str(caught.value).endswith("Dummy")
@@ -130,7 +128,6 @@ def test_a_crash_of_the_library_is_a_lost_link_that_is_made_again() -> None:
         os.kill(process_of(camera), signal.SIGSEGV)
         lost = events.get(5.0)
         camera.next(10.0)
-
         assert lost.link is Link.LOST
         assert f"its end (exit status {-signal.SIGSEGV})" in lost.reason
         assert camera.health().reconnects == 1
@@ -145,7 +142,6 @@ def test_a_library_that_hangs_is_a_lost_link_that_is_made_again() -> None:
         os.kill(hung, signal.SIGSTOP)
         lost = events.get(5.0)
         camera.next(10.0)
-
         assert lost.link is Link.LOST
         assert "expected a picture; got none for 0.3" in lost.reason
         assert process_of(camera) != hung
@@ -168,7 +164,6 @@ def test_a_camera_that_is_closed_leaves_no_process() -> None:
     with DepthCamera(DepthCameraConfig(port="Dummy")) as camera:
         camera.next(5.0)
         process = process_of(camera)
-
     with pytest.raises(ProcessLookupError):
         os.kill(process, 0)
     wait_until(lambda: nothing_left_since(before))
@@ -182,7 +177,6 @@ def test_every_frame_of_a_recording_comes_once_and_then_the_end(tmp_path: Path) 
     times = write_oni(path, depths(100))
     with DepthCamera(DepthCameraConfig(port=str(path), speed=0.0)) as camera:
         seen = [(picture.stamp.device_ticks, int(picture.depth[5, 5])) for picture in camera]
-
         assert seen == [(at, 500 + index) for index, at in enumerate(times)]
         wait_until(lambda: camera.link is Link.CLOSED)
         assert camera.health().reason == "the end of long.oni"
@@ -198,7 +192,6 @@ def test_a_loop_begins_again_and_its_times_go_on(recording: Path) -> None:
     with DepthCamera(DepthCameraConfig(port=str(recording), speed=0.0, loop=True)) as camera:
         pictures = camera.readings()
         seen = [pictures.get(5.0) for _ in range(30)]
-
         assert [int(picture.depth[0, 0]) - 500 for picture in seen] == [index % COUNT for index in range(30)]
         ticks = [picture.stamp.device_ticks for picture in seen]
         assert all(32_000 < later - earlier < 35_000 for earlier, later in itertools.pairwise(ticks))
@@ -222,7 +215,6 @@ def test_colour_of_the_same_moment_comes_with_depth(tmp_path: Path) -> None:
     write_oni(path, depths(), colors=colors(), color_delays_us=delays)
     with DepthCamera(DepthCameraConfig(port=str(path), speed=0.0, color=True)) as camera:
         seen = list(camera)
-
     assert [int(picture.depth[0, 0]) - 500 for picture in seen] == list(range(COUNT))
     without = [index for index, picture in enumerate(seen) if picture.color is None]
     assert without == [4]
@@ -238,7 +230,6 @@ def test_intrinsics_come_from_the_field_of_view(tmp_path: Path) -> None:
     write_oni(path, depths(2, (480, 640)), fov=(np.deg2rad(58.5), np.deg2rad(45.6)))
     with DepthCamera(DepthCameraConfig(port=str(path), speed=0.0)) as camera:
         intrinsics = camera.next(5.0).intrinsics
-
     assert intrinsics == camera.intrinsics
     assert isinstance(intrinsics, Intrinsics)
     assert intrinsics.fx_px == pytest.approx(571.4, abs=0.1)
@@ -287,7 +278,6 @@ def test_on_a_camera(color: bool) -> None:
     """The first camera of this machine."""
     with DepthCamera(DepthCameraConfig(width=640, height=480, fps=30, color=color)) as camera:
         pictures = [camera.next(5.0) for _ in range(60)]
-
     assert {picture.depth.shape for picture in pictures} == {(480, 640)}
     assert np.mean([(picture.depth > 0).mean() for picture in pictures]) > 0.1
     assert camera.intrinsics is not None

@@ -44,7 +44,6 @@ def test_cameras_are_reported_by_their_sockets(devices: Path) -> None:
 def test_what_openni_sees_beside_them_is_reported_by_its_own_name(devices: Path) -> None:
     xtion = ListedDevice("1d27/0601@1/14", "PrimeSense", "PS1080", 0x1D27, 0x0601)
     astra = ListedDevice("2bc5/0401@1/7", "Orbbec", "Astra", 0x2BC5, 0x0401)
-
     assert discover(devices, lambda: [xtion, astra]) == [
         XTION,
         KINECT,
@@ -54,7 +53,6 @@ def test_what_openni_sees_beside_them_is_reported_by_its_own_name(devices: Path)
 
 def test_a_camera_without_the_library_tells_what_to_install(devices: Path) -> None:
     notes = [found.note for found in discover(devices, lambda: None)]
-
     assert notes == ["OpenNI2 is not installed: sudo apt-get install -y libopenni2-0"] * 2
 
 
@@ -65,7 +63,6 @@ def test_a_machine_without_cameras_has_none(tmp_path: Path) -> None:
 def test_openni_is_asked_in_a_process_of_its_own() -> None:
     """Its dummy is no camera that is plugged in; where there is no library, it says so."""
     cameras = list_by_openni()
-
     assert cameras is None or all(camera.uri for camera in cameras)
 
 

@@ -20,7 +20,6 @@ def test_a_primesenses_depth_comes_in_the_steps_that_were_measured(depth_m: floa
     """2.85e-5 z^2 [cm] (Khoshelham and Oude Elberink 2012: 7 cm at 5 m), on a surface aslant."""
     slope = np.linspace(0.98, 1.02, 320) * np.ones((20, 1)) * depth_m
     steps = np.diff(np.unique(seen(dataclasses.replace(PRIMESENSE, noise_px=0.0, bleeding=0), slope)))
-
     assert len(steps) > 2
     assert np.median(steps) == pytest.approx(2.85e-3 * depth_m**2, rel=0.03)
     assert PRIMESENSE.step_m(5.0) == pytest.approx(0.07, abs=0.003)
@@ -31,7 +30,6 @@ def test_a_primesense_deviates_by_half_a_step(depth_m: float) -> None:
     """1.425e-5 z^2 [cm], what the same paper finds; averaged over where the steps fall."""
     aslant = depth_m * np.linspace(0.97, 1.03, 240)[:, None] * np.ones((1, 320))
     error = (seen(PRIMESENSE, aslant) - aslant) / aslant**2
-
     assert error.std() == pytest.approx(1.425e-3, rel=0.05)
 
 
@@ -39,7 +37,6 @@ def test_a_primesense_deviates_by_half_a_step(depth_m: float) -> None:
 def test_a_realsense_deviates_by_its_makers_formula(depth_m: float) -> None:
     """RMS = z^2 subpixel / (focal length baseline), in mm as published: 0.08 px, 427 px, 50 mm."""
     error_mm = 1e3 * (seen(REALSENSE, np.full((240, 320), depth_m)) - depth_m)
-
     assert np.sqrt((error_mm**2).mean()) == pytest.approx((1e3 * depth_m) ** 2 * 0.08 / (427 * 50), rel=0.06)
 
 
@@ -48,7 +45,6 @@ def test_the_shadow_beside_an_edge_is_as_wide_as_disparities_differ() -> None:
     scene = np.full((8, 320), 0.9)
     scene[:, 120:200] = 0.6
     missing = seen(EXACT, scene) == 0.0
-
     columns = np.flatnonzero(missing[4])
     assert len(columns) in (11, 12)
     assert columns[-1] == 119
@@ -65,7 +61,6 @@ def test_pixels_fly_between_two_surfaces_or_take_one_of_them() -> None:
         found = found[found > 0.0]
         between[sensor] = ((found > near + 0.02) & (found < far - 0.02)).sum()
         assert (np.abs(seen(sensor, scene)[:, 140:180] - near) < 0.02).all()  # away from edges nothing flies
-
     assert between[PRIMESENSE] == 0
     assert 20 < between[REALSENSE] < 60 * 8
 
@@ -76,7 +71,6 @@ def test_edges_are_ragged() -> None:
     scene[:, 120:200] = 0.6
     found = seen(dataclasses.replace(PRIMESENSE, noise_px=0.0), scene)
     wide = ((found > 0.0) & (found < 0.7)).sum(axis=1)
-
     assert 76 <= wide.min() < 80 < wide.max() <= 84
 
 
@@ -87,7 +81,6 @@ def test_surfaces_seen_flat_have_no_depth(flat_deg: float, there: bool) -> None:
     across = (np.arange(100) - 50) / LENS_PX
     floor = (np.sin(angle) / (np.sin(angle) - across * np.cos(angle)))[:, None] * np.ones((1, 64))
     found = seen(EXACT, floor)
-
     assert (found[48:52] > 0.0).all() == there
     assert (found[48:52] > 0.0).any() == there
 
@@ -95,5 +88,4 @@ def test_surfaces_seen_flat_have_no_depth(flat_deg: float, there: bool) -> None:
 def test_nothing_stays_nothing() -> None:
     scene = np.full((20, 30), np.nan)
     scene[5:10, 5:10] = 1.0
-
     assert not seen(REALSENSE, scene)[np.isnan(scene)].any()

@@ -66,7 +66,6 @@ class TestPushed(DeviceContract):
 def test_depth_comes_in_steps_of_its_unit() -> None:
     depth_m = np.array([[0.5004, 0.5006, 1.23456, 10.0]])
     picture = seen(on_simulated_clock(EXACT), View(depth_m))
-
     assert picture.depth.tolist() == [[500, 501, 1235, 10000]]
     assert picture.unit_m == 0.001
     assert picture.color is None
@@ -77,7 +76,6 @@ def test_depth_comes_in_steps_of_its_unit() -> None:
 def test_what_cannot_be_measured_is_nothing() -> None:
     config = SyntheticDepthConfig(noise_per_m=0.0, near_m=0.4, far_m=3.0)
     picture = seen(on_simulated_clock(config), View(np.array([[np.nan, 0.0, -1.0, np.inf, 0.3, 3.5, 1.0]])))
-
     assert picture.depth.tolist() == [[0, 0, 0, 0, 0, 0, 1000]]
     np.testing.assert_array_equal(np.isnan(picture.depth_m()), [[True] * 6 + [False]])
     assert picture.depth_m()[0, 6] == pytest.approx(1.0)
@@ -87,14 +85,12 @@ def test_what_cannot_be_measured_is_nothing() -> None:
 def test_noise_grows_with_the_square_of_depth(depth_m: float) -> None:
     picture = seen(on_simulated_clock(SyntheticDepthConfig(unit_m=1e-4)), flat(depth_m, (200, 200)))
     error_m = picture.depth_m() - depth_m
-
     assert error_m.std() == pytest.approx(1.425e-3 * depth_m**2, rel=0.02)
     assert abs(error_m.mean()) < 4 * 1.425e-3 * depth_m**2 / 200
 
 
 def test_a_share_of_the_pixels_is_missing() -> None:
     picture = seen(on_simulated_clock(SyntheticDepthConfig(missing=0.1)), flat(1.0, (200, 200)))
-
     assert (picture.depth == 0).mean() == pytest.approx(0.1, abs=0.01)
 
 
@@ -107,7 +103,6 @@ def test_a_run_is_the_same_under_the_same_seed() -> None:
         return [(picture.stamp.host_ns, picture.depth.tobytes()) for picture in pictures]
 
     first = run(5)
-
     assert first == run(5)
     assert [data for _, data in first] != [data for _, data in run(6)]
     assert [at for at, _ in first[:3]] == [0, PERIOD_NS, 2 * PERIOD_NS]
@@ -119,7 +114,6 @@ def test_pictures_have_the_cameras_time_and_its_projection() -> None:
     camera = on_simulated_clock(config, lambda time_s: flat(1.0 + time_s)).open(own_thread=False)
     pictures = [camera.next(1.0) for _ in range(3)]
     camera.close()
-
     assert [picture.stamp.device_ticks for picture in pictures] == [0, 10_000, 20_000]
     assert pictures[0].intrinsics == intrinsics
     assert [round(float(np.nanmean(picture.depth_m())), 2) for picture in pictures] == [1.0, 1.01, 1.02]
@@ -130,7 +124,6 @@ def test_nobody_fetches_for_long_and_the_oldest_are_lost() -> None:
     camera.poll()
     camera._clock.advance_to(10 * PERIOD_NS)
     pictures = camera.poll()
-
     assert [picture.stamp.device_ticks // 33_333 for picture in pictures] == [7, 8, 9, 10]
     assert camera.health().lost == 6
     camera.close()
@@ -142,7 +135,6 @@ def test_dropped_pictures_are_counted() -> None:
     camera.drop(3)
     ticks.append(camera.next(1.0).stamp.device_ticks)
     camera.close()
-
     assert ticks[1] - ticks[0] == pytest.approx(4 * 33_333, abs=3)
     assert camera.health().lost == 3
 
@@ -156,7 +148,6 @@ def test_a_frozen_picture_is_reported_in_simulated_time() -> None:
     camera.freeze()
     for _ in range(60):
         camera.next(1.0)
-
     assert camera.health().stuck
     with pytest.raises(Stale, match="readings that change"):
         camera.latest(1.0)
@@ -192,6 +183,5 @@ def test_more_views_than_are_taken_are_lost_and_counted() -> None:
         camera.push(flat(1.0 + index / 100))
     pictures = camera.poll()
     camera.close()
-
     assert [int(picture.depth[0, 0]) for picture in pictures] == [1000 + 10 * index for index in range(6, 70)]
     assert camera.health().lost == 6

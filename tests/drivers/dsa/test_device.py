@@ -89,7 +89,6 @@ def test_it_asks_what_it_is_before_it_streams() -> None:
     desk = Desk(Ears(), sensitivity=0.75, threshold=(1, 2, 3, 4, 5, 6))
     with desk as device:
         kinds = [type(command).__name__ for command in desk.double.heard]
-
         assert kinds == [
             "ConfigureAcquisition",
             "QueryController",
@@ -112,7 +111,6 @@ def test_it_asks_what_it_is_before_it_streams() -> None:
 
 def test_before_it_is_opened_nothing_is_known() -> None:
     device = Desk().device
-
     assert device.matrices == ()
     with pytest.raises(NotConnected):
         _ = device.controller
@@ -140,7 +138,6 @@ def test_nothing_answers() -> None:
     desk.double.unanswered = 100
     with pytest.raises(NoReply, match="answer to stop"), desk:
         pass
-
     assert desk.double.heard == [stop()] * 4
     assert desk.clock() / S == pytest.approx(12.0, abs=0.3)
 
@@ -165,7 +162,6 @@ def test_other_sensors_than_the_sdhs() -> None:
     desk = Desk(DsaDouble(matrices=matrices), sensitivity=(0.5, 0.25))
     with desk:
         (reading, *_) = desk.run(0.2)
-
     assert [pad.shape for pad in reading.pads] == [(14, 6), (13, 6)]
 
 
@@ -183,7 +179,6 @@ def test_a_press_comes_out_where_it_is() -> None:
     with desk as device:
         reading = desk.run(0.2)[-1]
         contact = device.contacts(reading)[3]
-
         assert [pad.shape for pad in reading.pads] == [(14, 6), (13, 6)] * 3
         assert reading.pads[3][12, 5] == 2000
         assert reading.texels.sum() == 2000
@@ -208,7 +203,6 @@ def test_real_rates(rle: bool, slowest: float, fastest: float) -> None:
     with desk as device:
         desk.run(0.5)
         readings = desk.run(6.0)
-
         assert slowest <= len(readings) / 6 <= fastest
         assert device.health().skipped_bytes == 0
 
@@ -218,7 +212,6 @@ def test_stamps_carry_the_controllers_clock_beyond_its_32_bits() -> None:
     with desk as device:
         readings = desk.run(4.0)
         ticks = [reading.stamp.device_ticks for reading in readings]
-
         assert ticks[0] < 2**32 < ticks[-1]
         assert 1 <= min(np.diff(ticks)) <= max(np.diff(ticks)) < 100
         assert device.health().refused == {}
@@ -252,7 +245,6 @@ def slipped(*timestamps_ms: int) -> tuple[Dsa, list]:
 
 def test_a_time_repeated_is_no_new_frame() -> None:
     device, ticks = slipped(100, 100, 133)
-
     assert ticks == [100, 133]
     assert device.health().extra["repeated"] == 1
     assert device.health().received == 2
@@ -260,14 +252,12 @@ def test_a_time_repeated_is_no_new_frame() -> None:
 
 def test_one_frame_out_of_time_is_refused() -> None:
     device, ticks = slipped(100, 133 + (1 << 20), 166, 133 + (1 << 22), 200)
-
     assert ticks == [100, 166, 200]
     assert device.health().refused == {"timestamp": 2}
 
 
 def test_a_clock_set_anew_is_believed_at_its_second_frame() -> None:
     device, ticks = slipped(90_000, 90_033, 12, 45, 78)
-
     assert ticks == [90_000, 90_033, 45, 78]
     assert device.health().refused == {"timestamp": 1}
     assert device.health().extra["clock_restarts"] == 1
@@ -277,7 +267,6 @@ def test_pressed_texels_that_never_change_are_stuck() -> None:
     desk = Desk(DsaDouble(scene=press, noise_counts=0), stuck_after_s=1.0)
     with desk as device:
         desk.run(2.0)
-
         assert device.health().stuck
         with pytest.raises(Stale, match="same reading"):
             device.latest(1.0)
@@ -287,7 +276,6 @@ def test_nothing_pressed_is_not_stuck() -> None:
     desk = Desk(DsaDouble(scene=lambda time_s: [0 * pad for pad in press(0.0)]), stuck_after_s=1.0)
     with desk as device:
         desk.run(2.0)
-
         assert not device.health().stuck
         device.latest(1.0)
 
@@ -351,7 +339,6 @@ def test_an_error_code_has_its_name() -> None:
     desk.double.answers[SetSensitivity] = [Ack(0x0F, 15)]
     with pytest.raises(CommandRefused, match="access denied") as caught, desk:
         pass
-
     assert (caught.value.code, caught.value.name) == (15, "access denied")
 
 
@@ -396,7 +383,6 @@ def test_a_single_frame_whatever_the_firmware(version: int) -> None:
     desk = Desk(DsaDouble(software_version=version), streaming=False)
     with desk as device:
         first, second = device.single_frame(), device.single_frame()
-
         assert second.stamp.device_ticks > first.stamp.device_ticks
         assert device.latest(10.0) is not None
         assert desk.run(0.5) == []
@@ -430,7 +416,6 @@ def test_on_a_bad_wire_no_wrong_texels_come() -> None:
     with desk as device:
         readings = desk.run(20.0)
         health = device.health()
-
         assert len(readings) > 400
         assert sum(double.counts.values()) > 10
         assert all(reading.texels.sum() == reading.pads[3][12, 5] == 2000 for reading in readings)
@@ -452,7 +437,6 @@ def test_a_link_on_which_only_rubbish_comes_is_lost() -> None:
         since_ns = desk.clock()
         with pytest.raises(LinkLost, match="none without errors"):
             desk.run(2.0)
-
         assert 0.4 < (desk.clock() - since_ns) / S < 0.7
 
 
@@ -466,7 +450,6 @@ def test_after_power_was_lost_everything_is_set_again() -> None:
             double.power_up(time.monotonic_ns())
             wire.plug()
             wait_until(lambda: device.link == "connected")
-
             assert settings(double) == [(0.75, 20)] * 2 + [(0.75, 55)] + [(0.75, 20)] * 3
             assert device.next(5.0).texels.size == 486
             assert device.health().reconnects == 1
@@ -478,7 +461,6 @@ def test_a_controller_switched_off_and_on_behind_a_link_that_stays() -> None:
         device.next(5.0)
         double.power_up(time.monotonic_ns())
         wait_until(lambda: device.health().reconnects == 1)
-
         assert device.next(5.0).stamp.device_ticks < 60_000
 
 
@@ -495,7 +477,6 @@ def test_a_paced_pty_shows_the_real_rate() -> None:
         readings = device.readings()
         first, *_, last = (readings.get(5.0) for _ in range(12))
         rate_hz = 11 / ((last.stamp.host_ns - first.stamp.host_ns) / S)
-
         assert 6.0 < rate_hz < 13.0
         assert last.stamp.device_ticks - first.stamp.device_ticks == pytest.approx(11 * 85.5, abs=3)
 

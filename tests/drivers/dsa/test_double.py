@@ -77,7 +77,6 @@ def test_answers(heard: bytes, answer: bytes, size: int) -> None:
     double = DsaDouble()
     for at in range(0, len(heard), size):
         double.receive(heard[at : at + size], 0)
-
     assert double.due(S) == answer
     assert double.next_ns(S) is None
 
@@ -90,7 +89,6 @@ def test_the_sdhs_matrices() -> None:
         assert isinstance(matrix, MatrixInfo)
         assert matrix.texel_width_mm == pytest.approx(3.4)
         shapes.append((matrix.cells_y, matrix.cells_x))
-
     assert shapes == SHAPES
     assert sum(rows * columns for rows, columns in shapes) == 486
 
@@ -103,7 +101,6 @@ def test_raw_frames_fill_the_line() -> None:
     double = DsaDouble()
     double.receive(encode(stream(rle=False)), 0)
     frames = frames_of(double, 10)
-
     assert len(frames) == (10 * 11_520 - 10) // 985 == 116
     assert {frame.flags for frame in frames} == {0}
     steps = np.diff([frame.timestamp_ms for frame in frames])
@@ -114,7 +111,6 @@ def test_idle_frames_are_short_and_come_thirty_times_a_second() -> None:
     double = DsaDouble(scene=pressed())
     double.receive(encode(stream()), 0)
     data = double.due(S)
-
     assert len(data) == 10 + 79 * 30
     assert len(list(Decoder(SDH_CELLS).feed(data))) == 1 + 30
 
@@ -123,7 +119,6 @@ def test_a_grasp_run_length_encoded_is_quicker_than_raw() -> None:
     double = DsaDouble()
     double.receive(encode(stream()), 0)
     frames = frames_of(double, 8)
-
     assert 11.7 * 8 * 1.8 < len(frames) < 30 * 8
     assert {frame.flags for frame in frames} == {1}
 
@@ -131,7 +126,6 @@ def test_a_grasp_run_length_encoded_is_quicker_than_raw() -> None:
 def test_over_tcp_raw_frames_come_thirty_times_a_second() -> None:
     double = DsaDouble(bytes_per_s=None)
     double.receive(encode(stream(rle=False)), 0)
-
     assert len(frames_of(double, 2)) == 60
 
 
@@ -141,7 +135,6 @@ def test_an_answer_waits_for_the_frame_that_is_being_sent() -> None:
     double.due(S // 100)
     double.receive(encode(stop()), S // 100)
     events = list(Decoder(SDH_CELLS).feed(double.due(S)))[-1:]
-
     assert events == [Ack(3)]
     assert double.due(2 * S) == b""
 
@@ -150,7 +143,6 @@ def test_due_gives_the_same_bytes_however_often_it_is_asked() -> None:
     seldom, often = DsaDouble(seed=3), DsaDouble(seed=3)
     for double in (seldom, often):
         double.receive(encode(stream()), 0)
-
     assert seldom.due(S) == b"".join(often.due(step * S // 2000) for step in range(2001))
 
 
@@ -163,7 +155,6 @@ def test_next_ns_tells_when_to_come_back() -> None:
         now_ns = max(double.next_ns(now_ns), now_ns + 1)
         found += double.due(now_ns)
         visits += 1
-
     assert len(list(Decoder(SDH_CELLS).feed(found))) == 1 + 6
     assert visits <= 2 * len(found)  # most for one byte
 
@@ -175,21 +166,18 @@ def test_next_ns_tells_when_to_come_back() -> None:
 def test_a_single_frame(version: int, goes_on: bool) -> None:
     double = DsaDouble(software_version=version, scene=pressed())
     double.receive(encode(single()), 0)
-
     assert len(frames_of(double, 1)) == (30 if goes_on else 1)
 
 
 @pytest.mark.parametrize(("version", "reported"), [(218, 0.5), (219, 0.75)])
 def test_sensitivity_read_back(version: int, reported: float) -> None:
     double = DsaDouble(software_version=version)
-
     assert said(double, SetSensitivity(0, 1, 0.75)) == [Ack(0x0F)]
     assert said(double, QuerySensitivity(1), S) == [SensitivityInfo(0, 2, reported, 0.5)]
 
 
 def test_thresholds_need_firmware_268() -> None:
     old = DsaDouble(software_version=267)
-
     assert said(old, QueryThreshold(0)) == [Ack(0x14, 13)]
     assert said(old, SetThreshold(0, 0, 5), S) == [Ack(0x13, 13)]
     assert said(DsaDouble(software_version=268), QueryThreshold(0)) == [ThresholdInfo(0, 20)]
@@ -197,7 +185,6 @@ def test_thresholds_need_firmware_268() -> None:
 
 def test_what_is_kept_is_not_answered_and_outlives_power() -> None:
     double = DsaDouble()
-
     assert said(double, SetThreshold(0x80, 2, 99)) == []
     assert said(double, SetThreshold(0, 2, 77), S) == [Ack(0x13)]
     assert said(double, QueryThreshold(2), 2 * S) == [ThresholdInfo(0, 77)]
@@ -208,7 +195,6 @@ def test_what_is_kept_is_not_answered_and_outlives_power() -> None:
 @pytest.mark.parametrize("command", [SetSensitivity(0, 6, 0.5), SetThreshold(0, 6, 5)])
 def test_settings_of_no_matrix(command) -> None:
     (answer,) = said(DsaDouble(), command)
-
     assert answer.error == 24
 
 
@@ -217,7 +203,6 @@ def test_settings_of_no_matrix(command) -> None:
 )
 def test_settings_out_of_range(command) -> None:
     (answer,) = said(DsaDouble(), command)
-
     assert answer.error == 23
 
 
@@ -225,7 +210,6 @@ def test_power_up() -> None:
     double = DsaDouble(boot_s=BOOT_S)
     double.power_up(100 * S)
     double.receive(encode(stop()), 105 * S)  # nobody listens yet
-
     assert double.due(106_900_000_000) == b""
     assert double.due(108 * S) == b"\x1b[5n" * 3
     assert said(double, stop(), 108 * S) == [Ack(3)]
@@ -237,7 +221,6 @@ def test_power_up_ends_what_was_going_on() -> None:
     double.receive(encode(SetSensitivity(0, 0, 1.0)), 0)
     double.due(S)
     double.power_up(S)
-
     assert double.due(5 * S) == b""
     assert said(double, QuerySensitivity(0), 6 * S) == [SensitivityInfo(0, 2, 0.5, 0.5)]
     (controller,) = said(double, hexed("aa aa aa 01 00 00"), 7 * S)
@@ -251,7 +234,6 @@ def test_power_up_ends_what_was_going_on() -> None:
 def test_pressures_become_counts_where_they_are() -> None:
     texels = DsaDouble(scene=pressed(1000 * SCHUNK_PA_PER_COUNT), noise_counts=0).texels(0.0)
     at = 84 + 2 * 6 + 3
-
     assert texels[at] == 1000
     assert texels.sum() == 1000
 
@@ -260,7 +242,6 @@ def test_pressures_become_counts_where_they_are() -> None:
 def test_sensitivity_is_a_gain(sensitivity: float, counts: int) -> None:
     double = DsaDouble(scene=pressed(1000 * SCHUNK_PA_PER_COUNT), noise_counts=0)
     double.receive(encode(SetSensitivity(0x02, 0, sensitivity)), 0)
-
     assert double.texels(0.0).max() == counts
 
 
@@ -272,7 +253,6 @@ def test_counts_end_at_twelve_bits() -> None:
 def test_texels_below_the_threshold_read_nothing(threshold: int, counts: int) -> None:
     double = DsaDouble(scene=pressed(150 * SCHUNK_PA_PER_COUNT), noise_counts=0)
     double.receive(encode(SetThreshold(0, 1, threshold)), 0)
-
     assert double.texels(0.0).max() == counts
 
 
@@ -282,7 +262,6 @@ def test_noise_is_the_seeds_and_stays_below_the_factorys_threshold() -> None:
     for double in loud:
         double.receive(encode(SetThreshold(0x02, 0, 0)), 0)
     first, same, other = (double.texels(0.0).tolist() for double in loud)
-
     assert idle.texels(0.0).sum() == 0
     assert first == same != other
     assert 2 < np.std(first) < 6
@@ -297,7 +276,6 @@ def test_the_grasp_closes_and_opens() -> None:
     grasp = GraspScene(SHAPES, seed=5)
     open_pa, held_pa = (np.concatenate([pad.ravel() for pad in grasp(time_s)]) for time_s in (0.0, 4.0))
     tip = grasp(4.0)[Pad(0, Part.DISTAL).matrix]
-
     assert open_pa.max() == 0.0
     assert 1500 < held_pa.max() < 2500
     assert 5 < (tip > 0).sum() < tip.size

@@ -37,7 +37,6 @@ def test_every_single_flip_is_refused(data: bytes) -> None:
     for bit in range(8 * len(data)):
         decoder = Decoder()
         events = [*decoder.feed(flipped(data, (bit,)) + data), *decoder.finish()]
-
         assert [event for event in events if not isinstance(event, Skipped)] == [intact], f"bit {bit}"
         assert sum(event.count for event in events if isinstance(event, Skipped)) == len(data)
 
@@ -59,7 +58,6 @@ def test_syndromes_foretell_every_pair(data: bytes) -> None:
         for pair in itertools.combinations(bits, 2)
         if crc16((changed := flipped(data, pair))[3:-2]) == int.from_bytes(changed[-2:], "little")
     }
-
     assert passing == set(passing_pairs(data))
     assert len(syndromes(data)) == len(bits)
     assert (syndromes(data) != 0).all()
@@ -71,7 +69,6 @@ def test_syndromes_foretell_every_pair(data: bytes) -> None:
 )
 def test_pairs_that_are_left(name: str, refused: int, left: int) -> None:
     count = count_pairs(SUBJECTS[name])
-
     assert (count.refused.total(), count.left) == (refused, left)
     assert count.refused.total() + count.left == count.pass_checksum
 
@@ -81,7 +78,6 @@ def test_the_count_is_that_of_all_pairs_tried(name: str) -> None:
     """Also with a flip in the preamble, and without syndromes."""
     subject = SUBJECTS[name]
     pairs = itertools.combinations(range(8 * len(subject.packet)), 2)
-
     assert sum(subject.verdict(pair) == LEFT for pair in pairs) == count_pairs(subject).left
 
 
@@ -91,7 +87,6 @@ def test_the_count_is_that_of_all_pairs_tried(name: str) -> None:
 )
 def test_pairs_that_are_left_of_frames_in_a_grasp(name: str, passing: int, left: int) -> None:
     count = count_pairs(SUBJECTS[name])
-
     assert (count.pass_checksum, count.left) == (passing, left)
 
 
@@ -102,6 +97,5 @@ def test_what_is_left_of_an_empty_raw_frame_is_in_the_low_bits() -> None:
     left = [pair for pair in passing_pairs(packet) if subject.verdict(pair) == LEFT]
     high = {8 * at + bit for at in range(12, 11 + 24, 2) for bit in range(4, 8)}
     weeks = set(range(8 * 6 + 10, 8 * 10))
-
     assert left
     assert not [pair for pair in left if {*pair} & (high | weeks)]

@@ -137,7 +137,6 @@ def assert_sound(outcome: Outcome) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_noise(seed: int) -> None:
     outcome = noise(1_000_000, seed)
-
     assert outcome.believed == 0
     assert outcome.longest_pending < LONGEST
     assert 0 <= outcome.bytes - outcome.skipped_bytes < LONGEST
@@ -146,7 +145,6 @@ def test_noise(seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_stream_with_faults(seed: int) -> None:
     outcome = faulty_stream(1_000_000, seed)
-
     assert outcome.intact > 1000
     assert outcome.damaged > 1000
     assert_sound(outcome)
@@ -155,7 +153,6 @@ def test_a_stream_with_faults(seed: int) -> None:
 @pytest.mark.slow
 def test_a_hundred_million_bytes() -> None:
     quiet, faulty = noise(50_000_000, 3), faulty_stream(50_000_000, 3)
-
     assert quiet.believed <= 1
     assert quiet.longest_pending < LONGEST
     assert_sound(faulty)

@@ -24,14 +24,12 @@ def pad(**pressed: int) -> np.ndarray:
 def test_schunks_scale() -> None:
     """592.1 counts are 0.000473 N/mm2."""
     (pressure_pa,) = to_pressure([np.array([[5921]])])
-
     assert pressure_pa[0, 0] == pytest.approx(4730.0)
 
 
 def test_a_scale_for_each_matrix() -> None:
     pads = [np.full((2, 2), 10, np.uint16), np.full((3, 2), 10, np.uint16)]
     first, second = to_pressure(pads, (2.0, 3.0))
-
     assert (first == 20.0).all()
     assert (second == 30.0).all()
     assert second.shape == (3, 2)
@@ -40,7 +38,6 @@ def test_a_scale_for_each_matrix() -> None:
 def test_a_curve() -> None:
     curve = Curve((10.0, 110.0, 210.0), (0.0, 1000.0, 5000.0))
     (pressure_pa,) = to_pressure([np.array([[0, 10, 60, 110, 160, 4095]], np.uint16)], (curve,))
-
     assert pressure_pa[0].tolist() == [0.0, 0.0, 500.0, 1000.0, 3000.0, 5000.0]
 
 
@@ -67,7 +64,6 @@ def test_a_calibration_for_other_matrices() -> None:
 def test_force_is_the_sum_of_pressure_times_area_counted_once() -> None:
     counts = pad(r2c3=500, r2c4=500, r9c0=1000)
     contact = pad_contact(counts, counts * 100.0, MATRIX)
-
     assert contact.area_m2 == pytest.approx(3 * TEXEL_M2)
     assert contact.force_n == pytest.approx(200_000 * TEXEL_M2)
     assert contact.peak_pa == 100_000.0
@@ -76,7 +72,6 @@ def test_force_is_the_sum_of_pressure_times_area_counted_once() -> None:
 def test_uniform_pressure_is_force_over_area() -> None:
     counts = np.full((13, 6), 50, np.uint16)
     contact = pad_contact(counts, np.full((13, 6), 2000.0), MATRIX)
-
     assert contact.force_n / contact.area_m2 == pytest.approx(2000.0)
     assert contact.center_m == pytest.approx((0.0, 0.0), abs=1e-12)
 
@@ -85,7 +80,6 @@ def test_the_centre_of_pressure_is_in_the_pads_frame() -> None:
     """x along a row from its middle, y along a column from its middle."""
     one = pad_contact(pad(r12c5=100), pad(r12c5=100) * 1.0, MATRIX)
     two = pad_contact(counts := pad(r6c0=100, r6c1=300), counts * 1.0, MATRIX)
-
     assert one.center_m == pytest.approx((2.5 * 0.003, 6 * 0.004))
     assert two.center_m == pytest.approx(((-2.5 * 0.25 - 1.5 * 0.75) * 0.003, 0.0))
 
@@ -94,7 +88,6 @@ def test_the_centre_of_pressure_is_in_the_pads_frame() -> None:
 def test_what_counts_as_contact(count: int, touches: bool) -> None:
     counts = pad(r1c1=count)
     contact = pad_contact(counts, counts * 1.0, MATRIX)
-
     assert (contact.area_m2 > 0) == (contact.force_n > 0) == touches
     assert np.isnan(contact.center_m).all() == (not touches)
 
@@ -122,7 +115,6 @@ def test_pads_by_name() -> None:
 def test_the_feature_is_the_first_six_rows_of_two_fingertips() -> None:
     pads = [np.arange(rows * 6).reshape(rows, 6) + 1000 * matrix for matrix, rows in enumerate((14, 13) * 3)]
     feature = thesis_feature(pads)
-
     assert feature.shape == (72,)
     assert feature[:36].reshape(6, 6).tolist() == pads[1][:6].tolist()
     assert feature[36:].tolist() == pads[Pad(2, Part.DISTAL).matrix].ravel()[:36].tolist()

@@ -41,7 +41,6 @@ def test_each_known_packet_both_ways(kind, message, data) -> None:
 @pytest.mark.parametrize("size", [1, 2, 7, 64, None])
 def test_packets_that_come_as_one(kind, table, size) -> None:
     messages = [message for message, _ in table]
-
     assert fed(kind(), b"".join(data for _, data in table), size=size) == messages
 
 
@@ -50,7 +49,6 @@ def test_packets_that_come_as_one(kind, table, size) -> None:
 def test_junk_before_between_and_after(kind, table, size) -> None:
     stream = JUNK + b"".join(data + JUNK for _, data in table)
     events = fed(kind(), stream, size=size)
-
     assert good(events) == [message for message, _ in table]
     assert skipped(events) == len(JUNK) * (len(table) + 1)
 
@@ -61,9 +59,7 @@ def test_the_preamble_may_follow_more_of_the_same_byte() -> None:
 
 def test_a_packet_in_the_ruins_of_another() -> None:
     cut = FRAME[:12]
-
     events = fed(Decoder(), cut + FRAME + ACK)
-
     assert good(events) == [reading(1000, 1, *[0] * 20, 5, 5, 4095), Ack(3)]
     assert events[0] == Skipped(12, "checksum")
 
@@ -105,7 +101,6 @@ def raw_frame(*words: int, flags: int = 0) -> bytes:
 )
 def test_refused(data: bytes, cells: int | None, reason: str) -> None:
     events = fed(Decoder(cells), data + ACK)
-
     assert good(events) == [Ack(3)]
     assert events[0].reason == reason
     assert skipped(events) == len(data)
@@ -113,7 +108,6 @@ def test_refused(data: bytes, cells: int | None, reason: str) -> None:
 
 def test_frames_as_long_as_they_can_be() -> None:
     words = [4095, 0] * (SDH_CELLS // 2)
-
     for cells in (None, SDH_CELLS):
         assert fed(Decoder(cells), raw_frame(*words)) == [reading(1000, 0, *words)]
         assert len(raw_frame(*words)) == 985
@@ -129,13 +123,11 @@ def test_flags_that_are_not_public_are_handed_on() -> None:
 
 def test_more_cells_than_the_sdh_has_can_be_reported() -> None:
     words = list(range(1000))
-
     assert fed(Decoder(1000), raw_frame(*words)) == [reading(1000, 0, *words)]
 
 
 def test_texels_are_nobodys_to_change() -> None:
     (found,) = fed(Decoder(), FRAME)
-
     assert found.texels.dtype == np.uint16
     with pytest.raises(ValueError, match="read-only"):
         found.texels[0] = 1
@@ -152,7 +144,6 @@ def test_what_waits_is_bounded() -> None:
 def test_a_controller_answers_what_it_cannot_use() -> None:
     damaged = STOP[:-1] + b"\x6b"
     unknown, short, long = (checked("ab 01 00 00"), checked("03 01 00 01"), checked("0b 02 00 00 00"))
-
     assert fed(CommandDecoder(), damaged + unknown + short + long + STOP) == [
         Faulty(3, 11),
         Faulty(0xAB, 13),
@@ -173,7 +164,6 @@ TEXELS = st.lists(st.integers(0, 4095) | st.just(0), min_size=1, max_size=120) |
 @given(TEXELS, st.integers(0, 2**32 - 1))
 def test_any_texels_both_codings(texels: list[int], timestamp_ms: int) -> None:
     raw, rle = (reading(timestamp_ms, flags, *texels) for flags in (0, 1))
-
     assert fed(Decoder(len(texels)), encode(raw) + encode(rle)) == [raw, rle]
     assert len(encode(rle)) <= len(encode(raw))
 
@@ -197,7 +187,6 @@ def test_events_do_not_depend_on_how_the_stream_is_cut(pieces: list[bytes], cuts
         events += decoder.feed(data[at : at + cuts[turn % len(cuts)]])
         at, turn = at + cuts[turn % len(cuts)], turn + 1
     events += decoder.finish()
-
     assert good(events) == good(whole)
     assert skipped(events) == skipped(whole)
     assert skipped(whole) + sum(len(encode(event)) for event in good(whole)) == len(data)

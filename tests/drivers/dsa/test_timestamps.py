@@ -26,7 +26,6 @@ NEW, REPEATED, JUMPED, RESTARTED = map(TimestampStatus, ("new", "repeated", "jum
 )
 def test_frames_in_turn(times: list[int], verdicts: list[TimestampStatus]) -> None:
     gate = TimestampGate()
-
     assert [gate.check(time) for time in times] == verdicts
 
 
@@ -34,5 +33,4 @@ def test_restart_forgets() -> None:
     gate = TimestampGate()
     gate.check(50_000)
     gate.restart()
-
     assert gate.check(8000) is NEW

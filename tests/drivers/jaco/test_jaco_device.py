@@ -209,7 +209,6 @@ def test_an_angular_velocity_held_for_1_s_moves_the_double_by_the_right_angle(
     before = np.array(simulated.next(1.0).joints_deg)
     hold(simulated, JointVelocity((0.0, rate_deg_s, 0.0, -rate_deg_s, 0.0, 0.0)), 1.0)
     moved = np.array(simulated.next(1.0).joints_deg) - before
-
     one_cycle = abs(rate_deg_s) * PERIOD_S * 1.01
     np.testing.assert_allclose(moved, (0, rate_deg_s, 0, -rate_deg_s, 0, 0), atol=one_cycle)
 
@@ -218,7 +217,6 @@ def test_a_cartesian_velocity_held_for_1_s_moves_the_double_by_the_right_length(
     before = simulated.next(1.0)
     hold(simulated, CartesianVelocity((0.03, -0.02, 0.01), (0.0, 0.0, 0.1)), 1.0)
     after = simulated.next(1.0)
-
     moved_m = np.array(after.position_m) - np.array(before.position_m)
     np.testing.assert_allclose(moved_m, (0.03, -0.02, 0.01), atol=0.04 * PERIOD_S)
 
@@ -227,7 +225,6 @@ def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_alo
     before = simulated.next(1.0).T_base_end_effector
     hold(simulated, CartesianVelocity((0.02, 0.0, 0.0), (0.05, 0.0, 0.1)), 1.0)
     after = simulated.next(1.0).T_base_end_effector
-
     turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
     assert turned == pytest.approx([0.05, 0.0, 0.1], abs=2e-3)
     assert after[:3, 3] - before[:3, 3] == pytest.approx([0.02, 0.0, 0.0], abs=1e-3)
@@ -236,7 +233,6 @@ def test_a_cartesian_rotation_is_about_the_hand_s_own_axes_and_a_translation_alo
 def test_a_velocity_about_the_base_s_axes_is_converted() -> None:
     pose = J2N6S300.end_effector(J2N6S300.home_deg)
     velocity = CartesianVelocity.in_base((0.01, 0.02, 0.03), (0.1, -0.2, 0.3), pose)
-
     assert velocity.linear_m_s == (0.01, 0.02, 0.03)
     assert pose[:3, :3] @ velocity.angular_rad_s == pytest.approx([0.1, -0.2, 0.3])
     assert velocity.angular_rad_s != pytest.approx([0.1, -0.2, 0.3], abs=0.05)
@@ -523,7 +519,6 @@ def test_a_command_that_is_not_refreshed_is_zeroed_and_erased_within_two_periods
     moving = [at_s for at_s, rate in lab.recorded.points() if rate != 0.0]
     zeros = [at_s for at_s, rate in lab.recorded.points() if rate == 0.0]
     erased = [at_s for at_s in lab.recorded.times("EraseAllTrajectories") if at_s > expires_s]
-
     assert moving[-1] <= expires_s
     assert len(zeros) == 1
     assert expires_s < zeros[0] <= expires_s + PERIOD_S
@@ -654,7 +649,6 @@ def test_after_a_stall_nothing_is_made_up_for(lab: Simulated) -> None:
     resumed_s = lab.now_s
     lab.run(0.2)
     after = [at_s for at_s, _ in lab.recorded.points() if at_s >= resumed_s]
-
     assert len([at_s for at_s in after if at_s < resumed_s + PERIOD_S]) <= 2
     np.testing.assert_allclose(np.diff(after)[1:], PERIOD_S, atol=1e-6)
     assert lab.arm.health().extra["slots_missed"] == 4
@@ -666,9 +660,7 @@ def test_a_stall_before_the_first_command_does_not_stop_the_arm(lab: Simulated) 
     lab.clock.advance_to(lab.clock() + 500_000_000)
     lab.arm.set_velocity(TURN, 0.5)
     told_s = lab.now_s
-
     lab.run(0.1)
-
     assert lab.arm.stopped_because == ""
     assert len([at_s for at_s, _ in lab.recorded.points() if at_s >= told_s]) >= 9
 
@@ -679,7 +671,6 @@ def test_a_stall_longer_than_the_deadline_stops_the_arm_and_says_so(lab: Simulat
     lab.clock.advance_to(lab.clock() + 300_000_000)
     stalled_s = lab.now_s
     lab.run(0.1)
-
     assert [at_s for at_s, _ in lab.recorded.points() if at_s >= stalled_s] == []
     assert [at_s for at_s in lab.recorded.times("EraseAllTrajectories") if at_s >= stalled_s]
     assert "late" in lab.arm.stopped_because
@@ -714,7 +705,6 @@ def test_a_slow_link_costs_neither_points_nor_states(call_ms: float, state_hz: f
         lab.run(2.0)
         taken = states.take()
         times_s = [at_s for at_s, _ in lab.recorded.points() if at_s > began_s]
-
         np.testing.assert_allclose(np.diff(times_s), PERIOD_S, atol=1e-6)
         assert len(taken) >= 0.8 * state_hz * 2.0
         assert np.diff([state.stamp.host_ns for state in taken]).max() <= 30e6
@@ -732,7 +722,6 @@ def test_a_link_too_slow_for_a_point_and_a_state_in_a_slot_alternates(lab: Simul
     states = lab.arm.readings()
     lab.run(2.0)
     taken = states.take()
-
     assert lab.arm.stopped_because == ""
     assert np.diff([state.stamp.host_ns for state in taken]).max() <= 50e6
     assert lab.double.joints_deg[0] - before[0] == pytest.approx(20.0, abs=2.0)  # of 40

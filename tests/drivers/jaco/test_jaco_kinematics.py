@@ -158,9 +158,7 @@ def test_inverse_says_honestly_when_the_target_is_out_of_reach(chain: Chain) -> 
 def test_many_poses_at_once_give_what_each_gives_alone(chain: Chain) -> None:
     joints_deg = chain.clip(np.random.default_rng(4).uniform(0.0, 360.0, (12, chain.joint_count)))
     targets, starts = chain.forward(joints_deg)[:, -1], joints_deg[::-1]
-
     found, converged = chain.inverse_near(targets, starts)
-
     each = [chain.inverse(target, start, starts=1) for target, start in zip(targets, starts, strict=True)]
     assert np.array_equal(found, [one.joints_deg for one in each])
     assert converged.tolist() == [one.converged for one in each]

@@ -81,7 +81,6 @@ class VendorContract:
         call(bench.functions, "InitAPI")
         call(bench.functions, "RefresDevicesList")
         (device,) = devices(bench.functions)
-
         assert device.SerialNumber == b"DOUBLE-1"
         assert device.DeviceType == DEVICE_TYPES[bench.chain.name]
         call(bench.functions, "SetActiveDevice", device)
@@ -90,7 +89,6 @@ class VendorContract:
 
     def test_general_informations_fit_their_structure(self, started: VendorBench) -> None:
         found = read(started.functions, "GetGeneralInformations", GeneralInformations)
-
         assert found.SupplyVoltage == 24.0
         assert found.ConnectedActuatorCount == started.chain.joint_count
         assert bytes(found.ExpansionsBytes) == bytes(192)
@@ -133,7 +131,6 @@ class VendorContract:
         before = joints(started)
         stream(started, JointVelocity(tuple(rates)), seconds=1.0)
         started.advance(0.5)
-
         np.testing.assert_allclose(joints(started) - before, rates * 1.0, atol=np.max(np.abs(rates)) * CYCLE_S)
         np.testing.assert_allclose(joints(started) - before, rates * 1.0, atol=SINGLE)
         assert np.all(rates_deg_s(started) == 0.0)
@@ -143,7 +140,6 @@ class VendorContract:
         stream(started, CartesianVelocity((0.04, -0.03, 0.05)), seconds=1.0)
         started.advance(0.5)
         after = pose(started)
-
         np.testing.assert_allclose(after[:3, 3] - before[:3, 3], (0.04, -0.03, 0.05), atol=0.06 * CYCLE_S)
         assert Rotation.from_matrix(after[:3, :3] @ before[:3, :3].T).magnitude() < 2e-3
 
@@ -152,7 +148,6 @@ class VendorContract:
         before = pose(started)
         stream(started, CartesianVelocity((0.0, 0.0, 0.0), (0.1, -0.2, 0.3)), seconds=1.0)
         after = pose(started)
-
         turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
         np.testing.assert_allclose(turned, (0.1, -0.2, 0.3), atol=0.4 * CYCLE_S)
         np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=1e-3)
@@ -161,7 +156,6 @@ class VendorContract:
         before = pose(started)
         stream(started, CartesianVelocity((0.02, -0.03, 0.01), (0.1, 0.2, -0.3)), seconds=1.0)
         after = pose(started)
-
         np.testing.assert_allclose(after[:3, 3] - before[:3, 3], (0.02, -0.03, 0.01), atol=1e-3)
         turned = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).as_rotvec()
         np.testing.assert_allclose(turned, (0.1, 0.2, -0.3), atol=0.4 * CYCLE_S)
@@ -177,7 +171,6 @@ class VendorContract:
         stream(started, CartesianVelocity((0.03, 0.0, -0.02)), seconds=0.2)
         cartesian, angular = CartesianRates(), AngularRates()
         call(started.functions, "GetCommandVelocity", cartesian, angular)
-
         np.testing.assert_allclose(list(cartesian), (0.03, 0.0, -0.02, 0, 0, 0), atol=1e-3)
         made = started.chain.jacobian(joints(started)) @ np.radians(list(angular)[: started.chain.joint_count])
         np.testing.assert_allclose(made, list(cartesian), atol=1e-4)
@@ -423,7 +416,6 @@ class VendorContract:
         started.push(push.tolist())
         count = started.chain.joint_count
         torque_nm = started.chain.jacobian(joints(started)).T @ push
-
         reported = read(started.functions, "GetCartesianForce", CartesianPosition)
         np.testing.assert_allclose(cartesian_values(reported.Coordinates), push, atol=1e-5)
         free = read(started.functions, "GetAngularForceGravityFree", AngularPosition)

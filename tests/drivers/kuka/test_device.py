@@ -203,7 +203,6 @@ def test_motor_currents_are_published_and_hold_gravity_friction_and_load(bench: 
     bench.double.push(np.zeros(6))
     bench.arm.set_velocity(JointVelocity((0.0, 2.0, 0.0, 0.0, 0.0, 0.0)), 2.0)
     turning = currents()
-
     out_m = bench.double.T_base_end_effector[0, 3]
     assert abs(free[1]) > 10.0  # the forearm's weight, beyond the shoulder
     shoulder_m = out_m - 0.025

@@ -30,7 +30,6 @@ def fed(pairs: Pairs, frames: list[Frame]) -> list[tuple[int, int | None]]:
 
 def test_depth_alone_goes_straight_through() -> None:
     message = Pairs(30, wanted=False).add(depth(7, 3), 99)
-
     assert message == [FrameMessage(99, 7, 3, 2, 1, 0, 0, b"\1\0\2\0", b"")]
 
 
@@ -42,20 +41,17 @@ def test_colour_first_and_depth_first() -> None:
 def test_colour_may_lag_behind_by_more_than_a_period() -> None:
     frames = [depth(PERIOD_US * 1), depth(PERIOD_US * 2), color(PERIOD_US * 1), depth(PERIOD_US * 3)]
     frames += [color(PERIOD_US * 2), color(PERIOD_US * 3)]
-
     assert fed(Pairs(30, wanted=True), frames) == [(PERIOD_US * n, PERIOD_US * n) for n in (1, 2, 3)]
 
 
 def test_the_nearest_colour_is_taken_and_none_that_is_half_a_period_away() -> None:
     frames = [color(1_000), color(12_000), depth(10_000), color(60_000), depth(80_000), color(100_000)]
-
     assert fed(Pairs(30, wanted=True), frames) == [(10_000, 12_000), (80_000, None)]
 
 
 def test_depth_without_any_colour_does_not_wait_for_ever() -> None:
     pairs = Pairs(30, wanted=True)
     found = fed(pairs, [depth(PERIOD_US * n) for n in range(WAITING + 2)])
-
     assert found == [(0, None), (PERIOD_US, None)]
     assert len(pairs.rest()) == WAITING
     assert pairs.rest() == []
@@ -64,7 +60,6 @@ def test_depth_without_any_colour_does_not_wait_for_ever() -> None:
 def test_a_frame_that_is_cut_off_has_no_size() -> None:
     cut = Frame(7, 3, 2, 1, PixelFormat.DEPTH_1_MM, b"\1\0\2")
     cut_color = Frame(7, 0, 1, 1, PixelFormat.RGB888, b"\1\2")
-
     assert Pairs(30, wanted=False).add(cut, 99) == [FrameMessage(99, 7, 3, 0, 0, 0, 0, b"", b"")]
     pairs = Pairs(30, wanted=True)
     assert pairs.add(cut_color, 98) == []
@@ -86,5 +81,4 @@ def test_a_picture_crosses_to_the_other_process() -> None:
 
 def test_a_count_of_frames_has_32_bits() -> None:
     (message,) = Pairs(30, wanted=False).add(depth(7, -1), 99)
-
     assert message.index == 0xFFFFFFFF

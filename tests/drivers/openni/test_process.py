@@ -20,7 +20,6 @@ def test_it_starts_without_what_takes_long_to_load() -> None:
         timeout=PATIENCE_S,
         check=True,
     )
-
     assert shown.stdout == "False\n"
 
 
@@ -30,6 +29,5 @@ def test_cameras_are_listed() -> None:
         reported = ask_hosted(report_cameras, timeout_s=PATIENCE_S)
     except LibraryMissing as error:
         reported = error
-
     assert isinstance(reported, list) or "libopenni2-0" in str(reported)
     assert not isinstance(reported, list) or all(isinstance(camera, ListedDevice) for camera in reported)

@@ -30,7 +30,6 @@ def track_of(step: int = 1, period_ns: float | None = MS, first: int = 0) -> tup
 def test_the_step_is_learned_and_loss_counted_in_readings(step: int) -> None:
     track, last, now_ns = track_of(step, period_ns=step * MS, first=65536 - 4 * step)
     gap = track.follow((last + 4 * step) % 65536, now_ns + 3 * step * MS)
-
     assert (gap.verdict, gap.lost) == (CounterStep.LOST, 3)
     assert track.lost == 3
     assert track.follow((last + 5 * step) % 65536, now_ns + 4 * step * MS).verdict is CounterStep.NEXT
@@ -39,7 +38,6 @@ def test_the_step_is_learned_and_loss_counted_in_readings(step: int) -> None:
 def test_loss_while_the_step_is_learned_is_reported_when_it_is() -> None:
     track = CounterTrack(MS)
     gaps = follow(track, [5, 6, 7, 9, 10, 13, 14, 15, 16])
-
     assert [gap.lost for gap in gaps] == [0] * 8 + [3]
     assert track.lost == 3
 
@@ -47,7 +45,6 @@ def test_loss_while_the_step_is_learned_is_reported_when_it_is() -> None:
 def test_a_damaged_counter_while_the_step_is_learned_is_no_loss() -> None:
     track = CounterTrack(MS)
     gaps = follow(track, [5, 6, 7, 8 ^ 0x2000, 9, 10, 12, 13, 14])
-
     assert [gap.lost for gap in gaps] == [0] * 8 + [1]
     assert track.step == 1
 
@@ -57,7 +54,6 @@ def test_a_damaged_counter_is_no_loss() -> None:
         track, last, now_ns = track_of(first=1000)
         counters = [(last + 1) ^ 1 << bit, last + 2, last + 3]
         gaps = follow(track, counters, start_ns=now_ns)
-
         assert gaps[0].verdict is not CounterStep.NEXT
         assert [gap.verdict for gap in gaps[1:]] == [CounterStep.CORRECTED, CounterStep.NEXT]
         assert sum(gap.lost for gap in gaps) == track.lost == 0
@@ -69,7 +65,6 @@ def test_a_damaged_counter_beside_a_loss() -> None:
     for damaged in (40_000, 1500):
         track, last, now_ns = track_of(first=1000)
         gaps = follow(track, [damaged, last + 4, last + 5], start_ns=now_ns)
-
         assert [gap.verdict for gap in gaps[1:]] == [CounterStep.CORRECTED, CounterStep.NEXT]
         assert sum(gap.lost for gap in gaps) == track.lost == 2
 
@@ -77,7 +72,6 @@ def test_a_damaged_counter_beside_a_loss() -> None:
 def test_a_reading_that_others_overtook() -> None:
     track, last, now_ns = track_of(first=65530)
     gaps = follow(track, [last + 1, last + 3, last + 2, last + 4], start_ns=now_ns)
-
     assert [gap.verdict for gap in gaps] == [CounterStep.NEXT, CounterStep.LOST, CounterStep.LATE, CounterStep.NEXT]
     assert sum(gap.lost for gap in gaps) == track.lost == 0
     assert track.late == 1
@@ -86,7 +80,6 @@ def test_a_reading_that_others_overtook() -> None:
 def test_a_reading_sent_twice() -> None:
     track, last, now_ns = track_of()
     gaps = follow(track, [last + 1, last + 1, last + 2], start_ns=now_ns)
-
     assert [gap.verdict for gap in gaps] == [CounterStep.NEXT, CounterStep.REPEATED, CounterStep.NEXT]
     assert (track.repeated, track.lost) == (1, 0)
 
@@ -94,7 +87,6 @@ def test_a_reading_sent_twice() -> None:
 def test_a_reading_sent_twice_before_a_loss_was_not_damaged() -> None:
     track, last, now_ns = track_of()
     gaps = [track.follow(last, now_ns, twin=True), track.follow(last + 2, now_ns + MS)]
-
     assert [gap.verdict for gap in gaps] == [CounterStep.REPEATED, CounterStep.LOST]
     assert (track.repeated, track.damaged, track.lost) == (1, 0, 1)
 
@@ -103,7 +95,6 @@ def test_a_reading_sent_twice_before_a_loss_was_not_damaged() -> None:
 def test_a_restart_is_no_loss(before: int) -> None:
     track, _, now_ns = track_of(first=before)
     gaps = follow(track, [0, 1, 2, 3], start_ns=now_ns + 300 * MS)
-
     assert [gap.verdict for gap in gaps] == [
         CounterStep.JUMPED,
         CounterStep.RESTARTED,
@@ -116,7 +107,6 @@ def test_a_restart_is_no_loss(before: int) -> None:
 def test_a_restart_with_another_step_is_no_loss() -> None:
     track, _, now_ns = track_of(first=30_000)  # 1 kHz; after power-up it sends every tenth sample
     gaps = follow(track, [0, 10, 20, *range(30, 200, 10)], start_ns=now_ns + 300 * MS, period_ns=10 * MS)
-
     assert [gap.verdict for gap in gaps[:2]] == [CounterStep.JUMPED, CounterStep.RESTARTED]
     assert (track.restarts, track.lost, track.step) == (1, 0, 10)
 
@@ -125,7 +115,6 @@ def test_a_restart_with_another_step_is_no_loss() -> None:
 def test_a_long_pause_is_loss_up_to_the_counters_range(lost: int) -> None:
     track, last, now_ns = track_of()
     gap = track.follow((last + 1 + lost) % 65536, now_ns + lost * MS)
-
     assert (gap.verdict, gap.lost) == (CounterStep.LOST, lost)
 
 
@@ -134,7 +123,6 @@ def test_a_host_that_stalls_and_reads_late_sees_what_was_lost() -> None:
     late_ns = now_ns + 10_000 * MS  # all of these were waiting in the kernel, and then 9000 more were dropped
     gaps = [track.follow(last + 1 + at, late_ns) for at in range(250)]
     gaps += [track.follow(last + 1 + 250 + 9000 + at, late_ns + at * MS) for at in range(50)]
-
     assert [gap.lost for gap in gaps] == [0] * 250 + [9000] + [0] * 49
     assert track.restarts == 0
 
@@ -142,7 +130,6 @@ def test_a_host_that_stalls_and_reads_late_sees_what_was_lost() -> None:
 def test_another_rate_is_no_loss_for_long() -> None:
     track, last, now_ns = track_of(step=1)
     gaps = follow(track, [last + 10 * at for at in range(1, 30)], start_ns=now_ns, period_ns=10 * MS)
-
     assert track.step == 10
     assert sum(gap.lost for gap in gaps) == track.lost == 0
     assert track.follow(last + 310, now_ns).lost == 1
@@ -150,7 +137,6 @@ def test_another_rate_is_no_loss_for_long() -> None:
 
 def test_a_counter_that_stands_still_repeats_for_ever() -> None:
     track, last, now_ns = track_of()
-
     assert {gap.verdict for gap in follow(track, [last] * 40, start_ns=now_ns)} == {CounterStep.REPEATED}
     assert track.step == 1
 
@@ -158,7 +144,6 @@ def test_a_counter_that_stands_still_repeats_for_ever() -> None:
 def test_without_a_known_period_a_counter_that_goes_back_has_restarted() -> None:
     track, _, now_ns = track_of(first=20_000, period_ns=None)
     gaps = follow(track, [0, 1], start_ns=now_ns)
-
     assert [gap.verdict for gap in gaps] == [CounterStep.JUMPED, CounterStep.RESTARTED]
 
 
@@ -188,7 +173,6 @@ def test_the_sum_of_all_gaps_is_what_was_lost(first: int, step: int, seed: int) 
     kept = [0, *(at for at in range(1, 1999) if luck.random() > 0.1), 1999]
     track = CounterTrack(step * MS)
     gaps = [track.follow(sent[at] % 65536, at * step * MS) for at in kept]
-
     assert track.lost == sum(gap.lost for gap in gaps) == len(sent) - len(kept)
     assert track.restarts == track.late == track.repeated == 0
 
@@ -198,6 +182,5 @@ def test_the_sum_of_all_gaps_is_what_was_lost(first: int, step: int, seed: int) 
 def test_any_counters_are_followed(counters: list[int]) -> None:
     track = CounterTrack(MS)
     gaps = follow(track, counters)
-
     assert track.lost == sum(gap.lost for gap in gaps)
     assert min(track.late, track.repeated, track.damaged, track.restarts) >= 0

@@ -246,7 +246,6 @@ def test_after_a_lost_link_settings_and_zero_point_are_there_again() -> None:
             wait_until(lambda: device.link is Link.CONNECTED)
             time.sleep(0.2)
             measured = device.next(5.0)
-
             assert (wire.double.speed, wire.double.filter) == (Speed.HZ_1000, Filter.HZ_50)
             assert measured.force_n.mean() == pytest.approx(4.0, abs=0.1)
             assert measured.offset_counts is not None
@@ -260,7 +259,6 @@ def test_a_daq_that_restarts_behind_a_live_link_is_set_up_again() -> None:
         events = device.events()
         simulation.double.power_up(simulation.clock() + 200 * MS)
         measured = [one for one in simulation.run(1.0) if one.usable]
-
         assert np.abs(forces(measured)).max() < 0.1  # not even right after the restart is there an untared force
         assert (simulation.double.speed, simulation.double.filter) == (Speed.HZ_1000, Filter.HZ_50)
         assert device.health().extra["restarts"] == 1
@@ -279,7 +277,6 @@ def test_a_restart_that_looks_like_a_loss_gives_no_untared_force(acknowledges: b
             simulation.run(0.01)
         simulation.double.power_up(simulation.clock() + 300 * MS)  # its counter goes on from 0 as after 36 lost ones
         measured = simulation.run(3.0)
-
         assert device.health().extra["restarts"] == 0
         assert device.settings.zeroed is False
         assert np.abs(forces([one for one in measured if one.usable])).max() < 0.1
@@ -296,7 +293,6 @@ def test_while_the_zero_point_changes_readings_are_marked(acknowledges: bool) ->
         device.set_filter(500)
         simulation.run(0.5)
         measured = readings.take()
-
         assert np.abs(forces([one for one in measured if one.usable])).max() < 0.1
         assert sum("zero" in one.doubts for one in measured) == (0 if acknowledges else 300)
 
@@ -309,7 +305,6 @@ def test_lost_readings_are_counted_where_they_are_missing() -> None:
         simulation.clock.advance_to(simulation.clock() + 7 * MS)
         simulation.double.due(simulation.clock())  # nobody hears these
         measured = simulation.run(0.1)
-
         assert (measured[0].lost_before, measured[0].follows) == (7, CounterStep.LOST)
         assert sum(one.lost_before for one in measured) == device.health().lost == 7
 
@@ -322,7 +317,6 @@ def test_on_a_bad_wire_every_whole_reading_comes_and_the_rest_is_counted(seed: i
         before = device.health()
         measured = simulation.run(10.0)
         health = device.health()
-
     assert health.refused["checksum"] > 100
     assert health.skipped_bytes > before.skipped_bytes
     counters = [one.stamp.device_ticks for one in measured if not one.doubts]
@@ -356,7 +350,6 @@ def test_a_reading_that_cannot_be_is_marked() -> None:
         other = encode(Reading(Kind.SIX_AXIS, 21, Status(0), ((0,) * 6,)))
         before = device.health().extra["doubted"]
         marked = [one for event in device._decoder.feed(packet + other) for one in device._measure(event, 0)]
-
         assert marked[0].doubts == ("load",)
         assert not marked[0].usable
         assert marked[1].doubts == ("kind",)
@@ -373,7 +366,6 @@ def test_every_kind_and_either_counter(kind: Kind, counts_samples: bool) -> None
     simulation = Simulation(sensors, sensitivity=(report,) * kind.channels, rate_hz=100)
     with simulation as device:
         measured = simulation.run(3.0)
-
         assert len(measured) == 300
         assert measured[0].force_n.shape == (kind.channels, 3)
         assert np.mean([one.load for one in measured], axis=0) == pytest.approx(load, abs=0.01)
@@ -428,7 +420,6 @@ def test_what_the_host_sends_and_hears_is_there_to_be_recorded() -> None:
         device.set_speed(100)
         simulation.run(0.1)
         taken = chunks.take()
-
         assert [chunk.data for chunk in taken if chunk.sent] == [encode(Configure(10, 2, 0))]
         heard = b"".join(chunk.data for chunk in taken if not chunk.sent)
         assert bytes.fromhex("aa 00 50 01 00 00 fb") in heard

@@ -43,7 +43,6 @@ def readings(events: list) -> list[Reading]:
 def test_it_starts_at_its_defaults() -> None:
     double = OptoforceDouble()
     double.power_up(5 * SECOND)
-
     assert (double.speed, double.filter, double.zeroed) == (Speed.HZ_100, Filter.HZ_15, False)
     assert [reading.counter for reading in readings(heard(double, 6 * SECOND))] == list(range(100))
 
@@ -52,7 +51,6 @@ def test_it_starts_at_its_defaults() -> None:
 def test_it_sends_at_its_speed(speed: int, rate: int) -> None:
     double = OptoforceDouble()
     configured(double, 0, speed)
-
     assert len(readings(heard(double, SECOND))) == rate
     assert (double.next_ns(SECOND) is None) == (speed == 0)
 
@@ -61,7 +59,6 @@ def test_bytes_of_a_known_load() -> None:
     sensors = Sensors(scene=lambda _: (401 / 16037 * 40, -401 / 16037 * 40, 20.0), noise_counts=0.0, offset_counts=0.0)
     double = OptoforceDouble(sensors)
     double.receive(bytes.fromhex("aa 00 32 03 01 00 00 00 e0"), 0)
-
     assert double.due(0) == bytes.fromhex("aa 00 50 01 00 00 fb")
     assert double.due(MS) == bytes.fromhex("aa 07 08 0a 00 00 00 00 01 91 fe 6f 1f 52 03 33")  # 8018.5 counts, to even
     double.receive(bytes.fromhex("ab 00 12 08 00 c5"), MS)
@@ -87,7 +84,6 @@ def test_the_counter_wraps_and_may_count_samples() -> None:
     configured(double, 0, 1)
     double._sent = 65534
     assert [reading.counter for reading in readings(heard(double, 4 * MS))] == [65534, 65535, 0, 1]
-
     double = OptoforceDouble(Sensors(counts_samples=True))
     configured(double, 0, 33)
     assert [reading.counter for reading in readings(heard(double, 100 * MS))] == [33, 66, 99]
@@ -100,7 +96,6 @@ def test_its_filter_answers_a_step_as_a_first_order_one(cutoff: Filter) -> None:
     configured(double, 0, 1, cutoff)
     fz = np.array([reading.counts[0][2] for reading in readings(heard(double, 2 * SECOND))])
     time_constant_s = 1 / (2 * math.pi * cutoff.cutoff_hz)
-
     assert np.all(fz[:999] == 0)
     expected = 16037 * (1 - np.exp(-np.arange(1, 1001) * 1e-3 / time_constant_s))
     assert fz[999:1999] == pytest.approx(expected[: len(fz[999:1999])], abs=1)
@@ -112,7 +107,6 @@ def test_its_filter_quietens_noise_and_no_filter_does_not() -> None:
         double = OptoforceDouble(Sensors(noise_counts=20.0))
         configured(double, 0, 1, filter_)
         spread.append(np.std([reading.counts[0] for reading in readings(heard(double, 5 * SECOND))[100:]]))
-
     assert spread[0] == pytest.approx(20.0, rel=0.05)
     weight = 1 - math.exp(-2 * math.pi * 0.015)
     assert spread[1] == pytest.approx(20.0 * math.sqrt(weight / (2 - weight)), rel=0.2)
@@ -122,10 +116,8 @@ def test_it_is_zeroed_only_some_time_after_it_was_cleared() -> None:
     double = OptoforceDouble(Sensors(scene=load(10.0), noise_counts=0.0))
     configured(double, 0, 1)
     assert readings(heard(double, 5 * MS))[-1].counts == ((4129, 4129, 4129),)
-
     configured(double, 5 * MS, 1, zero=Zero.SET)
     assert readings(heard(double, 6 * MS))[-1].counts == ((0, 0, 0),)
-
     configured(double, 10 * MS, 1, zero=Zero.CLEAR)
     assert not double.zeroed
     configured(double, 11 * MS, 1, zero=Zero.SET)  # too early
@@ -142,7 +134,6 @@ def test_zeroing_twice_in_a_row_does_not_work() -> None:
     configured(double, 5 * MS, 1, zero=Zero.SET)
     force[0] = 20.0
     configured(double, 1000 * MS, 1, zero=Zero.SET)
-
     assert readings(heard(double, 1005 * MS))[-1].counts == ((4010, 4010, 4010),)  # 8018.5 + 120 - 4129, to even
 
 
@@ -153,7 +144,6 @@ def test_it_acknowledges_or_not_and_refuses_settings_that_it_does_not_have() -> 
     configured(double, 0, 0, 4, 1)
     configured(double, 0, 0)
     assert heard(double, 0) == [ConfigReply(1)] * 3 + [ConfigReply(0)]
-
     double = OptoforceDouble(Sensors(acknowledges=False))
     configured(double, 0, 0)
     assert heard(double, 0) == []
@@ -165,7 +155,6 @@ def test_commands_in_pieces_padded_and_among_junk() -> None:
     stream = b"\xaa\x00\x32" + encode(Configure(0, 0, 0)).ljust(16, b"\0") + encode(Configure(1, 2, 255))
     for at in range(len(stream)):
         double.receive(stream[at : at + 1], 0)
-
     assert heard(double, 0) == [ConfigReply(0)] * 2
     assert (double.speed, double.filter) == (Speed.HZ_1000, Filter.HZ_150)
 
@@ -188,7 +177,6 @@ def test_every_kind_has_its_packet_and_its_scale(kind: Kind) -> None:
     double = OptoforceDouble(Sensors(kind, load(2.0, kind), report, noise_counts=0, offset_counts=0))
     configured(double, 0, 1)
     (reading,) = readings(heard(double, MS))
-
     assert reading.kind is kind
     assert reading.counts == ((200, 400, 800, 20, 40, 80)[: kind.axes],) * kind.channels
 
@@ -211,7 +199,6 @@ def test_what_is_not_kept_is_gone_after_switching_off() -> None:
     configured(double, 0, 1, zero=Zero.SET)
     double.due(500 * MS)
     double.power_up(SECOND)
-
     assert (double.speed, double.filter, double.zeroed) == (Speed.HZ_100, Filter.HZ_15, False)
     events = heard(double, 2 * SECOND)
     assert events[0].counter == 0
@@ -222,7 +209,6 @@ def test_a_slow_line_delays_and_loses_nothing() -> None:
     double = OptoforceDouble(Sensors(bytes_per_s=11520.0))
     configured(double, 0, 10)
     events = heard(double, SECOND)
-
     assert isinstance(events[0], ConfigReply)
     assert len(readings(events)) == 99  # the last one is still on the line
     assert len(double.due(SECOND + 2 * MS)) == 16
@@ -232,7 +218,6 @@ def test_a_serial_number_comes_among_readings() -> None:
     double = OptoforceDouble(Sensors(serial="ABC"))
     configured(double, 0, 1)
     double.receive(bytes.fromhex("ab 00 12 08 00 c5"), 3 * MS)
-
     assert SerialReply("ABC") in heard(double, 5 * MS)
 
 

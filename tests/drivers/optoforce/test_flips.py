@@ -39,7 +39,6 @@ def test_flips_of_two_bits_are_counted_as_brute_force_counts_them() -> None:
             damaged[place // 8] ^= 1 << place % 8
         passed += isinstance(next(decoder.feed(bytes(damaged) + BEHIND)), Reading)
         list(decoder.finish())
-
     assert count(packet, None)["2 bits flipped"].passed == passed
 
 
@@ -54,7 +53,6 @@ def test_flips_of_two_bits_by_hand(packet: bytes) -> None:
         ones = sum(value >> bit & 1 for value in body)
         expected += ones * (len(body) - ones)
         expected += ones if low >> bit & 1 else len(body) - ones
-
     assert count(packet, None)["2 bits flipped"].passed == expected
 
 
@@ -81,14 +79,12 @@ def test_changes_of_two_bytes_are_counted_as_brute_force_counts_them() -> None:
                 damaged[3], damaged[at] = header_byte, value
                 passed += isinstance(next(decoder.feed(bytes(damaged) + stream)), Reading)
                 list(decoder.finish())
-
     assert count(packet, None)["2 bytes changed"].passed == passed
 
 
 @pytest.mark.slow
 def test_the_published_counts_of_a_sensor_at_rest() -> None:
     found = count(bytes.fromhex(FROM_DAQ[3][0]), 16037)
-
     assert found == {
         "1 bit flipped": DamageCount(128),
         "2 bits flipped": DamageCount(8128, 234, by_status=49, by_counter=67, by_load=9, unseen=109),
@@ -114,13 +110,11 @@ def test_the_command_prints_a_table(monkeypatch, capsys, tmp_path) -> None:
     flips.main()
     printed = capsys.readouterr().out
     assert "| 2 bits flipped | 8128 | 234 (2.879%) | 49 | 67 | 9 | 109 |" in printed
-
     path = tmp_path / "some.bin"
     path.write_bytes(b"".join(EXAMPLES))
     monkeypatch.setattr("sys.argv", ["flips", "--file", str(path), "--readings", "2"])
     flips.main()
     assert capsys.readouterr().out == table([EXAMPLES[0], EXAMPLES[2]], 16037) + "\n"
-
     path.write_bytes(b"nothing")
     with pytest.raises(SystemExit, match="there are none"):
         flips.main()

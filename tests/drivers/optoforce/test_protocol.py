@@ -82,9 +82,7 @@ def test_a_packet_with_any_byte_changed_is_refused_and_the_next_comes_out(decode
 def test_a_header_within_a_bad_packet_starts_the_search_anew() -> None:
     inner = bytes.fromhex("aa 07 08 0a 04 d2 00 00 01 91 fe 6f 1f 53 04 0a")
     cut = bytes.fromhex("aa 07 08 0a 12 34")
-
     events = events_of(Decoder(), cut + inner + inner)
-
     assert [event.counter for event in events if isinstance(event, Reading)] == [1234, 1234]
     assert [event for event in events if isinstance(event, Skipped)] == [Skipped(6, "checksum")]
 
@@ -106,22 +104,18 @@ def test_a_torn_packet_waits_for_no_more_than_its_length() -> None:
     decoder = Decoder()
     four = bytes.fromhex(FROM_DAQ[5][0])
     one, reading = bytes.fromhex(FROM_DAQ[1][0]), FROM_DAQ[1][1]
-
     events = [event for _ in range(3) for event in decoder.feed(one if _ else four[:20])]
-
     assert [event for event in events if isinstance(event, Reading)] == [reading, reading]
 
 
 def test_zeros_that_fill_a_can_frame_belong_to_the_packet_before() -> None:
     stream = b"".join(bytes.fromhex(text).ljust(-(-len(bytes.fromhex(text)) // 8) * 8, b"\0") for text, _ in FROM_DAQ)
-
     assert events_of(Decoder(fill_to=8), stream) == [message for _, message in FROM_DAQ]
     assert sum(event.count for event in events_of(Decoder(), stream) if isinstance(event, Skipped)) == 1 + 6 + 2 + 2
 
 
 def test_zeros_that_fill_a_command_are_skipped() -> None:
     events = events_of(CommandDecoder(), bytes.fromhex(TO_DAQ[1][0]).ljust(16, b"\0") + bytes.fromhex(TO_DAQ[0][0]))
-
     assert events == [TO_DAQ[1][1], Skipped(7, "noise"), TO_DAQ[0][1]]
 
 
@@ -197,7 +191,6 @@ def test_what_fits_no_packet_is_refused(message) -> None:
 
 def test_a_recording_of_a_sensor_at_rest() -> None:
     events = events_of(Decoder(), CAPTURE_1000.read_bytes())
-
     assert events[0] == ConfigReply(0)
     readings = events[1:]
     assert all(isinstance(reading, Reading) for reading in readings)
@@ -210,7 +203,6 @@ def test_a_long_recording_is_whole(shared_data: Path) -> None:
     for piece in (None, 1000, 17):
         events = events_of(Decoder(), stream, piece)
         readings = [event for event in events if isinstance(event, Reading)]
-
         assert len(readings) == 10_000
         assert [reading.counter for reading in readings] == list(range(11626, 21626))
         assert {reading.status for reading in readings} == {0}
@@ -270,7 +262,6 @@ def test_anything_may_be_fed_and_what_is_behind_comes_out(pieces: list[bytes], p
         assert decoder.pending < longest
     before = len(events)
     events += decoder.feed(b"".join(tail))
-
     assert [event for event in events[before:] if event == FROM_DAQ[1][1]][-2:] == [FROM_DAQ[1][1]] * 2
     counted = sum(event.count if isinstance(event, Skipped) else len(encode(event)) for event in events)
     assert counted + decoder.pending == len(stream) + 16 * len(tail)
@@ -284,5 +275,4 @@ COUNTS = st.integers(-32768, 32767)
 def test_every_reading_survives_the_wire(kind: Kind, counter: int, status: int, data: st.DataObject) -> None:
     row = st.tuples(*[COUNTS] * kind.axes)
     reading = Reading(kind, counter, Status(status), data.draw(st.tuples(*[row] * kind.channels)))
-
     assert events_of(Decoder(), encode(reading)) == [reading]

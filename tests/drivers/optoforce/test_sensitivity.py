@@ -23,7 +23,6 @@ def measurement(kind: Kind, counts, per_count=None, offset=None) -> ForceMeasure
 )
 def test_counts_become_newtons_by_the_sensors_own_report(report, counts, force_n) -> None:
     measured = measurement(Kind.THREE_AXIS, (counts,), report.per_count[None])
-
     assert measured.force_n == pytest.approx(np.array([force_n]), abs=6e-4)
     assert measured.torque_nm is None
 
@@ -31,14 +30,12 @@ def test_counts_become_newtons_by_the_sensors_own_report(report, counts, force_n
 def test_torques_have_their_own_scale() -> None:
     report = Sensitivity((1000.0, 1000.0, 2000.0, 500.0, 500.0, 250.0), (100.0, 100.0, 400.0, 5.0, 5.0, 5.0))
     measured = measurement(Kind.SIX_AXIS, ((100, -100, 100, 50, -50, 50),), report.per_count[None])
-
     assert measured.force_n == pytest.approx(np.array([[10.0, -10.0, 20.0]]))
     assert measured.torque_nm == pytest.approx(np.array([[0.5, -0.5, 1.0]]))
 
 
 def test_without_a_report_there_are_counts_and_no_forces() -> None:
     measured = measurement(Kind.THREE_AXIS, ((1, 2, 3),))
-
     assert measured.counts == ((1, 2, 3),)
     with pytest.raises(DeviceError, match=r"a sensitivity report.*differs from sensor to sensor.*OptoforceConfig"):
         _ = measured.force_n
@@ -46,7 +43,6 @@ def test_without_a_report_there_are_counts_and_no_forces() -> None:
 
 def test_an_offset_is_taken_away() -> None:
     measured = measurement(Kind.THREE_AXIS, ((10, 20, 30),), np.ones((1, 3)), np.array([[1.5, 0.0, -1.0]]))
-
     assert measured.force_n == pytest.approx(np.array([[8.5, 20.0, 31.0]]))
 
 

@@ -23,7 +23,6 @@ def test_pictures_of_the_librarys_own_pipeline() -> None:
         pictures = camera.readings()
         seen = [pictures.get(PATIENCE_S) for _ in range(75)]
         health = camera.health()
-
     assert camera.identity().serial == "42"
     assert (camera.intrinsics.fx_px, camera.intrinsics.cy_px) == (60.0, 23.0)
     assert {picture.unit_m for picture in seen} == {0.001}
@@ -46,5 +45,4 @@ def test_pictures_of_the_librarys_own_pipeline() -> None:
 def test_what_the_library_refuses_is_said_in_our_words(keys: dict, kind: type[Exception], words: str) -> None:
     with pytest.raises(kind) as caught:
         Realsense(RealsenseConfig(**(SMALL | keys)), library=LIBRARY).open()
-
     assert words in str(caught.value)

@@ -59,7 +59,6 @@ def test_depth_is_in_metres_whatever_its_unit(cameras: Callable[..., None]) -> N
     """A wall at 0.6 m; a D435's 427.7 px at 848 px of width are 32.3 at 64."""
     with opened(replace(SMALL, unit_m=0.0001, preset="high_accuracy")) as camera:
         picture = camera.next(PATIENCE_S)
-
     assert picture.unit_m == 0.0001
     assert picture.depth.dtype == np.uint16
     assert abs(np.median(picture.depth) - 6000) < 5
@@ -105,7 +104,6 @@ def test_what_goes_wrong_while_it_streams_is_a_lost_link(
         lost = events.get(PATIENCE_S)
         cameras(ONE)
         camera.next(PATIENCE_S)
-
     assert lost.link is Link.LOST
     assert reason in lost.reason
 
@@ -123,7 +121,6 @@ def test_what_it_complains_of_is_a_remark(cameras: Callable[..., None]) -> None:
     with opened(replace(SMALL, fps=6)) as camera:
         wait_until(lambda: len(camera.remarks()) == 4)
         remarks = camera.remarks()
-
     assert [words.split(":")[0] for words in remarks] == [
         "it is on USB 2.1",
         "no time stamps of its own",
@@ -192,7 +189,6 @@ def test_what_cannot_be_opened_says_what_to_do(
     here(*there)
     with pytest.raises(DeviceError) as caught:
         RealsenseCamera(replace(ASKED, **asked), double)
-
     assert type(caught.value) is kind
     for part in words:
         assert part in str(caught.value)
@@ -206,7 +202,6 @@ def taken(camera: RealsenseCamera, count: int) -> list[reading.FrameMessage]:
 def test_a_unit_that_the_camera_rounds_is_taken_as_it_has_it(unit_m: float, here: Callable[..., None]) -> None:
     """It stores whole micrometres, cut off."""
     camera = RealsenseCamera(replace(ASKED, unit_m=unit_m), double)
-
     assert camera.words()["unit_m"] == pytest.approx(unit_m, abs=1.01e-6)
     (frame,) = taken(camera, 1)
     assert np.median(np.frombuffer(frame.depth, np.uint16)) * camera.words()["unit_m"] == pytest.approx(0.6, abs=1e-3)
@@ -217,7 +212,6 @@ def test_colour_of_the_same_moment_comes_with_depth_on_its_pixels(here: Callable
     here(replace(ONE, lens=(-0.0565, 0.0682, 0.0004, 0.0007, -0.0218)))
     camera = RealsenseCamera(replace(ASKED, color=True), double)
     (frame,) = taken(camera, 1)
-
     assert camera.words()["distortion"] == (-0.0565, 0.0682, 0.0004, 0.0007, -0.0218)
     assert (frame.color_width, frame.color_height) == (64, 48)
     assert tuple(frame.color[:3]) == (frame.index % 256, 100, 200)
@@ -226,7 +220,6 @@ def test_colour_of_the_same_moment_comes_with_depth_on_its_pixels(here: Callable
 def test_colour_of_another_moment_is_none(here: Callable[..., None]) -> None:
     here(replace(ONE, color_late_ms=5.1))  # half a period is 5 ms
     camera = RealsenseCamera(replace(ASKED, color=True), double)
-
     assert taken(camera, 1)[0].color == b""
 
 
@@ -234,14 +227,12 @@ def test_a_picture_that_the_library_hands_out_twice_comes_once(here: Callable[..
     here(replace(ONE, repeating=True))
     camera = RealsenseCamera(replace(ASKED, color=True), double)
     numbers = [frame.index for frame in taken(camera, 5)]
-
     assert len(set(numbers)) == 5
 
 
 def test_stamps_on_the_hosts_clock_where_they_are_asked_for(here: Callable[..., None]) -> None:
     here(replace(ONE, clock_us=10**15))
     camera = RealsenseCamera(replace(ASKED, global_time=True), double)
-
     assert taken(camera, 1)[0].timestamp_us > 10**15
 
 
@@ -254,14 +245,12 @@ def test_a_clock_that_begins_anew_goes_on(here: Callable[..., None]) -> None:
         ms = (first_us + 10_000 * index) % CLOCK_ROUND_US / 1e3
         frame = double.frame(b"", (0, 0), index, ms, double.timestamp_domain.hardware_clock)
         seen.append(camera._timestamp_us(frame, 10_000_000 * index))
-
     assert list(np.diff(seen)) == [10_000] * 5
 
 
 def test_a_host_that_stamps_in_the_cameras_place_gives_no_camera_time(here: Callable[..., None]) -> None:
     here(replace(ONE, metadata=False))
     camera = RealsenseCamera(ASKED, double)
-
     assert taken(camera, 1)[0].timestamp_us == reading.NO_TIME_US
 
 
@@ -276,7 +265,6 @@ def test_a_host_that_stamps_in_the_cameras_place_gives_no_camera_time(here: Call
 def test_what_a_rig_file_cannot_ask_for_is_refused(keys: dict[str, object], words: str) -> None:
     with pytest.raises(SettingsRefused) as caught:
         RealsenseConfig(**keys)
-
     assert words in str(caught.value)
 
 
@@ -286,7 +274,6 @@ def test_on_a_camera(color: bool) -> None:
     """The only camera of this machine, on USB 3."""
     with Realsense(RealsenseConfig(color=color)) as camera:
         pictures = [camera.next(5.0) for _ in range(60)]
-
     assert {picture.depth.shape for picture in pictures} == {(480, 848)}
     assert np.mean([(picture.depth > 0).mean() for picture in pictures]) > 0.1
     assert camera.remarks() == ()

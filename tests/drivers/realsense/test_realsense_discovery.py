@@ -29,7 +29,6 @@ def test_cameras_are_listed_by_their_serial_numbers(devices: Path) -> None:
     slow = ListedRealsense("1", "Intel RealSense D435", "5.16.0.1", "2.1")
     fast = ListedRealsense("2", "Intel RealSense D455", "5.16.0.1", "3.2")
     found = discover_realsense(devices, lambda: [slow, fast])
-
     assert [one.port for one in found] == ["serial 1", "serial 2"]
     assert found[0].note.startswith("USB 2.1, low rates only")
     assert found[1] == FoundDevice("realsense", "serial 2", "Intel RealSense D455", "2", "5.16.0.1", "USB 3.2")
@@ -37,7 +36,6 @@ def test_cameras_are_listed_by_their_serial_numbers(devices: Path) -> None:
 
 def test_without_the_library_the_kernels_list_says_what_to_install(devices: Path) -> None:
     found = discover_realsense(devices, lambda: None)
-
     assert [(one.port, one.name) for one in found] == [
         ("usb:1-2", "Intel RealSense D435"),
         ("usb:2-1", "Intel RealSense D455"),
@@ -48,7 +46,6 @@ def test_without_the_library_the_kernels_list_says_what_to_install(devices: Path
 
 def test_a_camera_that_the_library_does_not_see_wants_udev_rules(devices: Path) -> None:
     found = discover_realsense(devices, lambda: [ListedRealsense("2", "Intel RealSense D455")])
-
     assert len(found) == 3
     assert all("udev" in one.note for one in found[1:])
 
@@ -63,7 +60,6 @@ def test_nothing_is_asked_where_none_is_plugged_in(tmp_path: Path) -> None:
 def test_the_library_is_asked_in_a_process_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plug(tmp_path / "cameras.json", DoubleCamera(serial="7"), DoubleCamera(serial="8", hidden="no access"))
     monkeypatch.setenv(CAMERAS_FILE, str(tmp_path / "cameras.json"))
-
     first, second = list_by_librealsense(DOUBLE) or []
     assert (first.serial, first.usb, second.trouble) == ("7", "3.2", "no access")
     assert list_by_librealsense("no_such_library") is None

@@ -144,7 +144,6 @@ def test_opening_is_schunks_way(lab: Make) -> None:
     double = SdhDouble(firmware="0.0.2.15", serial_number="77")
     made = lab(double)
     about = made.hand.about
-
     assert (about.firmware, about.serial_number, about.binary) == ("0.0.2.15", "77", True)
     assert about.limits.velocity_max_deg_s[:2] == (80.0, 100.0)
     assert about.limits.acceleration_max_deg_s2 == (5000.0, 400.0, 1500.0, 400.0, 1500.0, 400.0, 1500.0)
@@ -155,7 +154,6 @@ def test_opening_is_schunks_way(lab: Make) -> None:
 def test_half_a_command_of_another_program_does_no_harm(lab: Make) -> None:
     double = SdhDouble()
     double.receive(b"p=1,2", 0)
-
     assert lab(double).hand.about.firmware == "0.0.3.2"
 
 
@@ -165,7 +163,6 @@ def test_the_protocol_follows_the_firmware(lab: Make, firmware: str, binary: boo
     chunks = made.hand.raw()
     made.hand.poll(1.0)
     sent = b"".join(chunk.data for chunk in chunks.take() if chunk.sent)
-
     assert made.hand.about.binary is binary
     assert (b"\x83" in sent) is binary
     assert (b"pos\r\n" in sent) is not binary
@@ -209,7 +206,6 @@ def test_readings_say_where_the_hand_is(lab: Make) -> None:
     double.place((10.0, -20.0, 30.0, -40.0, 50.0, -60.0, 70.0))
     made = lab(double)
     reading = made.hand.next(1.0)
-
     assert reading.position_deg == pytest.approx([10, -20, 30, -40, 50, -60, 70])
     assert reading.velocity_deg_s == pytest.approx([0] * 7)
     assert reading.state == (AxisState.DISABLED,) * 7
@@ -236,7 +232,6 @@ def test_the_rate_is_as_asked_up_to_what_the_line_has_room_for(lab: Make) -> Non
 def test_a_move_comes_to_its_targets(lab: Make, firmware: str) -> None:
     made = lab(SdhDouble(firmware=firmware))
     result = made.hand.move(POSE, velocity_deg_s=40.0)
-
     assert result.outcome is Outcome.REACHED
     assert result.duration_s == pytest.approx(1.0)  # sin²: 2 * 20 / 40
     assert 1.0 <= result.elapsed_s < 1.2
@@ -250,7 +245,6 @@ def test_a_ramp_and_speeds_by_axis(lab: Make) -> None:
     result = made.hand.move(
         [40.0] + [0.0] * 6, velocity_deg_s=[20.0] + [100.0] * 6, acceleration_deg_s2=100.0, profile=VelocityProfile.RAMP
     )
-
     assert result.duration_s == pytest.approx(40 / 20 + 20 / 100)
     assert result.outcome is Outcome.REACHED
 
@@ -260,7 +254,6 @@ def test_some_axes_move_and_the_others_stay(lab: Make) -> None:
     double.place((0.0, 90.3, 0.0, -5.0, 0.0, 0.0, 0.0))  # angles are reported up to half a degree beyond the range
     made = lab(double)
     result = made.hand.move({2: 15.0, 6: -15.0})
-
     assert result.outcome is Outcome.REACHED
     assert made.position_deg() == pytest.approx((0, 90.0, 15, -5, 0, 0, -15))
 
@@ -270,7 +263,6 @@ def test_a_blocked_axis_is_reported(lab: Make) -> None:
     made.double.obstruct(1, low_deg=-8.0)
     made.double.obstruct(2, high_deg=12.0)
     result = made.hand.move(POSE)
-
     assert result.outcome is Outcome.BLOCKED
     assert result.blocked == (1, 2)
     assert result.error_deg == pytest.approx(12.0)
@@ -283,7 +275,6 @@ def test_a_blocked_axis_is_reported(lab: Make) -> None:
 
 def test_idle_is_not_believed_too_soon(lab: Make) -> None:
     made = lab(SdhDouble(state_lag_s=0.4))
-
     assert made.hand.move(POSE).elapsed_s >= 1.0
     assert made.position_deg() == tuple(POSE)
     assert 0.5 <= made.hand.move(POSE).elapsed_s < 0.7  # nothing to do: believed after IPA's half second
@@ -297,7 +288,6 @@ def test_stop_half_way(lab: Make) -> None:
     made.run(2.0)
     report = made.hand.stop()
     result = made.hand.wait_until_still(2.0)
-
     assert report.grip_left_s == 0.0
     assert result.outcome is Outcome.REACHED
     assert made.position_deg()[1] == pytest.approx(40 + 40**2 / 200, abs=2.0)  # slowed down by 100 deg/s²
@@ -306,7 +296,6 @@ def test_stop_half_way(lab: Make) -> None:
 def test_what_takes_too_long_is_stopped(lab: Make) -> None:
     made = lab()
     result = made.hand.move([0.0, 80.0, 0, 0, 0, 0, 0], timeout_s=2.0)
-
     assert result.outcome is Outcome.TIMED_OUT
     assert result.error_deg > 20
     assert not made.double.motion.moving
@@ -323,14 +312,12 @@ def test_ctrl_c_stops_the_hand(lab: Make, monkeypatch: pytest.MonkeyPatch) -> No
     with pytest.raises(KeyboardInterrupt):
         made.hand.move({1: 80.0})
     made.run(1.0)
-
     assert not made.double.motion.moving
     assert made.position_deg()[1] < 20.0
 
 
 def test_a_slow_rate_is_given_its_time(lab: Make) -> None:
     made = lab(rate_hz=0.5)
-
     assert made.hand.move(POSE).outcome is Outcome.REACHED
 
 
@@ -340,7 +327,6 @@ def test_a_move_that_misses_says_so(lab: Make) -> None:
     made.run(1.0)
     made.double.motion.power(1, False)  # something else switches the axis off
     result = made.hand.wait_until_still(5.0)
-
     assert result.disabled == (1,)
 
 
@@ -350,7 +336,6 @@ def test_grips(lab: Make) -> None:
     assert selected.outcome is Outcome.REACHED
     assert selected.duration_s == pytest.approx(3.0)  # 60 deg at 40 deg/s
     result = made.hand.grip(1.0, 100.0)
-
     assert result.outcome is Outcome.REACHED
     assert made.position_deg() == pytest.approx((60, -15, 55, -15, 55, -15, 55))
     made.double.obstruct(3, low_deg=-25.0)
@@ -363,7 +348,6 @@ def test_a_grip_is_not_stopped_and_that_is_reported(lab: Make) -> None:
     made.hand.grip(0.0, 50.0, wait=False)  # 75 deg: 3 s
     made.run(1.0)
     report = made.hand.stop()
-
     assert report.grip_left_s == pytest.approx(2.0, abs=0.1)
     with pytest.raises(SettingsRefused, match="power"):
         made.hand.power(False)
@@ -376,7 +360,6 @@ def test_old_firmware_answers_a_grip_when_it_is_done(lab: Make) -> None:
     made = lab(SdhDouble(firmware="0.0.2.10"))
     made.hand.select_grip(Grasp.PARALLEL)
     result = made.hand.grip(0.1, 40.0)
-
     assert result.duration_s is None
     assert result.outcome is Outcome.REACHED
     assert made.position_deg() == pytest.approx((0, -66.8, 66.8, -66.8, 66.8, -66.8, 66.8))
@@ -396,7 +379,6 @@ def test_a_velocity_goes_on_while_it_is_called_for(lab: Make) -> None:
     made.run(0.2)
     held = made.position_deg()
     made.run(1.0)
-
     assert made.position_deg() == held
     assert held[1] - driven[1] < 30 * 0.15
     assert made.hand.latest(0.1).state[1] is AxisState.IDLE
@@ -410,7 +392,6 @@ def test_a_velocity_with_ramp_and_stop(lab: Make) -> None:
     assert made.hand.latest(0.1).velocity_deg_s[1] == pytest.approx(32.0, abs=3.0)
     made.hand.stop()
     made.run(1.0)
-
     assert made.hand.latest(0.1).velocity_deg_s[1] == 0.0
     assert 5.0 < made.position_deg()[1] < 20.0
 
@@ -426,7 +407,6 @@ def test_an_axis_driven_to_the_end_of_its_range_says_so(lab: Make) -> None:
     for _ in range(8):
         made.hand.drive([0, 20.0, 0, 0, 0, 0, 0])
         made.run(0.1)
-
     assert made.hand.latest(0.1).state[1] is AxisState.LIMITS_REACHED
     assert made.position_deg()[1] == 90.0
 
@@ -440,7 +420,6 @@ def test_power_and_currents(lab: Make) -> None:
     assert made.hand.powered() == (True,) + (False,) * 6
     made.hand.set_current_limits(0.25)
     made.hand.set_current_limits([0.1] * 7, CurrentMode.HOLD)
-
     assert made.hand.current_limits_a() == pytest.approx((0.25,) * 7)
     assert made.hand.current_limits_a(CurrentMode.HOLD) == pytest.approx((0.1,) * 7)
     assert made.hand.current_limits_a(CurrentMode.GRIP) == pytest.approx((1.0, *[0.5] * 6))
@@ -454,14 +433,12 @@ def test_a_velocity_switches_axes_on_again(lab: Make) -> None:
     made.hand.drive([0, 20.0, 0, 0, 0, 0, 0], keep_s=0.5)
     before = made.position_deg()[1]
     made.run(0.4)
-
     assert made.position_deg()[1] > before + 5.0
 
 
 def test_reference(lab: Make) -> None:
     made = lab()
     made.hand.reference({0: Toward.POSITIVE})
-
     assert made.position_deg()[0] == 90.0
     assert made.clock() > 7.2e9
 
@@ -473,7 +450,6 @@ def test_closing_switches_off_what_was_switched_on(lab: Make, leave_powered: boo
     made.run(0.5)
     made.hand.close()
     made.double.position_deg(made.clock() + 5_000_000_000)
-
     assert made.double.motion.axes[1].state is expected
     assert made.position_deg()[1] < 30.0
 
@@ -484,7 +460,6 @@ def test_closing_leaves_a_hand_alone_that_was_only_watched(lab: Make) -> None:
         made.double.motion.power(axis, True)
     made.run(0.2)
     made.hand.close()
-
     assert all(axis.powered for axis in made.double.motion.axes)
 
 
@@ -567,7 +542,6 @@ def test_debug_lines_and_noise_are_overheard(lab: Make) -> None:
     made.double.say(b"@something to tell\r\n\x00\xffPOS=1,2\r\n", made.clock())
     made.run(0.5)
     health = made.hand.health()
-
     assert health.received > 30
     assert health.refused == {"count": 1}
     assert health.skipped_bytes >= 9
@@ -582,7 +556,6 @@ def test_an_answer_that_makes_no_reading_is_counted_and_the_next_one_comes(lab: 
     made.run(0.1)
     refused = made.hand.health().refused
     made.double.motion.axes[2].state = AxisState.IDLE
-
     assert refused["error 6 (TIMEOUT)"] == 1
     assert refused["state"] >= 5
     made.hand.next(0.1)
@@ -595,7 +568,6 @@ def test_a_velocity_that_the_hand_will_not_end_is_ended_by_stop(lab: Make) -> No
         made.hand.poll(0.001)
     made.double.refuse_next(24)
     made.run(1.0)
-
     assert not made.double.motion.moving
 
 
@@ -614,7 +586,6 @@ def test_readings_over_a_bad_line_are_right_or_asked_again(lab: Make) -> None:
                 seen += 1
         except LinkLost:
             lost += 1
-
     assert seen > 100
     assert made.hand.health().extra["retries"] > 5
     assert sum(faulty.counts.values()) > 20
@@ -648,7 +619,6 @@ def test_a_lost_link_ends_the_wait_and_the_motion() -> None:
         double.silent = False
         assert events.get(PATIENCE_S).link is Link.CONNECTED
         wait_until(lambda: hand.next(PATIENCE_S).state[1] is AxisState.IDLE)
-
         assert isinstance(ended[0], LinkLost)
         assert hand.health().extra["stopped_after_reconnect"] == 1
         assert hand.health().reconnects == 1
@@ -664,7 +634,6 @@ def test_stop_from_another_thread_ends_a_move() -> None:
         wait_until(lambda: hand.next(PATIENCE_S).state[1] is AxisState.POSITIONING)
         hand.stop()
         mover.join(PATIENCE_S)
-
     assert results[0].outcome is Outcome.STOPPED
     assert 0.0 < results[0].reading.position_deg[1] < 60.0
 
@@ -686,7 +655,6 @@ def test_closing_does_not_wait_for_a_long_answer() -> None:
         wait_until(lambda: double.motion.moving)
         hand.close()
         caller.join(PATIENCE_S)
-
         assert not hand.is_open
         assert isinstance(errors[0], NoReply)
         assert double.motion.moving

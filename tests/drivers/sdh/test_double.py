@@ -74,7 +74,6 @@ def test_a_move_by_text(talk: Talk) -> None:
 def test_a_move_in_binary(talk: Talk) -> None:
     talk.ask(Command("p", (0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0)))
     talk("m", 1.0)
-
     reading = talk.ask(Command("pos"))
     assert isinstance(reading, Reading)
     assert reading.values == (0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0)
@@ -115,7 +114,6 @@ def test_old_firmware_talks_more_and_tells_less() -> None:
     talk("p(1)=45.06")
     talk("v(1)=20")
     plan = b"@max distance=45.06, T=4.51s, num_points: 451\r\n"
-
     assert talk("get_duration") == plan + b"GET_DURATION=4.51\r\n"
     assert talk("m") == b"@Enabling all axis\r\n" + plan + b"m\r\n"
     talk.run(5.0)
@@ -134,7 +132,6 @@ def test_old_firmware_talks_more_and_tells_less() -> None:
 )
 def test_what_older_firmware_does_not_know(firmware: str, unknown: tuple[str, ...]) -> None:
     talk = Talk(SdhDouble(firmware=firmware))
-
     assert [line for line in ("vlim", "alim", "con", "rvel", "vel") if talk(line) == b"E13\r\n"] == list(unknown)
 
 
@@ -183,7 +180,6 @@ def test_serial_has_a_pace_and_can_none() -> None:
     request = {True: encode(Command("pos"), binary_checksum=True), False: encode(Command("pos"), binary_checksum=False)}
     serial.double.receive(request[True], 0)
     can.double.receive(request[False], 0)
-
     assert len(can.double.due(0)) == 32
     early = serial.double.due(2 * MS)
     assert len(early) == 18  # 5 bytes there take 0.43 ms, and each of the 34 back 0.087 ms
@@ -197,7 +193,6 @@ def test_power_up_forgets_settings_and_keeps_angles(talk: Talk) -> None:
     talk("vp=1")
     talk("m", 2.0)
     talk.double.power_up(talk.now_ns)
-
     assert talk("vp") == b"VP=0\r\n"
     assert talk("p(1)") == b"P(1)=0.00\r\n"
     assert talk("pos(1)") == b"POS(1)=20.00\r\n"

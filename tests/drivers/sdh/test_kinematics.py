@@ -12,7 +12,6 @@ angles = st.tuples(st.floats(0, 90), *[st.floats(-90, 90)] * 6)
 
 def test_straight_up() -> None:
     tips_mm = fingertips((0.0,) * 7) * 1e3
-
     assert tips_mm == pytest.approx(
         np.array([[33.0, 19.0526, 172.0], [0.0, -38.1051, 172.0], [-33.0, 19.0526, 172.0]]), abs=1e-3
     )
@@ -21,7 +20,6 @@ def test_straight_up() -> None:
 def test_bent_at_right_angles_the_fingers_lie_over_the_palm() -> None:
     """Proximal 90: both links lie flat, 155 mm towards the other side, 17 mm up."""
     tips_mm = fingertips((0.0, 90, 0, 90, 0, 90, 0)) * 1e3
-
     assert tips_mm == pytest.approx(
         np.array([[33.0, 19.0526 - 155, 17.0], [0.0, -38.1051 + 155, 17.0], [-33.0, 19.0526 - 155, 17.0]]), abs=1e-3
     )
@@ -31,7 +29,6 @@ def test_turned_by_60_deg_three_fingers_close_on_the_middle() -> None:
     """At 60 deg all fingers bend towards the centre of the triangle: a threefold symmetry about z."""
     tips = fingertips((60.0, 20, 10, 20, 10, 20, 10))
     radii = np.hypot(tips[:, 0], tips[:, 1])
-
     assert radii == pytest.approx([radii[0]] * 3)
     assert tips[:, 2] == pytest.approx([tips[0, 2]] * 3)
     assert radii[0] < 0.0382  # leaning inwards
@@ -41,7 +38,6 @@ def test_turned_by_60_deg_three_fingers_close_on_the_middle() -> None:
 
 def test_turned_by_90_deg_fingers_0_and_2_face_each_other() -> None:
     tips = fingertips((90.0, 10, 0, 0, 0, 10, 0))
-
     assert tips[0, 1] == pytest.approx(tips[2, 1])
     assert tips[0, 0] == pytest.approx(-tips[2, 0])
     assert tips[0, 0] < 0.033
@@ -53,7 +49,6 @@ def test_links_keep_their_lengths(position_deg: tuple[float, ...]) -> None:
     for finger in range(3):
         points = finger_points(position_deg, finger)
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-
         assert lengths == pytest.approx([0.0865, 0.0685])
 
 

@@ -32,7 +32,6 @@ def targets(**by_axis: float) -> list[float | None]:
 @pytest.mark.parametrize(("distance", "velocity", "duration_s"), [(8.31, 40.0, 0.42), (45.06, 20.0, 4.51), (20, 40, 1)])
 def test_sin_square_takes_twice_the_way_over_the_velocity(distance: float, velocity: float, duration_s: float) -> None:
     moved = motion()
-
     assert moved.start(targets(axis1=distance), [velocity] * 7) == pytest.approx(duration_s)
     run(moved, duration_s / 2)
     assert moved.axes[1].position_deg == pytest.approx(distance / 2, rel=0.02)
@@ -53,7 +52,6 @@ def test_sin_square_takes_twice_the_way_over_the_velocity(distance: float, veloc
 def test_ramp_speeds_up_goes_on_and_slows_down(distance: float, duration_s: float) -> None:
     moved = motion()
     moved.profile = VelocityProfile.RAMP
-
     assert moved.start(targets(axis2=distance), [40.0] * 7) == pytest.approx(duration_s)
     run(moved, 0.1)
     assert moved.axes[2].position_deg == pytest.approx(100 * 0.1**2 / 2)
@@ -65,7 +63,6 @@ def test_ramp_speeds_up_goes_on_and_slows_down(distance: float, duration_s: floa
 
 def test_all_axes_start_and_end_together() -> None:
     moved = motion()
-
     assert moved.start([10.0, -40.0, 20.0, 0.0, 5.0, -5.0, 0.5], [40.0] * 7) == pytest.approx(2.0)
     run(moved, 1.0)
     assert [axis.position_deg for axis in moved.axes] == pytest.approx([5, -20, 10, 0, 2.5, -2.5, 0.25])
@@ -83,7 +80,6 @@ def test_stop_slows_down_by_the_acceleration() -> None:
     run(moved, 2.2)
     assert moved.axes[1].velocity_deg_s == pytest.approx(20.0, rel=0.02)
     run(moved, 3.0)
-
     assert moved.axes[1].position_deg == pytest.approx(40 + 40**2 / (2 * 100), rel=0.01)
     assert moved.axes[1].state is AxisState.IDLE
 
@@ -99,7 +95,6 @@ def test_an_obstacle_holds_one_axis_and_lets_the_others_go_on(target: float, wal
         moved.axes[1].obstacle_low_deg = wall
     moved.start(targets(axis1=float(target), axis2=20.0), [40.0] * 7)
     run(moved, 5.0)
-
     assert moved.axes[1].position_deg == wall
     assert moved.axes[1].state is state
     assert moved.axes[2].position_deg == 20.0
@@ -148,7 +143,6 @@ def test_axes_that_are_off_do_not_move() -> None:
     moved.power(4, False)
     moved.start([10.0] * 7, [40.0] * 7)
     run(moved, 2.0)
-
     assert moved.axes[4].position_deg == 0.0
     assert moved.axes[4].state is AxisState.DISABLED
     assert moved.axes[3].position_deg == 10.0
@@ -161,7 +155,6 @@ def test_motors_warm_up_slowly_and_most_where_they_are_blocked() -> None:
     run(moved, 5.0)
     after = [axis.temperature_c for axis in moved.axes]
     run(moved, 605.0)  # a time constant further, in one step
-
     assert all(AMBIENT_C < temperature < AMBIENT_C + 0.5 for temperature in after[1:])
     assert moved.axes[1].temperature_c == pytest.approx(AMBIENT_C + 30 * 0.5**2 * (1 - math.exp(-1)), abs=0.2)
     assert moved.axes[2].temperature_c < AMBIENT_C + 1
@@ -201,7 +194,6 @@ def test_an_axis_presses_something_soft_as_far_as_its_current_lets_it() -> None:
     assert moved.axes[1].velocity_deg_s == 0.0
     assert moved.axes[5].position_deg == 40.0
     assert moved.axes[5].state is AxisState.IDLE
-
     for axis in moved.axes:
         axis.move_current_a = 0.2
     run(moved, 3.2)  # it goes on, at no more than its set speed

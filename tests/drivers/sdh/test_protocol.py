@@ -158,7 +158,6 @@ def test_binary_replies() -> None:
 def test_a_binary_refusal_names_its_command() -> None:
     # P refused with 24: status in the fourth byte; the values mean nothing then.
     message = bytes.fromhex(f"85 1e 07 18 {'00' * 28}")
-
     assert list(Decoder().feed(message)) == [ErrorReply(24, "p")]
 
 
@@ -191,7 +190,6 @@ def test_whole_one_byte_at_a_time_and_merged() -> None:
     stream = b"".join(data for _, data in STREAM)
     expected = [event for event, _ in STREAM]
     decoder = Decoder()
-
     assert list(decoder.feed(stream)) == expected
     assert [event for byte in stream for event in decoder.feed(bytes([byte]))] == expected
     assert decoder.pending == 0
@@ -202,7 +200,6 @@ def test_whole_one_byte_at_a_time_and_merged() -> None:
 def test_junk_before_between_and_after(junk: bytes, size: int) -> None:
     stream = junk + b"".join(data + junk for _, data in STREAM)
     decoded = decode(stream, [size])
-
     assert good(decoded) == [event for event, _ in STREAM]
     assert skipped_bytes(decoded) > 0
 
@@ -239,7 +236,6 @@ def test_a_damaged_line_is_not_a_shorter_one() -> None:
 )
 def test_what_is_refused_and_why(line: bytes, reason: str) -> None:
     decoded = decode(line)
-
     assert reason in [event.reason for event in decoded if isinstance(event, Skipped)]
     assert good(decoded) == []
     assert skipped_bytes(decoded) == len(line)
@@ -277,7 +273,6 @@ PIECES = st.lists(
 def test_events_do_not_depend_on_how_the_stream_is_cut(pieces: list[bytes], sizes: list[int]) -> None:
     stream = b"".join(pieces)
     whole, cut = decode(stream), decode(stream, sizes)
-
     assert good(cut) == good(whole)
     assert skipped_bytes(cut) == skipped_bytes(whole) <= len(stream)
     reasons = [[e.reason for e in events if isinstance(e, Skipped) and e.reason != "noise"] for events in (whole, cut)]
@@ -328,7 +323,6 @@ def test_double_flips_of_a_checksummed_reply_are_counted() -> None:
                     passed["plausible"] += 1
                     worst = max(abs(a - b) for a, b in zip(events[0].values, POS_VALUES, strict=True))
                     passed["plausible and wrong by more than 0.5 deg"] += worst > 0.5
-
     assert math.comb(8 * len(reply), 2) == 36856
     assert passed == DOUBLE_FLIPS
 
@@ -346,7 +340,6 @@ def test_what_flips_do_to_a_reply_without_checksum() -> None:
     """On CAN the bus has its own checksum; the message has none. So what is counted is what its form gives away."""
     reply = bytes.fromhex(POS_REPLY_CAN)
     refused = sum(not good(decode(flips(reply, bit))) for bit in range(8 * len(reply)))
-
     assert refused == SINGLE_FLIPS_REFUSED_ON_CAN
 
 
@@ -381,7 +374,6 @@ def fuzz(size: int, seed: int) -> tuple[int, int]:
 
 def test_fuzz_a_little() -> None:
     skipped, found = fuzz(1_000_000, seed=5)
-
     assert skipped > 100_000
     assert found > 500
 
@@ -389,7 +381,6 @@ def test_fuzz_a_little() -> None:
 @pytest.mark.slow
 def test_fuzz_a_hundred_million_bytes() -> None:
     skipped, found = fuzz(100_000_000, seed=6)
-
     assert skipped > 10_000_000
     assert found > 50_000
 
@@ -399,5 +390,4 @@ def test_fuzz_a_hundred_million_bytes() -> None:
 def test_a_hand_survives_what_a_host_sends(data: bytes) -> None:
     decoder = CommandDecoder()
     events = [*decoder.feed(data), *decoder.finish()]
-
     assert sum(event.count for event in events if isinstance(event, Skipped)) <= len(data)

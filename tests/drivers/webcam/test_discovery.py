@@ -46,7 +46,6 @@ def machine(tmp_path: Path) -> Path:
 def test_cameras_are_reported_by_their_stable_names(machine: Path) -> None:
     link = machine / "dev/v4l/by-id/usb-046d_HD_Pro_Webcam_C920_9D5B0A6F-video-index0"
     name, note = "HD Pro Webcam C920", f"{machine}/dev/video0, usb 046d:082d"
-
     assert discover(machine / "sys", machine / "dev") == [
         FoundDevice("webcam", str(link), name, "9D5B0A6F", "0.11", note),
         FoundDevice("webcam", str(machine / "dev/video10"), "Dummy video device"),

@@ -68,7 +68,6 @@ class TestAsFastAsRead(DeviceContract):
         slow = device.readings(capacity=4)
         wait_until(lambda: len(slow) == 4)
         quick = device.readings()
-
         assert [index_of(slow.get(5.0)) for _ in range(20)] == [index % COUNT for index in range(20)]
         assert slow.dropped == quick.dropped == device.health().dropped == 0
 
@@ -87,7 +86,6 @@ def test_the_file_tells_the_rate_and_the_times(video: Path, folder: Path) -> Non
     with VideoFile(video, real_time=False) as device:
         assert device.fps == pytest.approx(25.0)
         ticks = [image.stamp.device_ticks for image in device]
-
         assert ticks == [40_000 * index for index in range(COUNT)]
     with ImageFolder(folder, real_time=False) as device:
         assert device.fps == 30.0
@@ -97,7 +95,6 @@ def test_a_loop_begins_again_and_its_times_go_on(folder: Path) -> None:
     device = ImageFolder(folder, fps=100.0, real_time=False, loop=True).open(own_thread=False)
     images = [image for _ in range(30) for image in device.poll()]
     device.close()
-
     assert [index_of(image) for image in images] == [index % COUNT for index in range(30)]
     assert [image.stamp.device_ticks for image in images] == [10_000 * index for index in range(30)]
 
@@ -110,7 +107,6 @@ def test_in_real_time_pictures_keep_to_their_moments(video: Path) -> None:
     while device.link is Link.CONNECTED:
         stamps += [image.stamp.host_ns for image in device.poll(0.05)]
     device.close()
-
     assert stamps == [1_000 + 40_000_000 * index for index in range(COUNT)]
 
 

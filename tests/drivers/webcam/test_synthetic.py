@@ -27,7 +27,6 @@ def test_a_scene_is_seen_at_its_times() -> None:
     camera = SyntheticCamera(scene, SyntheticCameraConfig(rate_hz=100.0), clock=clock).open(own_thread=False)
     images = [image for _ in range(10) for image in camera.poll(0.01)]
     camera.close()
-
     assert [int(image.image[0, 0, 0]) for image in images[:5]] == [0, 1, 2, 3, 4]
     assert [image.stamp.device_ticks for image in images[:3]] == [0, 10_000, 20_000]
     assert [image.stamp.host_ns for image in images[:3]] == [5_000_000, 15_000_000, 25_000_000]
@@ -43,7 +42,6 @@ def test_noise_is_the_same_under_the_same_seed() -> None:
         return np.stack(images)
 
     first = pictures(1)
-
     np.testing.assert_array_equal(first, pictures(1))
     assert (first != pictures(2)).any()
     assert first.std() == pytest.approx(3.0, rel=0.05)

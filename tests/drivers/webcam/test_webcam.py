@@ -46,7 +46,6 @@ class TestWebcam(DeviceContract):
 def test_an_image_carries_its_arrival_and_the_cameras_own_time(camera: FakeCamera) -> None:
     with webcam(camera) as device:
         image = device.next(5.0)
-
     assert image.image.shape == (48, 64, 3)
     assert image.image.dtype == np.uint8
     assert image.stamp.device_ticks is not None
@@ -56,7 +55,6 @@ def test_an_image_carries_its_arrival_and_the_cameras_own_time(camera: FakeCamer
 def test_the_format_is_set_first_then_the_size_then_the_rate(camera: FakeCamera) -> None:
     with webcam(camera):
         pass
-
     assert camera.asked[:4] == [Setting.FOURCC, Setting.WIDTH, Setting.HEIGHT, Setting.FPS]
     assert camera.controls[Setting.AUTOFOCUS] == 0.0
 
@@ -65,7 +63,6 @@ def test_controls_are_made_manual_before_they_are_set(camera: FakeCamera) -> Non
     config = dataclasses.replace(SMALL, exposure_s=0.01, gain=12.0, white_balance_k=4600.0)
     with webcam(camera, config):
         pass
-
     assert camera.controls[Setting.AUTO_EXPOSURE] == 1.0
     assert camera.controls[Setting.EXPOSURE] == 100.0  # in 100 us
     assert camera.controls[Setting.AUTO_WHITE_BALANCE] == 0.0
@@ -89,7 +86,6 @@ def test_a_setting_that_was_not_applied_is_refused(
     device = webcam(camera, config)
     with pytest.raises(SettingsRefused) as caught:
         device.open()
-
     assert f"expected {asked}" in str(caught.value)
     assert f"got {came}" in str(caught.value)
     assert str(caught.value).endswith("/dev/video0")
@@ -179,7 +175,6 @@ def test_the_cameras_clock_is_fitted_to_the_hosts(camera: FakeCamera) -> None:
         while relation is None:
             device.next(5.0)
             relation = device.health().clock
-
     assert relation.tick_ns == pytest.approx(1000.0, rel=0.01)
 
 
@@ -200,7 +195,6 @@ def test_a_camera_is_found_again_by_its_stable_name(camera: FakeCamera, tmp_path
         wait_until(lambda: device.link is Link.LOST)
         camera.plugged = True
         wait_until(lambda: device.link is Link.CONNECTED)
-
     assert set(camera.paths) == {str(link)}
 
 
@@ -256,7 +250,6 @@ def waiting(path: Path, outcome) -> OpencvCapture:
 def test_what_opencv_says_of_a_wait(tmp_path: Path) -> None:
     node = tmp_path / "video0"
     node.touch()
-
     assert waiting(node, (True, [0])).wait(0.0)
     assert not waiting(node, (False, [])).wait(0.05)
     with pytest.raises(LinkLost, match="unplugged, or its driver failed"):
@@ -280,7 +273,6 @@ def test_waiting_is_asked_of_opencv_as_it_is_called(tmp_path: Path) -> None:
         capture.wait(0.05)
     image = capture._capture.grab() and capture.retrieve()
     capture.close()
-
     assert "supported by V4L backend only" in str(caught.value.__cause__)
     assert image.shape == (48, 64, 3)
 
@@ -290,5 +282,4 @@ def test_on_a_camera() -> None:
     """The first camera of this machine, at a size that every camera has."""
     with Webcam(WebcamConfig(fourcc="YUYV")) as camera:
         images = [camera.next(5.0) for _ in range(30)]
-
     assert {image.image.shape for image in images} == {(480, 640, 3)}

@@ -114,7 +114,6 @@ def test_a_touch_tells_stiffness_and_the_map_its_place(two: Explored) -> None:
     scene = built_in("two-60-150", 0)
     stiff = [one for one in told if scene.modulus_pa(one.xyz_m[:2]) > 60e3]  # type: ignore[attr-defined]
     soft = [one for one in told if one not in stiff]
-
     assert len(told) == 4
     assert stiff
     assert soft
@@ -205,7 +204,6 @@ def test_a_surface_is_known_as_well_as_touches_met_it() -> None:
         along = np.column_stack([np.zeros((130, 2)), force])
         explorer.touch(TouchMeasurement(np.array([0.2, 0.2]), up, np.arange(130) * 0.01, position, along, none, True))
         known_m.append(explorer.known_m(there))
-
     assert 0.0 < known_m[0] < 0.003
     assert known_m[1] == pytest.approx(known_m[0] + 0.004, abs=5e-4)
 
@@ -232,14 +230,12 @@ def test_results_of_a_touch_say_which_and_when_its_dent_was_seen(monkeypatch: py
 def test_the_surface_is_seen_where_it_is(two: Explored) -> None:
     (seen,) = of(SurfaceEstimate, two[1])
     scene = built_in("two-60-150", 0)
-
     assert np.abs(seen.height_m - scene.height_m(scene.cells_m())).max() < 5e-4  # type: ignore[attr-defined]
 
 
 def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: Explored) -> None:
     _, moments = two
     plans = of(PlannedTouch, moments)
-
     assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
     assert plans[-1].target_m is None  # type: ignore[attr-defined]
     assert all(plan.reason for plan in plans)  # type: ignore[attr-defined]
@@ -251,7 +247,6 @@ def test_it_stops_for_a_reason_and_says_why_it_goes_where(two: Explored) -> None
 @pytest.mark.slow  # twice what others do once; replay proves the same
 def test_the_same_seed_gives_the_same_map(two: Explored) -> None:
     _, again = explored("two-60-150", budget=4)
-
     assert all(same(a, b) for a, b in zip(of(MapEstimate, two[1]), of(MapEstimate, again), strict=True))
 
 
@@ -267,7 +262,6 @@ def test_what_was_recorded_gives_the_same_results_to_the_last_bit(two: Explored)
     robot = RecordedRobot(list(given))
     robot.reachable = LabRobot(scene, before.options).reachable  # type: ignore[attr-defined]
     _, _, made = carried_out(robot, before.options, Truth(scene.regions), before._arm)
-
     assert len(given) == 5
     kinds = (SurfaceEstimate, PlannedTouch, TouchEstimate, MapEstimate)
     first = [one for one in moments if isinstance(one, kinds)]
@@ -299,9 +293,7 @@ def test_a_place_without_a_way_is_left_out_before_it_is_tried(monkeypatch: pytes
 
 def test_a_recording_that_ends_early_ends_it_in_order(two: Explored) -> None:
     looked = next(one for one in two[1] if isinstance(one, SurfaceMeasurement))
-
     _, found, moments = carried_out(RecordedRobot([looked]), ExploreOptions(beta_model="none"))
-
     assert found.stop.kind == "recording at its end"
     *_, (_, (phase, stop)) = moments
     assert isinstance(phase, PhaseStart)
@@ -317,7 +309,6 @@ def test_a_process_that_ends_is_a_reason_to_stop() -> None:
     robot, found = LabRobot(built_in("two-60-150", 0), ExploreOptions()), Exploration()
     stage = lambda name, *inputs: Compute(broken, (name, *inputs))  # noqa: E731
     run([], explore(lambda: 9, stage, found), Results(), AtOnce(robot))
-
     assert "the process that computes has ended" in found.stop.reason
     assert found.stop_ns == 9
 
@@ -325,7 +316,6 @@ def test_a_process_that_ends_is_a_reason_to_stop() -> None:
 def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
     _, moments = explored("homogeneous-60", budget=1, beta_model="volume")
     told = of(TouchEstimate, moments)
-
     assert all(one.beta_verdict for one in told)  # type: ignore[attr-defined]
     fitted = [one for one in told if one.beta is not None]  # type: ignore[attr-defined]
     assert fitted
@@ -338,7 +328,6 @@ def test_beta_comes_with_a_verdict_and_the_maps_with_its_field() -> None:
 def test_the_thesis_way_says_what_its_trend_is() -> None:
     _, moments = explored("homogeneous-60", budget=1, beta_model="thesis")
     (told,) = of(TouchEstimate, moments)
-
     assert told.beta is not None  # type: ignore[attr-defined]
     assert "contact patch" in told.beta_verdict  # type: ignore[attr-defined]
 
@@ -350,7 +339,6 @@ def test_chapter_4_starts_at_its_place_ends_by_its_variance_and_cuts_along_isopl
     touches = [one for one in moments if isinstance(one, TouchEstimate)]
     maps = [one for one in moments if isinstance(one, MapEstimate)]
     plans = [one for one in moments if isinstance(one, PlannedTouch)]
-
     assert plans[0].target_m == pytest.approx([0.15, 0.2])
     assert plans[-1].stop_reason == "nothing above the threshold"
     assert 3 <= len(touches) <= 6
@@ -371,7 +359,6 @@ def test_it_goes_on_where_it_is_told_to() -> None:
     """A gradient is soon known; the plan still says that it would stop."""
     _, moments = explored("gradient", budget=6, go_on=True)
     plans = of(PlannedTouch, moments)
-
     assert len(of(TouchEstimate, moments)) == 6
     assert plans[-1].stop_reason == "budget"  # type: ignore[attr-defined]
     assert any(plan.stop_reason and plan.target_m is not None for plan in plans)  # type: ignore[attr-defined]
@@ -385,7 +372,6 @@ def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
     way = start + np.linspace(0.0, 1.0, 200)[:, None] * (goal - start)
     highest_m = float(scene.height_m(way).max())
     over_m = explorer.over_m(goal)
-
     assert highest_m < over_m < highest_m + 0.006
     here = explorer.over_m(start)
     assert here < over_m
@@ -394,7 +380,6 @@ def test_the_way_to_the_next_touch_is_as_high_as_what_it_leads_over() -> None:
 def test_before_the_first_touch_nobody_knows_what_the_way_leads_over() -> None:
     robot = LabRobot(built_in("homogeneous-60", 0), ExploreOptions(), sees=False)
     explorer = UnseenSurface((0.6, 0.4), ExploreOptions(), robot.arm).look(robot.look())
-
     assert explorer.over_m(np.array([0.1, 0.1])) is None
 
 
@@ -553,7 +538,6 @@ def test_an_egg_crate_of_one_foam_is_one_region_and_its_touches_agree() -> None:
     _, moments = explored("egg-crate", budget=5, seed=1000)
     touches = [one for one in moments if isinstance(one, TouchEstimate)]
     last = [one for one in moments if isinstance(one, MapEstimate)][-1]
-
     apparent = np.log([one.stiffness_n_per_mm for one in touches])
     level = np.log([one.level_n_per_mm or np.nan for one in touches])
     assert np.ptp(apparent) > 2.0 * np.ptp(level)
@@ -566,7 +550,6 @@ def test_an_egg_crate_of_one_foam_is_one_region_and_its_touches_agree() -> None:
 @pytest.mark.slow  # whole touches
 def test_a_touch_of_a_level_surface_has_no_other_stiffness_on_a_level_layer() -> None:
     _, seen = explored("homogeneous-60", budget=2)
-
     assert [one.level_n_per_mm for one in of(TouchEstimate, seen)] == [None, None]  # type: ignore[attr-defined]
 
 

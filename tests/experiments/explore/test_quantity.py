@@ -48,7 +48,6 @@ CREEP = CreepFit(
 )
 def test_options_carry_what_is_mapped(options: ExploreOptions, kind: type) -> None:
     quantity = options.quantity
-
     assert type(quantity) is kind
     assert quantity.stiffness(RIGID, None, 0.01) is RIGID, "something rigid neither creeps nor relaxes"
 
@@ -59,7 +58,6 @@ def test_touches_compare_at_one_speed_where_their_creep_was_fitted_and_are_doubt
         quantity.stiffness(FELT, creep, speed)
         for creep, speed in ((CREEP, 0.02), (None, 10.0 * REFERENCE_SPEED_M_S), (None, REFERENCE_SPEED_M_S))
     )
-
     assert fitted.log_stiffness == FELT.log_stiffness + CREEP.log_at_reference
     assert fast.log_stiffness == FELT.log_stiffness
     assert fast.log_sd > same.log_sd == FELT.log_sd
@@ -67,7 +65,6 @@ def test_touches_compare_at_one_speed_where_their_creep_was_fitted_and_are_doubt
 
 def test_a_touch_without_its_creep_has_no_relaxed_stiffness() -> None:
     relaxed = RelaxedStiffness().stiffness(FELT, CREEP, None)
-
     assert RelaxedStiffness().stiffness(FELT, None, None) is None
     assert np.exp(relaxed.log_stiffness) == pytest.approx(CREEP.relaxed_n_per_mm)
 
@@ -86,7 +83,6 @@ def test_options_carry_what_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
             ExploreOptions(goal="inclusions", inclusion_m=0.02),
         )
     )
-
     assert type(regions) is RegionSearch
     assert isinstance(thesis, ThesisSearch)
     assert isinstance(inclusions, InclusionSearch)
@@ -101,7 +97,6 @@ def test_options_carry_what_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_approach_is_a_touch_without_its_hold_and_its_way_back() -> None:
     time_s, along, up = np.arange(9.0), np.zeros((9, 3)), np.array([0.0, 0.0, 1.0])
     whole = TouchMeasurement(up[:2], up, time_s, along, along, np.zeros((0, 3)), True, loading=4, held=7)
-
     assert whole.approach.time_s.tolist() == [0.0, 1.0, 2.0, 3.0]
     assert whole.approach.force_n.shape == (4, 3)
     assert whole.approach.held is None

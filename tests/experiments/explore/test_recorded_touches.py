@@ -168,7 +168,6 @@ def test_no_further_touch_is_given_once_somebody_asks_to_end() -> None:
     robot = RecordedTouches([made, made], source, ())
     robot.asked = asked.is_set
     command = cast("Touch", object.__new__(Touch))
-
     assert robot.carry_out(command, lambda: None).result() is made
     asked.set()
     with pytest.raises(ExplorationStopped) as stopped:

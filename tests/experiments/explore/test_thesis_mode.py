@@ -37,7 +37,6 @@ def field_width(options: ExploreOptions) -> float:
 
 def test_grid_sweep_and_places_are_the_thesiss_by_default() -> None:
     options = options_of()
-
     assert options.beta_model == "thesis"
     assert options.thesis.beta_grid_m == options.planning.cell_m == 0.005
     np.testing.assert_allclose(swept_betas(options.thesis.beta_step), np.arange(100) / 100.0)
@@ -47,7 +46,6 @@ def test_grid_sweep_and_places_are_the_thesiss_by_default() -> None:
 
 def test_others_are_taken_where_they_are_asked_for() -> None:
     options = options_of(beta_grid_m=0.01, beta_step=0.25, sigma_w_m=0.7)
-
     assert options.planning.cell_m == 0.01
     assert swept_betas(options.thesis.beta_step).tolist() == [0.0, 0.25, 0.5, 0.75]
     assert field_width(options) == 0.7
@@ -65,7 +63,6 @@ def test_a_simulated_scene_leaves_the_tangent_free_where_it_is_asked_for(
 ) -> None:
     options = ExploreOptions(planner=planner, beta_model="volume")
     opened = setup_of("lab:homogeneous-60", options, None, trusted=True, tangential=asked)
-
     assert opened.options.tangential == is_now
 
 
@@ -85,7 +82,6 @@ def test_a_touch_is_swept_on_that_grid_in_those_steps(monkeypatch: pytest.Monkey
     explorer = UnseenSurface(scene.size_m, options, robot.arm, robot.truth).look(robot.look())
     at = 0.5 * np.asarray(scene.size_m)
     explorer.touch(robot.touch(Touch(at, *explorer.surface.aim(at))))
-
     ((dent, how),) = given
     assert how == {"step": 0.01}
     assert dent.shape == (30, 30)

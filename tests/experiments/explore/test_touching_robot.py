@@ -78,7 +78,6 @@ def test_it_never_plans_to_press_up_to_the_soft_stop(
     robot = TouchingRobot(lambda watch: scene.robot, setup(scene, workspace), ExploreOptions(set_force_n=set_n))
     plan = robot.geometry.plan(np.array([0.3, 0.2]), 0.05, UP, None, ExploreOptions(set_force_n=set_n))
     scene.lab.close()
-
     assert plan.more_force_n == more_n
     assert plan.tangential == "held"
     free = ExploreOptions(set_force_n=set_n, tangential="free")
@@ -95,7 +94,6 @@ def test_more_is_left_out_around_the_stick_where_the_cameras_place_is_in_doubt()
         radii.append([link.radius_m + robot.margin_m for link in robot.capsules])
     scene.lab.close()
     plain, doubtful = np.array(radii)
-
     assert doubtful - plain == pytest.approx(0.004)
 
 
@@ -104,7 +102,6 @@ def test_what_is_known_of_the_surface_says_how_low_and_how_slowly() -> None:
     place, quick = np.array([0.3, 0.2]), ExploreOptions(pace="quick")
     careful = geometry.plan(place, 0.05, UP, 0.051, ExploreOptions(), 0.0)
     unknown, sure, doubtful, lost = (geometry.plan(place, 0.05, UP, 0.051, quick, m) for m in (None, 0, 0.008, 0.011))
-
     assert (careful.standoff_m, careful.slow_within_m) == (0.05, 0.03)
     assert (unknown.standoff_m, unknown.slow_within_m) == (0.05, 0.015), "high, until a touch has met it"
     assert (sure.standoff_m, sure.slow_within_m) == (0.02, 0.005)
@@ -119,7 +116,6 @@ def test_what_is_known_of_the_surface_says_how_low_and_how_slowly() -> None:
 def test_a_geometry_survives_its_settings() -> None:
     made = SetupGeometry.of(SceneLab(built_in("homogeneous-60"), tip_radius_m=0.01, parked_m=0.2).setup)
     back = SetupGeometry.from_json(json.loads(json.dumps(made.as_json())))
-
     np.testing.assert_array_equal(back.placement.T_base_surface, made.placement.T_base_surface)
     np.testing.assert_array_equal(np.array(back.camera.T_surface_camera), np.array(made.camera.T_surface_camera))
     assert back.camera.focal_px == made.camera.focal_px

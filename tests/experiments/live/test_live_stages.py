@@ -138,7 +138,6 @@ class Session:
 def test_the_newest_frame_wins_and_the_others_are_counted() -> None:
     worker = ByHand()
     session = Session([Doubled()], {"tactile": worker})
-
     assert session.send([pads(0), pads(1), pads(2), pads(9, "others")]) == ()
     assert session.send([pads(3)]) == ()  # still computing
     assert session.send([pads(4), pads(5)]) == ()
@@ -146,7 +145,6 @@ def test_the_newest_frame_wins_and_the_others_are_counted() -> None:
     (first,) = session.send([pads(6)])
     worker.finish()
     (second,) = session.send([])
-
     assert (first.result, first.used, first.skipped) == (4, (UsedFrames("pads", 2, 2),), 2)
     assert (second.result, second.used, second.skipped) == (12, (UsedFrames("pads", 6, 6),), 3)
     assert first.late_s >= 0.0
@@ -160,9 +158,7 @@ def test_what_was_not_finished_counts_as_skipped() -> None:
     session = Session([Doubled()], {"tactile": worker})
     session.send([pads(0), pads(1)])
     session.send([pads(2), pads(3)])
-
     counts = session.end()["tactile"]
-
     assert (counts.frames, counts.results, counts.skipped) == (4, 0, 4)
     assert counts.as_json()["lag_ms"] is None
 
@@ -170,10 +166,8 @@ def test_what_was_not_finished_counts_as_skipped() -> None:
 def test_a_stage_that_fails_says_so_and_goes_on() -> None:
     session = Session([Doubled()], {"tactile": AtOnce()})
     session.send([pads(13)])
-
     (failed,) = session.send([pads(14)])
     (after,) = session.send([])
-
     assert isinstance(failed.result, StageFailure)
     assert failed.result.reason == "expected luck; got 13"
     assert after.result == 28
@@ -185,11 +179,9 @@ def test_a_process_that_dies_is_a_failure_too() -> None:
     session = Session([Doubled()], {"tactile": worker})
     session.send([pads(1)])
     worker.die()
-
     (failed,) = session.send([pads(2)])
     worker.finish()
     (after,) = session.send([])
-
     assert isinstance(failed.result, StageFailure)
     assert "killed" in failed.result.reason
     assert after.result == 4
@@ -204,10 +196,8 @@ def at(time_s: float, index: int, device: str = "pads") -> TactileFrame:
 
 def test_a_stage_whose_device_is_silent_says_so_after_a_second_and_once() -> None:
     session = Session([Doubled()], {"tactile": AtOnce()}, 0.0)
-
     for step in range(60):
         session.send([at(0.1 * step, step, "others")], 0.1 * step)
-
     assert session.notes == [(1.0, "stage", "tactile gives nothing: no frame of pads came")]
     counts = session.end()["tactile"]
     assert (counts.frames, counts.results, counts.nothing) == (0, 0, "no frame of pads came")
@@ -220,7 +210,6 @@ def test_a_slow_first_result_is_said_within_a_second_and_that_it_came() -> None:
         session.send([at(0.1 * step, step)], 0.1 * step)
     worker.finish()
     session.send([], 4.0)
-
     assert session.notes == [
         (1.0, "stage", "tactile gives nothing: the first result is still being computed"),
         (4.0, "stage-over", "tactile gives results"),
@@ -234,7 +223,6 @@ def test_what_is_computed_from_a_frame_that_came_late_is_not_called_slow_at_once
     session.send([at(2.0, 1)], 2.0)
     session.send([], 2.9)
     session.send([], 3.0)
-
     assert [(when, text) for when, _, text in session.notes] == [
         (1.5, "tactile gives nothing: no frame of pads came"),
         (3.0, "tactile gives nothing: the first result is still being computed"),
@@ -251,7 +239,6 @@ def test_a_first_failure_is_said_with_its_frame_and_another_only_where_the_reaso
     for step in range(10):
         session.send([at(0.01 * step, step)], 0.01 * step)
     session.send([], 0.1)
-
     assert session.notes == [
         (0.01, "stage", "tactile gives nothing: expected luck; got 0"),
         (0.06, "stage", "tactile gives nothing: expected light; got 5"),
@@ -265,7 +252,6 @@ def test_a_reason_that_comes_and_goes_is_not_said_with_each_frame() -> None:
     session = Session([Doubled()], {"tactile": AtOnce()}, 0.0)
     for step in range(100):
         session.send([at(0.01 * step, 13 if step % 2 else 1)], 0.01 * step)
-
     assert [text for _, _, text in session.notes] == [
         "tactile gives nothing: expected luck; got 13",
         "tactile gives results",
@@ -281,7 +267,6 @@ def test_a_stage_that_does_not_keep_up_says_once_how_late_it_is() -> None:
         seen += results
         if step % 5 == 0:
             worker.finish()
-
     (late,) = [text for _, _, text in session.notes if "newest" in text]
     assert late.startswith("tactile takes the newest of pads's frames, 2 of 6 so far: ")
     assert late.endswith(" ms behind its frame")
@@ -299,9 +284,7 @@ def test_the_summary_has_rates_lag_and_what_was_skipped_by_reason() -> None:
     worker.finish()
     session.send([at(0.1, 5), at(0.1, 6)], 1.1)
     session.send([at(0.2, 7)], 3.0)
-
     counts = session.end()["tactile"]
-
     found = counts.as_json()
     assert [one.used[-1].last for one in seen] == [3]
     assert (found["frames"], found["results"], found["skipped"]) == (7, 1, 6)
@@ -318,7 +301,6 @@ def test_two_stages_do_not_wait_for_each_other() -> None:
     session = Session([Doubled(name="flow"), Doubled()], {"flow": slow, "tactile": fast})
     session.send([pads(1)])
     results = [result for index in (2, 3) for result in session.send([pads(index)])]
-
     assert [(one.stage, one.result) for one in results] == [("tactile", 2), ("tactile", 4)]
 
 
@@ -330,14 +312,12 @@ def test_flow_is_from_the_image_used_before_and_beta_from_the_first() -> None:
             chooser.see(pads(index))
             if index in (2, 5) and (frames := chooser.take()) is not None:
                 taken[name].append([frame.index for frame in frames])
-
     assert taken == {"previous": [[0, 2], [2, 5]], "first": [[0, 2], [0, 5]]}
     assert previous.skipped == first.skipped == 3
 
 
 def test_frames_are_named_by_stretches() -> None:
     frames = [pads(4), pads(5), pads(6), pads(2, "arm"), pads(7)]
-
     assert used_frames(frames) == (UsedFrames("arm", 2, 2), UsedFrames("pads", 4, 7))
 
 
@@ -355,9 +335,7 @@ def foam(pressed_px: float = 0.0, height: int = 240, width: int = 320) -> ImageA
 
 def test_beta_follows_particles_in_pixels_of_the_whole_image() -> None:
     stage = Stage("beta", LiveOptions(("beta",), color="camera"))
-
     found: Any = compute(stage, (foam(), foam(16.0)))
-
     down = 16.0 * (240 - found.rest_px[:, 1]) / 240
     inner = found.seen & (found.rest_px[:, 1] > 40)
     assert inner.sum() >= 30
@@ -375,7 +353,6 @@ def test_particles_theta_and_field_are_of_the_first_image_and_the_newest() -> No
     options = LiveOptions(("particles", "theta", "field"), color="camera")
     stages = {stage.name: stage for stage in stages_of(options, ())}
     found: dict[str, Any] = {name: compute(stage, (foam(), foam(16.0))) for name, stage in stages.items()}
-
     down = 16.0 * (240 - found["particles"].rest_px[:, 1]) / 240
     inner = found["particles"].seen & (found["particles"].rest_px[:, 1] > 40)
     moved = found["particles"].position_px - found["particles"].rest_px
@@ -393,9 +370,7 @@ def test_a_pose_that_cannot_be_fitted_has_particles_and_a_reason() -> None:
     particles = ParticleOptions(held=("bottom", "contact"), contact=(40.0, 40.0, 80.0, 80.0))
     hidden = foam()
     hidden[:, :160] = hidden[::-1, 160:].copy()  # something else stands there
-
     found: Any = compute(Stage("beta", LiveOptions(("beta",), color="camera", particles=particles)), (foam(), hidden))
-
     assert found.verdict == "unidentified"
     assert "held particles of 'contact' that can be tracked" in found.verdict_text
     assert math.isnan(found.value)
@@ -415,9 +390,7 @@ def test_a_level_surface_is_level() -> None:
     )
     depth = np.full((120, 160), 542, np.uint16)  # 8 mm above the nominal 0.55 m
     depth[50:60, 70:80] = 400  # something that hangs over it
-
     found = compute(Stage("surface", options), (depth, 1e-3))
-
     assert isinstance(found, SurfaceEstimate)
     assert found.height_m.shape == (20, 20)
     np.testing.assert_allclose(found.height_m, 0.058, atol=5e-4)
@@ -465,9 +438,7 @@ def test_an_approach_is_found_and_its_stiffness_is_known() -> None:
         taken = taken or chooser.take()
     assert taken is not None
     stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP, set_force_n=3.0))
-
     found = compute(stage, stage.packed(taken))
-
     assert isinstance(found, TouchEstimate)
     depth_m = (3.0 / STIFF) ** (2 / 3)
     assert found.stiffness_n_per_mm == pytest.approx(3e-3 / depth_m, rel=0.05)
@@ -496,7 +467,6 @@ def test_a_flat_punch_gives_the_stiffness_of_a_linear_foam(shape: str) -> None:
         found = compute(stage, stage.packed(frames))
         assert isinstance(found, TouchEstimate)
         off[tip] = abs(1e3 * found.stiffness_n_per_mm / stiff_n_per_m - 1.0)
-
     assert off[shape] < 0.01
     assert off["sphere"] > 0.03
 
@@ -507,7 +477,6 @@ def test_a_force_without_an_arm_that_moves_is_refused() -> None:
         for frame in approach()
     ]
     stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
-
     with pytest.raises(InputError, match="an arm that moves into the surface"):
         compute(stage, stage.packed(still))
 
@@ -518,7 +487,6 @@ def test_a_force_across_the_way_of_the_arm_is_refused() -> None:
         for frame in approach()
     ]
     stage = Stage("contact", LiveOptions(("contact",), wrench="tip", arm="arm", T_ee_tip=TIP))
-
     with pytest.raises(InputError, match=r"an arm that presses along its direction of motion; got -?0% of the force"):
         compute(stage, stage.packed(aside))
 
@@ -530,7 +498,6 @@ def test_a_device_that_is_missing_is_named(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text('[devices.pads]\ndriver = "dsa"\ndouble = true\n')
     rig = load_rig(str(path))
-
     assert for_rig(LiveOptions(("tactile",)), rig).tactile == "pads"
     with pytest.raises(InputError, match="a color device for --stage beta; got none in the rig"):
         for_rig(LiveOptions(("tactile", "beta")), rig)
@@ -541,7 +508,6 @@ def test_a_device_that_is_missing_is_named(tmp_path: Path) -> None:
 def test_a_camera_that_is_not_calibrated_is_refused_and_the_bench_is() -> None:
     bench = load_rig("lab:bench")
     camera = dataclasses.replace(bench.camera, T_arm_camera=None)
-
     with pytest.raises(InputError, match="no T_arm_camera in"):
         for_rig(LiveOptions(("surface",)), dataclasses.replace(bench, camera=camera))
     with pytest.raises(InputError, match="one of camera after --camera; got 'webcam'"):
@@ -599,9 +565,7 @@ def test_a_replay_finds_the_same_and_an_altered_image_shows(tmp_path: Path) -> N
     assert [one.stage for one in results] == ["tactile", *["flow", "tactile"] * 3]
     record(tmp_path / "same.rrd", items(), results)
     record(tmp_path / "other.rrd", items(changed=True), results)
-
     same, other = replay_stages(tmp_path / "same.rrd"), replay_stages(tmp_path / "other.rrd")
-
     assert (same.results, same.failures, same.different) == (7, (), {"flow": 0.0, "tactile": 0.0})
     assert other.different["tactile"] == 0.0
     assert other.different["flow"] > 1e-3
@@ -613,9 +577,7 @@ def test_results_come_back_as_they_were(tmp_path: Path) -> None:
         dataclasses.replace(results[-1], host_ns=results[-1].host_ns + 1, result=StageFailure("flow", 0, "r", "t"))
     )
     record(tmp_path / "r.rrd", items(), results)
-
     found = read_stage_results(tmp_path / "r.rrd")
-
     assert len(found) == len(results)
     for one, other in zip(found, sorted(results, key=lambda one: (one.host_ns, one.stage)), strict=True):
         assert dataclasses.replace(one, result=None) == dataclasses.replace(other, result=None)
@@ -627,7 +589,6 @@ def test_results_come_back_as_they_were(tmp_path: Path) -> None:
 
 def test_a_frame_that_is_missing_is_named(tmp_path: Path) -> None:
     record(tmp_path / "r.rrd", items()[:3], computed(items()))
-
     with pytest.raises(InputError, match="no frame 3 of"):
         replay_stages(tmp_path / "r.rrd")
 
@@ -636,9 +597,7 @@ def test_a_stage_sees_the_image_as_it_is_recorded() -> None:
     session = Session(stages_of(OPTIONS, STREAMS)[:1], {"flow": AtOnce()})
     images: list[ImageArray] = [foam(), foam(5.0)]
     session.send([ColorFrame(Stamp(1), 0, images[0]), ColorFrame(Stamp(2), 1, images[1])])
-
     (found,) = session.send([])
-
     decoded = tuple(decode_image(encode_jpeg(image), "image") for image in images)
     expected: Any = compute(stages_of(OPTIONS, STREAMS)[0], decoded)
     raw: Any = compute(stages_of(OPTIONS, STREAMS)[0], tuple(images))
@@ -681,7 +640,6 @@ def test_what_a_process_computes_in_the_end_is_given_up() -> None:
         worker = beside["tactile"]
         process = worker.submit(os.getpid).result(60)
         worker.submit(time.sleep, 3600.0)
-
     assert not Path(f"/proc/{process}").exists()
 
 

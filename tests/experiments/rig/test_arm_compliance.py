@@ -56,9 +56,7 @@ def touched(table: RigidTable, touches: int) -> list[ComplianceTouch]:
 
 def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
     made = touched(RigidTable(), 3)
-
     found = combine_compliance(made)
-
     assert len(found.touches) == 3
     assert found.compliance_m_per_n == pytest.approx(GIVES_M_PER_N, rel=0.02)
     assert found.compliance_sd == pytest.approx(COMMON_SD * GIVES_M_PER_N, rel=0.1)
@@ -67,9 +65,7 @@ def test_it_is_found_again_and_so_is_where_the_camera_is_off() -> None:
 
 def test_touches_that_differ_are_told() -> None:
     made = touched(RigidTable(scatter=0.2), 8)
-
     found = combine_compliance(made)
-
     each = np.array([one.found.compliance_m_per_n for one in made])
     assert found.compliance_sd > 0.9 * each.std(ddof=1) / np.sqrt(8)
     assert abs(found.compliance_m_per_n - GIVES_M_PER_N) < 3.0 * found.compliance_sd
@@ -111,7 +107,6 @@ def test_a_rubber_dome_on_a_stiff_arm_is_no_foam_and_not_the_arm_s(stiffness_n_p
     """At 3 N it yields 0.36 mm, an arm of 10 N/mm 0.3 mm. The two laws are much alike: the interval says so."""
     gives_m_per_n = 1e-3 / stiffness_n_per_mm
     found = combine_compliance(touched(DomedTable(gives_m_per_n), 4))
-
     assert abs(found.compliance_m_per_n - gives_m_per_n) < 2.0 * found.compliance_sd
     assert found.compliance_sd < 2e-5
     assert found.dome == pytest.approx(DOME, rel=0.2)

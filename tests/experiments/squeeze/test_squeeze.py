@@ -96,7 +96,6 @@ def test_the_same_frames_give_the_same_features_to_the_last_bit(good: Session) -
 
 def test_the_setup_goes_through_json(good: Session) -> None:
     told = good.geometry.as_json()
-
     assert SqueezeGeometry.from_json(told).as_json() == told
 
 
@@ -128,7 +127,6 @@ def test_a_saturated_array_ends_it_within_two_periods() -> None:
     lab = Watched(stiffness_pa_deg=10_000.0, gives_deg=8.0)
     session = Session(lab)
     session.go()
-
     stopped(session, SqueezeFault.SATURATED)
     assert lab.closed_ns - session.found.stop_ns <= 2 * SQUEEZE_PERIOD_NS
     assert lab.angle() == pytest.approx(lab.shape.open_deg[1], abs=0.01)  # and it lets go
@@ -139,7 +137,6 @@ def test_over_squeezing_ends_it_within_two_periods() -> None:
     lab.squeeze = dataclasses.replace(lab.squeeze, over_squeeze_m=0.01, onset_counts=5.0)
     session = Session(lab)
     session.go()
-
     stopped(session, SqueezeFault.OVER_SQUEEZED)
     assert lab.closed_ns - session.found.stop_ns <= 2 * SQUEEZE_PERIOD_NS
 
@@ -156,7 +153,6 @@ def test_a_person_who_asks_stops_it_within_two_periods_and_it_stays_as_it_is() -
 
     session.on_cycle = cycle
     session.go()
-
     stopped(session, SqueezeFault.ASKED)
     assert lab.closed_ns - asked_ns[0] <= 2 * SQUEEZE_PERIOD_NS
     assert lab.angle() > lab.contact_deg  # nothing moves any more
@@ -177,7 +173,6 @@ def test_a_hand_that_is_lost_is_stopped_once_it_is_back() -> None:
 
     session.on_phase = began
     session.go()
-
     stopped(session, SqueezeFault.HAND_LOST)
 
 
@@ -186,7 +181,6 @@ def test_a_hand_that_stays_lost_is_reported_as_such() -> None:
     session = Session(lab)
     session.on_phase = lambda phase: lab.hand_wire.unplug() if phase == "squeeze" else None
     found = session.go()
-
     assert found.stop.kind == SqueezeFault.HAND_LOST
     assert not found.stop.stands
     assert not found.stop.restored
@@ -198,7 +192,6 @@ def test_lost_arrays_end_it() -> None:
     session = Session(lab)
     session.on_phase = lambda phase: lab.dsa_wire.unplug() if phase == "squeeze" else None
     session.go()
-
     stopped(session, SqueezeFault.TACTILE_LOST)
     assert lab.closed_ns - session.found.stop_ns <= 2 * SQUEEZE_PERIOD_NS
 
@@ -208,7 +201,6 @@ def test_nothing_between_the_fingers_is_no_trial() -> None:
     lab.squeeze = dataclasses.replace(lab.squeeze, contact_timeout_s=1.0)
     session = Session(lab)
     session.go()
-
     stopped(session, SqueezeFault.NO_CONTACT)
 
 
@@ -217,7 +209,6 @@ def test_fingertips_that_are_touched_before_are_refused() -> None:
     lab.contact_deg = lab.shape.open_deg[1] - 5.0
     session = Session(lab)
     session.go()
-
     stopped(session, SqueezeFault.TOUCHED_BEFORE)
 
 
@@ -226,7 +217,6 @@ def test_a_finger_that_cannot_reach_its_pre_shape_is_refused() -> None:
     lab.hand_double.obstruct(3, low_deg=-65.0)
     session = Session(lab)
     session.go()
-
     stopped(session, SqueezeFault.PRESHAPE)
 
 
@@ -259,7 +249,6 @@ def test_a_finger_that_is_held_while_its_array_reads_nothing_or_repeats_itself_i
 
     session.on_phase = began
     session.go()
-
     stopped(session, SqueezeFault.CONTRADICTED)
     assert f"finger {fingers[0]}" in session.found.stop.reason
     held_ns = max(lab.truth.steady_ns, struck_ns[0])
@@ -272,7 +261,6 @@ def test_the_reason_says_where_which_finger_is_held_and_what_its_array_reads() -
     session = Session(lab)
     session.on_phase = lambda phase: spoil_arrays(lab.dsa_double, "dead", (2,)) if phase == "close" else None
     found = session.go()
-
     held = f"finger 2 is driven, but stays at {lab.contact_deg + lab.gives_deg:.1f} deg; its array reads 0 counts"
     assert held in found.stop.reason
 
@@ -284,7 +272,6 @@ def test_fingers_that_meet_each_other_have_nothing_between_them() -> None:
     lab.obstruct()
     session = Session(lab)
     session.go()
-
     stopped(session, SqueezeFault.NO_CONTACT)
 
 
@@ -300,7 +287,6 @@ def test_a_hand_that_a_busy_computer_left_alone_for_a_while_contradicts_nothing(
 
     session.on_cycle = cycle
     found = session.go()
-
     assert left
     assert found.stop is None
     assert found.features is not None
@@ -314,6 +300,5 @@ def test_a_container_that_hardly_presses_contradicts_nothing_at_any_speed(speed_
     )
     session = Session(lab)
     found = session.go()
-
     assert found.stop is None
     assert found.features is not None

@@ -87,7 +87,6 @@ def tracked(camera: Camera) -> list[TrackedImage]:
 def test_known_motions_are_found_in_every_image_within_a_millimetre_and_a_degree(section: ContainerSection) -> None:
     camera = Camera(section, 14, (0.0006, -0.0004, 0.0005), (0.3, 0.0, 0.3))
     found = tracked(camera)
-
     assert [one.container.index for one in found] == list(range(REST_IMAGES - 1, 14))
     for one, true in zip(found, camera.true[REST_IMAGES - 1 :], strict=True):
         assert one.container.good, one.container.reason
@@ -99,7 +98,6 @@ def test_known_motions_are_found_in_every_image_within_a_millimetre_and_a_degree
 def test_the_turn_of_a_cylinder_about_its_axis_is_said_not_to_be_observed() -> None:
     camera = Camera(CYLINDER, step_deg=(0.0, 0.0, 2.0))
     found = tracked(camera)
-
     assert {one.container.degrees for one in found} == {"5 of 6 observed, not rotation about z"}
     last = found[-1].container
     assert last.directions is not None
@@ -114,7 +112,6 @@ def test_a_hidden_image_is_refused_with_its_reason_and_the_next_one_is_tracked_a
     camera = Camera(BOX, 8, (0.0005, 0.0, 0.0))
     camera.hide(6, slice(None))
     found = tracked(camera)
-
     assert [one.container.good for one in found] == [True, True, False, True]
     hidden = found[2]
     assert "of the container seen, 150 needed" in hidden.container.reason
@@ -128,7 +125,6 @@ def test_a_jump_is_refused() -> None:
     far = Camera(BOX, REST_IMAGES + 1, (0.0, 0.018, 0.0)).frames[-1]
     camera.frames[-1] = dataclasses.replace(far, index=6, stamp=camera.frames[-1].stamp)
     found = tracked(camera)
-
     assert [one.container.good for one in found] == [True, True, False]
     assert re.fullmatch(r"a jump of 1\d mm from the pose before, 10 mm at most", found[2].container.reason)
 
@@ -144,7 +140,6 @@ def test_the_change_of_depth_around_the_fingertip_is_data_minus_model() -> None:
     pressed = dataclasses.replace(dented.frames[-1], depth=depth)
     image = dataclasses.replace(dented, frames=(*dented.frames[:-1], pressed), first_ns=START_NS, closed_m=0.02)
     after = tracker.track(image).change
-
     middle = slice(26, 35), slice(26, 35)
     assert np.nanmedian(before.change.change_m[middle]) == pytest.approx(0.0, abs=0.0007)
     assert np.nanmedian(after.change_m[middle]) == pytest.approx(0.006, abs=0.0007)
@@ -204,7 +199,6 @@ def test_what_keeps_up_tracks_every_image_and_says_how_old_it_is() -> None:
     squeeze = Squeeze(Camera(BOX, 12), Inline())
     for at in range(1, 6):
         squeeze.until(START_NS + 100 * at * MS)
-
     assert squeeze.indices == list(range(REST_IMAGES - 1, 12))
     found = squeeze.tracking.found
     assert {one.container.skipped for one in found} == {0}
@@ -226,7 +220,6 @@ def test_what_does_not_keep_up_takes_the_newest_image_and_says_how_many_it_left_
     squeeze.until(START_NS + 500 * MS)  # image 5 is too old by now
     executor.be_done()
     squeeze.until(START_NS + 520 * MS)
-
     assert squeeze.indices == [4, 15]
     last = squeeze.tracking.found[-1].container
     assert last.skipped == 10
@@ -244,7 +237,6 @@ def test_a_tracker_that_breaks_says_why_and_nothing_waits_for_it() -> None:
     squeeze.until(START_NS + 220 * MS)
     executor.be_done()
     squeeze.until(START_NS + 230 * MS)
-
     assert "the process has ended" in squeeze.tracking.failed
     assert squeeze.tracking.waiting is None
     assert all(one.cancelled() for one, _ in executor.given)
@@ -266,10 +258,8 @@ def test_the_images_that_were_tracked_are_tracked_again_to_the_last_bit() -> Non
     live = squeeze.tracking.found
     assert 3 <= len(live) < 16
     assert any(one.container.skipped for one in live)
-
     posterior = ContentPosterior(0.1, "tactile and vision_small", ("a", "b"), np.ones(2) / 2, 7, live[1].change.index)
     again = RecordedTracking(squeeze.frames, squeeze.camera.geometry, [one.container for one in live], [posterior])
-
     for before, now in zip(live, again.found, strict=True):
         for part in ("container", "change"):
             one, other = (dataclasses.asdict(getattr(each, part)) for each in (before, now))
@@ -282,7 +272,6 @@ def test_an_old_change_of_depth_says_nothing_of_now() -> None:
     squeeze = Squeeze(Camera(BOX, 6), Inline())
     squeeze.until(START_NS + 300 * MS)
     last_ns = squeeze.tracking.found[-1].when_ns
-
     assert squeeze.tracking.newest(0, last_ns + 400 * MS) is squeeze.tracking.found[-1].change
     assert squeeze.tracking.newest(0, last_ns + 600 * MS) is None
 

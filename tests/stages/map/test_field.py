@@ -19,13 +19,11 @@ def test_mean_and_deviation_are_those_of_another_library() -> None:
     nugget, fit = 0.1, _Fit(places, value, sd, FieldPrior(level_sd=1.5))
     x = np.log([0.6, 0.12, nugget])
     field = fit.field(x, [(x, 1.0)])
-
     theirs = GaussianProcessRegressor(
         ConstantKernel(0.36) * RBF(0.12) + ConstantKernel(1.5**2), alpha=sd**2 + nugget**2, optimizer=None
     ).fit(places, value - field.level)
     grid = MapGrid((0.6, 0.4), 0.02)
     mean, deviation = theirs.predict(grid.centres_m, return_std=True)
-
     found = field.on(grid)
     np.testing.assert_allclose(found.mean.ravel(), mean + field.level, atol=1e-9)
     np.testing.assert_allclose(found.deviation.ravel(), deviation, rtol=1e-6)

@@ -105,7 +105,6 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     prior = RegionPrior(mixed_share=0.0)
     new = RelatedTouches(places, readings_of((), prior), prior, 0.2)
     found = information(hypotheses, new, 0.012)
-
     mean = np.log(pair.shares(places, 0.012) @ np.exp(level[0]))[..., None]
     y = np.linspace(-2.0, 3.0, 5001)
     density = norm.pdf(y, mean, 0.2).mean(axis=0)
@@ -113,7 +112,6 @@ def test_information_is_that_of_two_hypotheses_in_closed_form() -> None:
     expected = entropy - 0.5 * np.log(2.0 * np.pi * np.e * 0.2**2)
     np.testing.assert_allclose(found, expected, atol=0.02)  # bins lose a little
     assert expected.max() > 0.3
-
     # where both maps agree nothing is gained; where they differ the right labels are, by about as much as is learned
     gain = label_gain(hypotheses, new, places, 0.012)
     assert gain[expected < 1e-6].max(initial=0.0) < 0.01
@@ -208,13 +206,11 @@ def test_a_touch_may_be_repeated_at_its_very_place_and_says_less_than_one_beside
     cells = [int(np.hypot(*(plan.grid.centres_m - one).T).argmin()) for one in (here, beside)]
     assert plan.excluded.ravel()[cells].tolist() == [ALLOWED, TOUCHED_BEFORE]
     assert plan.gain.ravel()[cells[0]] > 0.0
-
     # where that touch gave nothing it is not made again; nor in a filling
     failed = plan_touch(posterior, KERNEL, PlanOptions(), left_out_m=here[None])
     assert failed.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
     filling = plan_touch(posterior, KERNEL, PlanOptions(fill=20))
     assert filling.excluded.ravel()[cells[0]] == TOUCHED_BEFORE
-
     # the place itself is touched, not its cell's middle; and it was as good as known what it reads
     off = xy[5]
     at_m, again = posterior.repeated(np.array([[0.31, 0.31], off, [0.4, 0.2]]), 0.01)
@@ -236,7 +232,6 @@ def test_what_touches_near_others_are_expected_to_read_is_the_conditional_of_one
     every = posterior.hypotheses()
     one = replace(every, maps=every.maps[:1], scatter=every.scatter[:1], smooth=())
     mean, variance, sd, weight = posterior.related(new).expected(one, posterior.prior.blur_m)
-
     both = np.concatenate([made, new])
     errors = 0.08**2 * error.related(both) + 0.04**2 * np.eye(18)
     cov = posterior.prior.any_level_sd**2 + errors

@@ -56,11 +56,9 @@ def test_mean_and_deviation_are_an_exact_processs_also_in_a_hole(length_m: float
     heights = 0.05 + drawn(rng, places, Kernel.of_length(0.008, length_m)) + noise * rng.normal(size=900)
     points = np.column_stack([places, heights])
     grid = MapGrid((0.6, 0.4), 0.01)
-
     surface = fit_surface(points, noise_m=noise)
     found = surface.on(grid)
     mean, deviation = exact(surface, points, surface.noise_m, grid.centres_m)
-
     hole = np.hypot(*(grid.centres_m - [0.35, 0.2]).T) < 0.04
     assert deviation[hole].min() > np.median(deviation[~hole])
     assert found.mean_m.shape == (40, 60)
@@ -94,9 +92,7 @@ def test_known_hyper_parameters_come_back_from_all_points() -> None:
     places = rng.uniform(size=(6000, 2)) * SIZE
     noisy = np.linalg.solve(KERNEL.between(coarse, coarse) + 1e-8 * KERNEL.sigma_e**2 * np.eye(len(coarse)), truth)
     heights = KERNEL.between(places, coarse) @ noisy + rng.normal(size=6000) * 1.5e-3
-
     surface = fit_surface(np.column_stack([places, heights]))
-
     assert surface.noise_m == pytest.approx(1.5e-3, rel=0.03)
     assert surface.kernel.length_m == pytest.approx(0.06, rel=0.1)
     assert surface.kernel.sigma_e == pytest.approx(0.008, rel=0.3)

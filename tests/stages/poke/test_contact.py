@@ -58,7 +58,6 @@ def threshold_stiffness(time_s: FloatArray, position_m: FloatArray, force_n: Flo
 @pytest.mark.parametrize(("tip", "depth_m", "spread"), [("sphere", 0.0066, 0.025), ("flat", 0.004, 0.02)])
 def test_stiffness_is_right_and_its_interval_holds_the_truth(tip: TipKind, depth_m: float, spread: float) -> None:
     fits = [fit_approach(*approach(seed, depth_m, tip), tip=tip) for seed in range(60)]
-
     truth = 3e-3 / depth_m
     errors = np.array([fit.log_stiffness - np.log(truth) for fit in fits])
     assert abs(errors.mean()) < 0.006
@@ -74,7 +73,6 @@ def test_a_threshold_for_contact_makes_a_sphere_look_15_to_20_percent_stiffer_an
     truth = 3e-3 / depth
     taken = [threshold_stiffness(*approach(seed, depth)) / truth - 1.0 for seed in range(60)]
     fitted = [fit_approach(*approach(seed, depth)).stiffness_n_per_mm / truth - 1.0 for seed in range(60)]
-
     assert 0.15 <= np.mean(taken) <= 0.20
     assert abs(np.mean(fitted)) < 0.01
 
@@ -84,7 +82,6 @@ def test_the_peak_rate_of_a_ramp_is_its_slope_and_its_interval_holds_it_in_90_pe
     # a flat tip at 10 mm/s into what dents by 4 mm at 3 N
     fits = [fit_approach(*approach(seed, 0.004, "flat", force_sd_n=force_sd_n), tip="flat") for seed in range(300)]
     rates, ends = [fit.peak_rate_n_per_s for fit in fits], [fit.peak_rate_interval_n_per_s for fit in fits]
-
     assert np.mean(np.array(rates, float)) == pytest.approx(7.5, rel=0.015)
     inside = np.mean([end is not None and end[0] <= 7.5 <= end[1] for end in ends])
     assert 0.85 <= inside <= 0.95  # three deviations of a share of 0.9 in 300
@@ -104,9 +101,7 @@ def test_times_that_repeat_tell_no_peak_rate_and_hide_no_other() -> None:
     time = 0.01 * np.arange(40.0)
     force = 3.0 * time
     stalled = np.concatenate([np.full(20, time[0]), time])
-
     rate, interval = peak_rate(stalled, np.concatenate([np.zeros(20), force]), 0.001)
-
     assert rate == pytest.approx(3.0, rel=1e-3)
     assert interval is not None
     assert peak_rate(np.zeros(20), np.zeros(20), 0.001) == (None, None)
@@ -145,7 +140,6 @@ def test_the_arm_s_own_compliance_is_calibrated_on_a_rigid_block_and_taken_off()
     slow = (block[0] * 8.0, *block[1:])
     arm = calibrate_compliance(*slow)
     assert abs(arm.compliance_m_per_n - true) < 4.0 * arm.compliance_sd
-
     reported = ArmCompliance(true, 1e-5)
     soft = [fit_approach(*approach(seed, 0.004, arm_m_per_n=true), arm=reported) for seed in range(30)]
     bare = [fit_approach(*approach(seed, 0.004, arm_m_per_n=true)) for seed in range(30)]

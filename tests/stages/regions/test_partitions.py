@@ -26,7 +26,6 @@ def test_every_region_of_a_prior_map_is_large_enough_to_be_touched(regions: int)
     maps = draw(np.random.default_rng(0), regions, SIZE, 300)
     grid = MapGrid(SIZE)
     labels = maps.labels(grid.centres_m)
-
     assert len(maps) == 300
     areas = np.stack([(labels == region).sum(axis=1) for region in range(regions)]) * grid.cell_m**2
     assert areas.sum(axis=0) == pytest.approx(SIZE[0] * SIZE[1])
@@ -48,7 +47,6 @@ def test_a_contact_s_shares_are_the_map_blurred(regions: int) -> None:
     rows, columns = np.meshgrid(np.arange(16, 145, 16), np.arange(16, 225, 16), indexing="ij")
     places = (np.column_stack([columns.ravel(), rows.ravel()]) + 0.5) * grid.cell_m
     shares = maps.shares(places, blur)
-
     assert shares.sum(axis=-1) == pytest.approx(1.0)
     off = []
     for number, one in enumerate(labels):
@@ -84,7 +82,6 @@ def test_moves_leave_the_prior_as_it_is(regions: int) -> None:
         proposed = propose(rng, maps)
         maps = maps.instead(proposed.admissible(), proposed)
     moved = (maps.labels(MapGrid(SIZE, 0.02).centres_m) == 0).mean(axis=1)
-
     shares = np.bincount(maps.family[:, 0], minlength=len(Family)) / 3000
     fresh = np.bincount(draw(rng, regions, SIZE, 6000).family[:, 0], minlength=len(Family)) / 6000
     np.testing.assert_allclose(shares, fresh, atol=0.04)

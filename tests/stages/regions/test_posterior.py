@@ -52,7 +52,6 @@ def test_levels_are_integrated_as_a_gaussian_s_marginal(k: int) -> None:
     before = prior.level_sd**2 * np.eye(k) + prior.common_sd**2
     readings = levels.readings_of(touches(rng.standard_normal(6)), prior)
     found, level, cov = levels.levels_of(shares, readings, prior)
-
     for one in range(4):
         joint = shares[one] @ before @ shares[one].T + np.diag(readings.variance)
         expected = multivariate_normal(np.zeros(6), joint).logpdf(readings.value)
@@ -73,7 +72,6 @@ def test_memory_of_the_factors_is_bounded_and_the_maps_are_the_same(monkeypatch:
     monkeypatch.setattr(
         levels, "_block_levels", lambda shares, *given: (sizes.append(len(shares)), at_once(shares, *given))[1]
     )
-
     np.testing.assert_array_equal(levels.log_likelihood_by_scatter(shares, readings, prior), whole)
     assert sizes == [7] * 7 + [1]
 
@@ -88,7 +86,6 @@ def test_under_a_contact_forces_add() -> None:
     off = 0.03 * np.random.default_rng(1).standard_normal(6)
     readings = levels.readings_of(touches(felt + off), prior)
     found, level, cov = levels.levels_of(shares, readings, prior)
-
     axis = np.linspace(-0.25, 0.25, 201)
     grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2) + at - readings.centre
     before = prior.level_sd**2 * np.eye(2) + prior.common_sd**2
@@ -127,7 +124,6 @@ def test_least_contrast_cuts_the_prior_where_levels_are_alike() -> None:
     prior = RegionPrior(least_contrast=0.4, mixed_share=0.0)
     readings = levels.readings_of(touches([0.0, 0.1, 0.3, 0.5], sd=0.2), prior)
     found, _, _ = levels.levels_of(shares, readings, prior)
-
     drawn = rng.standard_normal((400_000, 2)) + prior.common_sd * rng.standard_normal((400_000, 1))
     drawn = drawn[np.abs(drawn[:, 0] - drawn[:, 1]) > 0.4]
     off = readings.value - drawn @ shares[0].T
@@ -145,7 +141,6 @@ def test_evidence_of_the_particles_is_that_of_the_prior(regions: int) -> None:
     maps = draw(np.random.default_rng(99), regions, GRID.size_m, 20_000)
     plain = levels.log_likelihood_of(maps.shares(readings.xy_m, prior.blur_m), readings, prior)
     expected = np.log(np.mean(np.exp(plain - plain.max()))) + plain.max()
-
     found = [posterior(seen, seed=seed, particle_count=600)._followed(regions).log_evidence for seed in range(2)]
     assert np.mean(found) == pytest.approx(expected, abs=0.3)
 
@@ -238,7 +233,6 @@ def test_regions_that_are_not_followed_have_their_share_of_the_most_that_are() -
 
 def test_two_halves_are_found_with_their_levels_and_order() -> None:
     shown = posterior(halves(0.9)).region_map()
-
     truth = (GRID.centres_m[:, 0] > 0.3).reshape(GRID.shape)
     assert (shown.verdict, shown.region_count) == ("regions", 2)
     assert np.mean(shown.labels == truth) > 0.9
@@ -355,7 +349,6 @@ def test_an_arm_that_is_off_moves_all_touches_together() -> None:
     ]
     readings = levels.readings_of(seen, prior)
     found, level, cov = levels.levels_of(shares, readings, prior, 0.1)
-
     related = TouchErrorModel().related(np.array(SPREAD[:6]))
     joint = shares[0] @ before @ shares[0].T + np.outer(arm, arm) + 0.05**2 * np.eye(6) + 0.1**2 * related
     assert found[0] == pytest.approx(multivariate_normal(np.zeros(6), joint).logpdf(readings.value), rel=1e-9)
@@ -406,9 +399,7 @@ def test_maps_that_are_kept_weigh_what_they_did_and_no_family_dies_out() -> None
     weight[family == Family.BLOB] = 0.0
     with np.errstate(divide="ignore"):
         log_weight = np.log(weight / weight.sum())
-
     kept, logs = resampled(log_weight, family, 300, 0.5)
-
     share = {kind: np.exp(log_weight[family == kind]).sum() for kind in (Family.LINE, Family.RING)}
     for kind, expected in share.items():
         here = family[kept] == kind

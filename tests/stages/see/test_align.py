@@ -65,9 +65,7 @@ def test_a_displacement_is_found_to_a_millimetre_or_two(seed: int) -> None:
     truth, solids = displacement(seed), arm()
     points = seen(solids, 0.0015) @ truth[:3, :3].T + truth[:3, 3]
     others = np.random.default_rng(seed).uniform((-0.5, -0.5, UP), (0.5, 0.5, 1.0), (2000, 3))
-
     found = align(np.concatenate([points, others]), solids)
-
     assert off_m(found, truth) < 0.002
     assert off_m(found, np.eye(4)) > 0.004
     assert found.rms_m < 0.003
@@ -78,9 +76,7 @@ def test_the_robot_goes_with_it_and_its_doubt_goes() -> None:
     points = seen(solids, 0.0) @ truth[:3, :3].T + truth[:3, 3]
     stick = Capsule(np.array([0.1, -0.2, UP]), np.array([0.1, -0.2, UP - 0.1]), 0.01)
     robot = PosedRobot([stick], solids, margin_m=0.02, solid_margin_m=0.006, aligns=True)
-
     there = as_seen(robot, points, 0.0)
-
     assert there.margin_m == ALIGNED_M
     assert there.solid_margin_m == 0.006
     np.testing.assert_allclose(there.capsules[0].end_m, (truth @ [0.1, -0.2, UP - 0.1, 1.0])[:3], atol=0.002)
@@ -95,7 +91,6 @@ def test_it_stays_where_it_is_reported_where_the_picture_does_not_tell() -> None
     robot = PosedRobot((), solids, margin_m=0.02, aligns=True)
     beside = np.add(points, (0.3, 0.0, 0.0))
     anything = np.random.default_rng(2).uniform((-0.5, -0.5, UP), (0.5, 0.5, 1.0), (50_000, 3))
-
     for given in (points[:50], beside, anything, np.zeros((0, 3))):
         assert as_seen(robot, given, 0.0) is robot
     assert as_seen(robot, points, 5.0) is robot  # nothing is above that

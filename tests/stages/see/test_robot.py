@@ -18,9 +18,7 @@ def test_solids_take_the_points_within_their_margin_wherever_they_are() -> None:
     points = np.random.default_rng(1).uniform((0.0, 0.1, 0.2), (0.25, 0.3, 0.4), (20_000, 3))
     away = np.linalg.norm(points[:, None] - middles, axis=2).min(axis=1)
     sure = np.abs(away - 0.04) > 1e-4  # a ball of flat triangles
-
     outside = outside_solids(points, posed, margin_m=0.01)
-
     np.testing.assert_array_equal(outside[sure], (away > 0.04)[sure])
     assert outside_solids(points, [], margin_m=0.01).all()
     assert outside_solids(np.zeros((0, 3)), posed, margin_m=0.01).shape == (0,)

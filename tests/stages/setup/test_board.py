@@ -39,7 +39,6 @@ def test_a_picture_of_the_board_gives_its_corners_and_pose() -> None:
     onto_board = np.array([[1 / px_per_m, 0, -20 / px_per_m], [0, 1 / px_per_m, -20 / px_per_m], [0, 0, 1]])
     image = cv2.warpPerspective(flat, CAMERA @ np.column_stack([T[:3, :2], T[:3, 3]]) @ onto_board, SIZE_PX)
     seen = find_board(image, BOARD)
-
     assert len(seen.number) == 24
     pose = board_pose(seen, FOCAL_PX, CENTER_PX, (), BOARD)
     assert pose == pytest.approx(T, abs=2e-3)
@@ -53,7 +52,6 @@ def test_the_intervals_of_the_lens_hold_it_in_about_nine_of_ten() -> None:
         found = lens([projected(held(random, number=number), 0.2, random) for number in range(8)], SIZE_PX, BOARD)
         truth = np.array([*FOCAL_PX, *CENTER_PX])
         hits += np.abs([*found.focal_px, *found.center_px] - truth) <= found.half_px
-
     assert found.left_over_px == pytest.approx(0.2 * np.sqrt(2), rel=0.15)
     assert (hits >= 29).all(), hits
 
@@ -61,7 +59,6 @@ def test_the_intervals_of_the_lens_hold_it_in_about_nine_of_ten() -> None:
 @pytest.mark.parametrize("seed", range(2, 10))
 def test_a_board_that_is_not_tilted_is_refused(seed: int) -> None:
     random = np.random.default_rng(seed)
-
     with pytest.raises(InputError, match=r"tilted by 20 degrees.*tilt it each way"):
         lens([projected(held(random, 1.0), 0.2, random) for _ in range(8)], SIZE_PX, BOARD)
     with pytest.raises(InputError, match="6 views"):
@@ -84,5 +81,4 @@ def test_camera_and_lens_together_are_inside_their_intervals(draws: int) -> None
         hits += np.abs(found.mount.T_arm_camera.deviation(X)) <= found.mount.T_arm_camera.half()
         in_view_m = (X @ views[0])[:3, 3]
         assert doubt_at(found.mount.T_arm_camera, in_view_m) < 0.015
-
     assert hits.mean() >= 0.75 * draws, hits

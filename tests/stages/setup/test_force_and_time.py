@@ -33,7 +33,6 @@ def pushes(R: FloatArray, sd_rad: float, random: np.random.Generator, axes: Floa
 def test_signs_and_turn_are_found_again(mirrored: bool, upside_down: bool) -> None:
     R = sitting(2.2, mirrored=mirrored, upside_down=upside_down)
     found = mount(pushes(R, 0.0, np.random.default_rng(0)), AXES)
-
     assert found.R_tip_force == pytest.approx(R)
     assert np.linalg.det(found.R_tip_force) == pytest.approx(np.linalg.det(R))
 
@@ -48,7 +47,6 @@ def test_the_interval_of_the_turn_holds_it_in_nine_of_ten() -> None:
         found = mount(pushes(R, sd_rad, random), AXES)
         off = np.angle(np.exp(1j * (found.turn_rad - turn_rad)))
         hits += abs(off) <= found.turn_half_rad
-
     assert AT_LEAST <= hits <= AT_MOST
 
 
@@ -62,7 +60,6 @@ def test_the_interval_of_the_gain_holds_it_in_nine_of_ten() -> None:
         felt = gain * (5.0 + sd_n * random.standard_normal((4, 1))) * held / np.linalg.norm(held)
         found = force_gain(felt, 5.0)
         hits += abs(found.gain - gain) <= found.half
-
     assert AT_LEAST <= hits <= AT_MOST
     assert found.sd < found.half < 0.02
 
@@ -79,7 +76,6 @@ def test_pushes_that_do_not_say_how_it_sits_are_refused() -> None:
     felt = pushes(R, 0.02, random)
     contradicting = felt.copy()
     contradicting[-1] *= -1.0
-
     with pytest.raises(InputError, match=r"one axis alone.*push \+x as well"):
         mount(felt[[0, 2, 4]], AXES[[0, 2, 4]])
     with pytest.raises(InputError, match="along the stick"):
@@ -101,7 +97,6 @@ def test_drift_and_noise_of_free_air() -> None:
         force_n = 0.2 + drift * time_s[:, None] / 60.0 + 0.01 * random.standard_normal((len(time_s), 3))
         found = free_air(time_s, force_n)
         hits += np.count_nonzero(np.abs(found.drift_n_per_min - drift) <= found.drift_half)
-
     assert found.noise_n == pytest.approx([0.01] * 3, rel=0.1)
     assert found.tare_n == pytest.approx(0.2 + drift / 6.0, abs=0.002)
     assert binom.ppf(1e-4, 180, 0.9) <= hits <= binom.ppf(1.0 - 1e-4, 180, 0.9)
@@ -119,7 +114,6 @@ def test_a_hanging_weight_is_found_from_free_air_in_some_poses() -> None:
         felt = np.array([0.1, -0.2, 0.3]) + np.array([R.T @ turn.T @ down_n for turn in turns])
         found = hanging_weight(felt + 0.01 * random.standard_normal(felt.shape), turns, R)
         hits += abs(found.down @ down_n / np.linalg.norm(found.down) - found.weight_n) <= found.weight_half_n
-
     assert AT_LEAST <= hits <= DRAWS
     assert found.bias_n == pytest.approx([0.1, -0.2, 0.3], abs=0.06)
     with pytest.raises(InputError, match="turned too little"):
@@ -151,16 +145,13 @@ def test_the_interval_of_an_offset_holds_it_in_nine_of_ten() -> None:
         offset_s = random.uniform(-0.1, 0.1)
         found = time_offset(*signals(offset_s, random), reach_s=0.15)
         hits += found.low_s <= offset_s <= found.high_s
-
     assert AT_LEAST <= hits <= AT_MOST
 
 
 def test_the_offset_is_where_the_cross_correlation_is_highest() -> None:
     x_time_s, x, y_time_s, y = signals(0.037, np.random.default_rng(6), hz=1000.0)
     lag = np.argmax(correlate(y - y.mean(), x - x.mean())) - (len(x) - 1)
-
     found = time_offset(x_time_s, x, y_time_s, y)
-
     assert found.offset_s == pytest.approx(1e-3 * lag, abs=2e-3)
     assert found.high_s - found.low_s < 0.005
 
@@ -168,7 +159,6 @@ def test_the_offset_is_where_the_cross_correlation_is_highest() -> None:
 def test_signals_without_a_tap_are_refused() -> None:
     random = np.random.default_rng(7)
     x_time_s, x, y_time_s, y = signals(0.0, random)
-
     with pytest.raises(InputError, match=r"appears in the second signal as a peak.*tap harder"):
         time_offset(x_time_s, x, y_time_s, 1.0 + 0.01 * random.standard_normal(len(y)))
     with pytest.raises(InputError, match=r"explained by the first"):

@@ -45,7 +45,6 @@ def test_exact_views_give_camera_and_board() -> None:
     random = np.random.default_rng(0)
     A, X, Y = poses(8, random), camera(random), board(random)
     found = hand_eye(A, seen(A, X, Y, random, 0.0))
-
     assert pytest.approx(X, abs=1e-7) == found.T_arm_camera.T
     assert pytest.approx(Y, abs=1e-7) == found.T_ee_board.T
 
@@ -64,7 +63,6 @@ def test_it_is_near_that_of_park_and_martin() -> None:
     wanted = np.concatenate([turn @ view[:3, 3] - move[:3, 3] for move, view in zip(moves, views, strict=True)])
     theirs = rigid(turn, np.linalg.lstsq(design, wanted, rcond=None)[0])
     found = hand_eye(A, B).T_arm_camera
-
     assert (np.abs(found.deviation(theirs)) < 2.0 * found.half()).all()
     assert (np.abs(found.deviation(X)) < 2.0 * found.half()).all()
 
@@ -77,7 +75,6 @@ def test_the_intervals_of_a_camera_hold_it_in_about_nine_of_ten() -> None:
         found = hand_eye(A, seen(A, X, Y, random))
         hits[:6] += np.abs(found.T_arm_camera.deviation(X)) <= found.T_arm_camera.half()
         hits[6:] += np.abs(found.T_ee_board.deviation(Y)) <= found.T_ee_board.half()
-
     assert (hits >= binom.ppf(1e-4, DRAWS // 2, 0.9)).all(), hits
     assert hits.mean() <= 0.97 * DRAWS // 2
 
@@ -89,7 +86,6 @@ def test_views_that_do_not_say_where_it_stands_are_refused() -> None:
     about_one[:, :3, :3] = Rotation.from_rotvec(np.linspace(-0.7, 0.7, 10)[:, None] * [0.0, 1.0, 0.0]).as_matrix()
     slipped = seen(A, X, Y, random)
     slipped[4] = moved(slipped[4], [0.1, 0.0, 0.0, 0.0, 0.0, 0.3])
-
     with pytest.raises(InputError, match=r"second axis.*try: from the middle.*by .30 degrees about its own [xz] axis"):
         hand_eye(about_one, seen(about_one, X, Y, random))
     with pytest.raises(InputError, match="6 views"):
@@ -142,7 +138,6 @@ def test_the_poses_that_are_suggested_turn_about_all_axes() -> None:
         T, words = next_pose(taken)
         assert "degrees about its own" in words
         taken = np.concatenate([taken, T[None]])
-
     assert turned_about(taken) > np.radians(10.0)
     assert turned_about(taken[:6]) > np.radians(8.0)
 
@@ -158,13 +153,11 @@ def test_the_intervals_from_touches_hold_the_camera_in_nine_of_ten() -> None:
         found = camera_from_touches(touched_m, (off_m - X[:3, 3]) @ X[:3, :3]).T_arm_camera
         hits += np.abs(found.deviation(X)) <= found.half()
         regions += found.holds(X)
-
     assert ((hits >= AT_LEAST) & (hits <= AT_MOST)).all(), hits
     assert AT_LEAST <= regions <= AT_MOST
 
 
 def test_places_in_one_line_are_refused() -> None:
     line_m = np.linspace([0.0, 0.0, 0.0], [0.4, 0.1, 0.0], 6)
-
     with pytest.raises(InputError, match=r"not in one line.*try: touch off that line"):
         camera_from_touches(line_m, line_m)

@@ -42,7 +42,6 @@ def held(estimate: TransformEstimate, T: FloatArray) -> FloatArray:
 def test_moved_and_deviation_are_each_other_s_reverse() -> None:
     random = np.random.default_rng(1)
     T, off = somewhere(random), 0.3 * random.standard_normal(6)
-
     assert deviation(T, moved(T, off)) == pytest.approx(off)
 
 
@@ -53,7 +52,6 @@ def test_three_exact_corners_give_the_table() -> None:
     random = np.random.default_rng(0)
     T = somewhere(random)
     found = place(touched(T, [0, 1, 2], 0.0, random), [0, 1, 2], RADIUS_M)
-
     assert pytest.approx(T, abs=1e-9) == found.T_arm_surface.T
     assert found.size_m == pytest.approx(SIZE_M)
     inside = np.array([0.3, 0.2, 0.1]) @ T[:3, :3].T + T[:3, 3]
@@ -71,7 +69,6 @@ def test_the_intervals_of_a_table_hold_it_in_nine_of_ten() -> None:
         hits += held(found.T_arm_surface, T)
         sizes += np.abs(found.size_m - SIZE_M) <= found.size_half_m
         regions += found.T_arm_surface.holds(T)
-
     for count in (*hits, *sizes, regions):
         assert AT_LEAST <= count <= AT_MOST
 
@@ -83,7 +80,6 @@ def test_more_touches_make_it_sharper() -> None:
         place(touched(T, which, 0.001, random), which, RADIUS_M).T_arm_surface.half()
         for which in ([0, 1, 2], [0, 1, 2, 3] * 4)
     )
-
     assert (many < 0.6 * few).all()
 
 
@@ -95,7 +91,6 @@ def test_corners_that_say_nothing_of_a_table_are_refused() -> None:
     in_line_m[2] = 2.0 * good_m[1] - good_m[0]
     askew_m = good_m.copy()
     askew_m[2] += 0.05 * T[:3, 0]
-
     with pytest.raises(InputError, match=r"one line.*try: touch the end of x"):
         place(in_line_m, [0, 1, 2], RADIUS_M)
     with pytest.raises(InputError, match=r"rectangle.*try: touch the corners again"):
@@ -125,7 +120,6 @@ def turned(count: int, tilt_deg: float, sd_m: float, random: np.random.Generator
 
 def test_exact_turns_give_the_tip() -> None:
     found = pivot(turned(6, 20.0, 0.0, np.random.default_rng(0)))
-
     assert found.T_ee_center.T[:3, 3] == pytest.approx(TIP_M, abs=1e-9)
     assert found.T_ee_center.T[:3, 2] == pytest.approx(TIP_M / np.linalg.norm(TIP_M))
     assert found.pivot_m == pytest.approx([0.1, -0.4, 0.05])
@@ -138,7 +132,6 @@ def test_the_pivot_is_that_of_the_two_step_formulation() -> None:
     design = np.vstack([poses[i, :3, :3] - poses[j, :3, :3] for i, j in pairs])
     wanted = np.concatenate([poses[j, :3, 3] - poses[i, :3, 3] for i, j in pairs])
     tip_m = np.linalg.lstsq(design, wanted, rcond=None)[0]
-
     assert pivot(poses).T_ee_center.T[:3, 3] == pytest.approx(tip_m, abs=1e-9)
 
 
@@ -149,7 +142,6 @@ def test_the_intervals_of_a_tip_hold_it_in_nine_of_ten() -> None:
         sd_m = min(drawn_sd(random, PIVOTED), 0.003)  # a ball that is looser is refused
         found = pivot(turned(6, 20.0, sd_m, random)).T_ee_center
         hits += np.abs(found.T[:3, 3] - TIP_M) <= found.half()[:3]
-
     assert ((hits >= AT_LEAST) & (hits <= AT_MOST)).all()
 
 
@@ -157,7 +149,6 @@ def test_a_stick_that_is_tilted_or_mounted_off_the_middle_is_inside_the_interval
     found = pivot(turned(8, 20.0, 0.0003, np.random.default_rng(6))).T_ee_center
     tilted = found.T
     straight = rigid(np.eye(3), TIP_M)
-
     for T in (tilted, straight):
         assert (np.abs(found.deviation(T)[3:5]) <= found.half()[3:5]).all()
 
@@ -170,7 +161,6 @@ def test_turns_that_say_nothing_of_a_tip_are_refused() -> None:
     about_one_axis[:, :3, :3] = spins
     slid = good.copy()
     slid[::2, :3, 3] += 0.02
-
     with pytest.raises(InputError, match=r"two axes.*try: tilt the stick"):
         pivot(about_one_axis)
     with pytest.raises(InputError, match=r"two axes.*try: tilt the stick"):

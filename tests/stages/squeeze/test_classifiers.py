@@ -42,7 +42,6 @@ def test_scaling_and_components_are_scikit_learns_of_the_training_side() -> None
     scaler = StandardScaler().fit(train[:, scaling.used])
     pca = PCA(0.8).fit(scaler.transform(train[:, scaling.used]))
     theirs = pca.transform(scaler.transform(test[:, scaling.used]))
-
     assert not scaling.used.all()  # the corners of digits are blank
     assert space.kept == pca.n_components_
     np.testing.assert_allclose(np.abs(space.few[1]), np.abs(theirs), atol=1e-8)
@@ -53,7 +52,6 @@ def test_components_from_inner_products_are_those_from_columns() -> None:
     train, test = rng.normal(size=(20, 50)), rng.normal(size=(8, 50))
     space = project(train, test)
     directions, variance = loadings(train)
-
     np.testing.assert_allclose(np.abs(space.train), np.abs((train - train.mean(axis=0)) @ directions), atol=1e-9)
     np.testing.assert_allclose(np.abs(space.test), np.abs((test - train.mean(axis=0)) @ directions), atol=1e-9)
     assert space.train.shape == (20, 19)
@@ -66,7 +64,6 @@ def test_components_from_inner_products_are_those_from_columns() -> None:
 def test_what_was_not_measured_becomes_the_mean_of_the_training_side() -> None:
     train = np.array([[1.0, 5.0], [3.0, np.nan], [np.nan, 7.0]])
     scaling = fit_scaling(train)
-
     np.testing.assert_allclose(scaling.mean, [2.0, 6.0])
     np.testing.assert_allclose(scaling.apply(np.array([[np.nan, 8.0]])), [[0.0, 2.0]])
 
@@ -138,7 +135,6 @@ def test_the_pipelines_are_scikit_learns_with_the_same_shrinkage(name: str, colu
 def test_the_number_of_neighbours_is_the_thesis_or_what_does_best_on_points_left_out() -> None:
     line, fold = np.arange(24.0)[:, None], np.arange(24) % 2
     target = np.repeat(np.arange(4), 6)
-
     assert neighbour_count(line, target % 3, 3, fold) == 3
     assert neighbour_count(line, target, 5, fold) == 5
     assert neighbour_count(line, target, 4, fold) == 1
@@ -152,7 +148,6 @@ def test_of_many_points_the_gaussians_are_scikit_learns() -> None:
     prior = np.full(3, 1 / 3)
     quadratic = QuadraticDiscriminantAnalysis(priors=prior).fit(points, target)
     linear = LinearDiscriminantAnalysis(solver="lsqr", priors=prior).fit(points, target)
-
     ours = np.exp(fit_quadratic(points, target, 3).log_posterior(points))
     np.testing.assert_allclose(ours, quadratic.predict_proba(points), atol=0.01)
     # The clouds' covariance is the unit matrix, to which ours is shrunk; theirs has the errors of the sample.
@@ -166,7 +161,6 @@ def test_without_shrinkage_a_covariance_is_its_classs_own() -> None:
     points, target = table.modalities["touch"] * [1.0, 3.0, 0.5, 1.0], table.target
     own = [points[target == one] for one in range(3)]
     density = np.stack([multivariate_normal(x.mean(axis=0), np.cov(x.T, ddof=0)).pdf(points) for x in own], axis=1)
-
     plain = plain_quadratic(points, 2 * target, points, 5)
     np.testing.assert_allclose(np.exp(plain[:, ::2]), density / density.sum(axis=1, keepdims=True), atol=1e-6)
     assert np.exp(plain[:, 1::2]).max() < 1e-8  # classes without a point
@@ -185,7 +179,6 @@ def test_the_share_of_the_unit_matrix_is_that_of_the_least_loss_when_points_are_
             fitted = fit_linear(points[others], target[others], 3, share)
             one_by_one.append(-fitted.log_posterior(points[row : row + 1])[0, target[row]])
         loss.append(np.mean(one_by_one))
-
     assert linear_share(points, target, 3) == SHARES[int(np.argmin(loss))]
     assert 0 < int(np.argmin(loss)) < len(SHARES) - 1
 
@@ -196,7 +189,6 @@ def test_classes_of_one_point_or_none_are_no_accident(name: str) -> None:
     target = np.array([0, 0, 0, 0, 2, 3, 3])
     points = rng.normal(size=(7, 12)) + 8.0 * target[:, None]
     logs = fit(name, points, target, 5).log_posterior(points)  # type: ignore[arg-type]
-
     assert np.isfinite(logs).all()
     np.testing.assert_allclose(np.exp(logs).sum(axis=1), 1.0)
     assert not set(logs.argmax(axis=1)) & {1, 4}

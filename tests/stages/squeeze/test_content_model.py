@@ -21,7 +21,6 @@ def test_new_trials_are_named_with_probabilities(model: ContentModel) -> None:
     new = two_modalities(each=50, seed=9)
     posterior = model.predict_proba(new.modalities)
     truth = np.array([model.labels.index(one) for one in new.label])
-
     np.testing.assert_allclose(posterior.sum(axis=1), 1.0)
     assert (posterior.argmax(axis=1) == truth).mean() > 0.72
     assert abs(posterior.max(axis=1).mean() - (posterior.argmax(axis=1) == truth).mean()) < 0.08
@@ -33,7 +32,6 @@ def test_one_modality_will_do_and_a_row_without_one_falls_back_to_the_other(mode
     both = {name: values.copy() for name, values in new.modalities.items()}
     both["vision"][:5] = np.nan
     mixed = model.predict_proba(both)
-
     np.testing.assert_allclose(mixed[:5], touch[:5], rtol=1e-12)
     assert not np.allclose(mixed[5:], touch[5:])
 
@@ -69,7 +67,6 @@ def test_touch_and_vision_are_fused_at_each_step_and_it_says_which_of_them(live:
 def test_where_there_is_no_vision_at_a_step_touch_alone_answers(live: ContentModel) -> None:
     new = {name: values[:, 6] for name, values in stepped(10, seed=9).series.items()}
     both, touch = live.predict_at(0.6, new)[1], live.predict_step("tactile", 6, new["tactile"])
-
     missing = np.isnan(new["vision_small"]).all(axis=1)
     np.testing.assert_allclose(both[missing], touch[missing], rtol=1e-12)
     assert not np.allclose(both[~missing], touch[~missing])
@@ -79,7 +76,6 @@ def test_a_model_whose_vision_has_no_steps_answers_by_touch_and_says_so(live: Co
     before = dataclasses.replace(live, steps={"tactile": live.steps["tactile"]}, step_fusion=())
     new = {name: values[:, 6] for name, values in stepped(10, seed=9).series.items()}
     known, posterior = before.predict_at(0.6, new)
-
     assert known == ("tactile",)
     np.testing.assert_array_equal(posterior, before.predict_step("tactile", 6, new["tactile"]))
 

@@ -54,7 +54,6 @@ def test_what_is_learned_does_not_depend_on_the_tested_side() -> None:
     for values in changed.values():
         values[split.test[1:]] = 1e3 * np.random.default_rng(0).normal(size=(len(split.test) - 1, values.shape[1]))
     after = run_split(changed, missing(table), table.target, 4, split, methods=ALL)
-
     assert set(before) == set(after)
     for key, one in before.items():
         assert after[key].answer[0] == one.answer[0], key
@@ -68,7 +67,6 @@ def test_a_column_that_a_scaler_fitted_on_all_would_take_gains_nothing() -> None
     leak = np.zeros((60, 1))
     leak[split.test, 0] = 50.0 * table.target[split.test]
     with_leak = {"touch": np.concatenate([table.modalities["touch"], leak], axis=1)}
-
     without = run_split(table.modalities, missing(table), table.target, 3, split, methods=ALL)
     for key, one in run_split(with_leak, missing(table), table.target, 3, split, methods=ALL).items():
         np.testing.assert_array_equal(one.answer, without[key].answer)
@@ -82,7 +80,6 @@ def test_a_column_that_a_scaler_fitted_on_all_would_take_gains_nothing() -> None
 def test_copies_across_a_split_are_refused_by_name() -> None:
     table = blobs()
     table.modalities["touch"][30] = table.modalities["touch"][3]
-
     with pytest.raises(InputError, match="row 4 = row 31"):
         evaluate(table, FAST)
 
@@ -118,7 +115,6 @@ def test_at_least_as_good_as_the_nearest_neighbour(name: str) -> None:
     splits = draw("stratified", table, 16, 0)
     best = evaluate(table, options).best
     found, _ = difference(best.split_accuracy, one_nearest(table, splits), split_ratio(splits), 0.9)
-
     assert found.value >= -0.002
     assert best.accuracy.interval[0] < best.accuracy.value < best.accuracy.interval[1] or best.accuracy.value == 1.0
 
@@ -129,7 +125,6 @@ def test_at_least_as_good_as_the_nearest_neighbour(name: str) -> None:
 def test_late_fusion_knows_what_neither_modality_knows() -> None:
     found = evaluate(two_modalities(each=24), dataclasses.replace(FAST, splits=16))
     touch, vision = (found.score(name, "pooled") for name in ("touch", "vision"))
-
     assert max(touch.accuracy.interval[1], vision.accuracy.interval[1]) < 0.72  # two classes of four each
     assert found.best.method == "late-fusion"
     assert found.best.accuracy.interval[0] > 0.72
@@ -147,7 +142,6 @@ def test_a_coarser_copy_of_a_modality_takes_its_place_and_is_not_fused_with_it()
         dataclasses.replace(table, modalities={**table.modalities, "vision_small": coarse}),
         dataclasses.replace(FAST, splits=4),
     )
-
     assert found.best.modality == "touch+vision"
     assert {one.modality for one in found.scores} == {
         *("touch", "vision", "vision_small", "touch+vision", "touch+vision_small")
@@ -171,7 +165,6 @@ def test_where_a_modality_says_nothing_late_fusion_is_the_other_one() -> None:
     )
     found = evaluate(blind, dataclasses.replace(FAST, splits=16))
     touch = found.score("touch", "pooled")
-
     assert found.best.accuracy.value > touch.accuracy.value - 0.03
     assert found.score("touch+vision", "knn").accuracy.value < touch.accuracy.value - 0.1  # early fusion drags it down
 
@@ -184,7 +177,6 @@ def test_with_a_modality_switched_off_the_other_answers() -> None:
     absent = {name: np.isnan(values).all(axis=1) for name, values in off.items()}
     found = run_split(off, absent, table.target, 4, split, methods=("pooled", "late-fusion"))
     touch, late = found["touch", "pooled"], found["touch+vision", "late-fusion"]
-
     np.testing.assert_array_equal(late.answer, touch.answer)
     np.testing.assert_allclose(late.sure, touch.sure, rtol=1e-12)
 
@@ -196,7 +188,6 @@ def test_too_few_samples_are_words_not_crashes() -> None:
     table = blobs(classes=24, each=3, columns=10, apart=8.0, groups=2)
     keep = np.r_[0, 3:72]  # one trial alone of the first class
     found = evaluate(table.rows(keep), dataclasses.replace(FAST, splits=4, curve_splits=2, protocols=None))
-
     assert found.protocol == "group"
     assert any("one trial alone of c00" in note for note in found.notes)
     assert any("fewer than 5 trials of c01, c02, c03, c04 and 19 more" in note for note in found.notes)
@@ -212,7 +203,6 @@ def test_one_trial_of_each_label_is_refused() -> None:
 def test_a_modality_that_never_varies_is_refused() -> None:
     table = two_modalities()
     flat = dataclasses.replace(table, modalities={**table.modalities, "flat": np.ones((64, 3))})
-
     with pytest.raises(InputError, match="none that differ in it"):
         evaluate(flat, FAST)
 
@@ -226,7 +216,6 @@ def test_transfer_trains_on_one_kind_and_tests_on_the_other() -> None:
     table = dataclasses.replace(table, kind=kind, group=None, modalities={"touch": touch})
     found = evaluate(table, FAST)
     transfers = {one.pair: one for one in found.scores if one.method == "knn" and one.protocol == "transfer"}
-
     assert set(transfers) == {("bottle", "carton"), ("carton", "bottle")}
     for one in transfers.values():
         assert one.accuracy.interval[1] < 0.3
@@ -249,7 +238,6 @@ def test_the_learning_curve_rises_and_a_squeeze_is_known_better_with_time() -> N
     )
     curve = [one.accuracy.value for one in found.curve if one.method == "linear"]
     times = found.steps["touch"]
-
     assert [round(one.share, 1) for one in found.curve if one.method == "linear"] == [0.2, 0.4, 0.6, 0.8, 1.0]
     assert curve[-1] > curve[0] + 0.03
     assert [one.time_s for one in times] == pytest.approx([0.0, 0.1, 0.2])
@@ -263,7 +251,6 @@ def test_modalities_are_fused_in_each_step_and_one_that_is_missing_there_leaves_
     over = {name: np.stack([0.3 * values, values], axis=1) for name, values in table.modalities.items()}
     over["vision"][:, 0] = np.nan
     found = evaluate(dataclasses.replace(table, series=over), dataclasses.replace(FAST, splits=6, curve_splits=6))
-
     assert [one.time_s for one in found.steps["vision"]] == pytest.approx([0.1])
     fused = found.steps["touch+vision"]
     assert [one.time_s for one in fused] == pytest.approx([0.1])
@@ -274,7 +261,6 @@ def test_the_same_table_and_seed_give_the_same_numbers_in_threads() -> None:
     few = dataclasses.replace(FAST, splits=5)
     one = evaluate(two_modalities(), few)
     other = evaluate(two_modalities(), dataclasses.replace(few, workers=3))
-
     for mine, theirs in zip(one.scores, other.scores, strict=True):
         np.testing.assert_array_equal(mine.split_accuracy, theirs.split_accuracy)
         assert mine.calibration_error == theirs.calibration_error
@@ -282,7 +268,6 @@ def test_the_same_table_and_seed_give_the_same_numbers_in_threads() -> None:
 
 def test_clusters_of_clear_clouds_are_the_classes_and_their_components_normal() -> None:
     found = evaluate(blobs(classes=3, each=40, columns=4, apart=14.0), FAST)
-
     assert found.clusters["touch"].rand.max() == pytest.approx(1.0)
     passed, tested = found.normality["touch"].normal_within
     assert passed >= 0.7 * tested
@@ -328,6 +313,5 @@ def test_a_calibrated_classifier_is_inside_its_band_and_an_overconfident_one_is_
         ((one.band[:, 0] <= one.right) & (one.right <= one.band[:, 1]))[one.count > 0].mean()
         for one in (honest, boastful)
     ]
-
     assert inside[0] == 1.0
     assert inside[1] < 0.5

@@ -41,7 +41,6 @@ def test_they_are_within_two_sample_periods_in_95_percent(dropped: float) -> Non
         found, first_s, steady_s, tactile_s, hand_s = squeezed(seed, dropped=dropped)
         first = abs(found.first_ns / 1e9 - first_s) <= 2 * tactile_s
         right.append(first and abs(found.steady_ns / 1e9 - steady_s) <= 2 * max(tactile_s, hand_s))
-
     assert np.mean(right) >= 0.95
 
 
@@ -59,7 +58,6 @@ def test_noise_alone_is_no_contact() -> None:
     random = np.random.default_rng(0)
     angles = np.zeros((len(when), 2))
     found = squeeze_events(when, random.normal(0.0, 15.0, (len(when), 2)), when, angles, RULE)
-
     assert (found.first_ns, found.steady_ns) == (0, 0)
 
 
@@ -69,7 +67,6 @@ def test_a_single_frame_is_no_contact_and_a_finger_that_goes_on_is_not_steady() 
     sums[50, 0] = 500.0
     moving = np.stack([0.24 * np.arange(100.0)] * 2, axis=1)
     assert squeeze_events(when, sums, when, moving, RULE).first_ns == 0
-
     sums[60:] = 500.0
     found = squeeze_events(when, sums, when, moving, RULE)
     assert found.first_ns == (when[59] + when[60]) // 2
@@ -81,7 +78,6 @@ def test_the_rule_can_be_tuned() -> None:
     sums = np.repeat(np.arange(100.0)[:, None] * 2.0, 2, axis=1)
     sums[:20] = 0.0
     still = np.zeros((100, 2))
-
     assert squeeze_events(when, sums, when, still, EventRule(onset_counts=100.0)).first_ns == (when[50] + when[51]) // 2
     assert squeeze_events(when, sums, when, still, EventRule(onset_counts=60.0)).first_ns == (when[30] + when[31]) // 2
 
@@ -91,14 +87,12 @@ def test_axes_that_close_within_the_tolerance_are_not_still_yet() -> None:
     sums = np.full((100, 2), 500.0)
     sums[:10] = 0.0
     closing = np.stack([0.12 * np.minimum(np.arange(100.0), 60.0)] * 2, axis=1)  # a reading within 0.15 deg of the next
-
     assert squeeze_events(when, sums, when, closing, RULE).steady_ns == when[60]
 
 
 def test_a_run_of_lost_frames_widens_the_interval_around_the_middle_of_the_gap() -> None:
     when = np.delete(np.arange(1, 101) * 40_000_000, np.arange(50, 55))
     sums = np.where(when[:, None] > 51 * 40_000_000, 500.0, 0.0) * [1.0, 1.0]
-
     found = squeeze_events(when, sums, when, np.zeros((len(when), 2)), RULE)
     assert found.first_ns == (when[49] + when[50]) // 2
     assert found.first_interval_ns == (when[49], when[50])
@@ -106,6 +100,5 @@ def test_a_run_of_lost_frames_widens_the_interval_around_the_middle_of_the_gap()
 
 def test_too_little_is_refused() -> None:
     few = np.arange(2) * 40_000_000
-
     with pytest.raises(InputError, match="more than 6 frames"):
         squeeze_events(few, np.zeros((2, 2)), few, np.zeros((2, 2)), RULE)

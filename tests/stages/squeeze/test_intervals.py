@@ -31,14 +31,12 @@ def test_splits_that_share_trials_widen_the_interval() -> None:
     found = over_splits(values, 3 / 7, 0.9)
     # By hand: variance 0.02 / 3, times 1 / 4 + 3 / 7.
     half = stats.t.ppf(0.95, 3) * np.sqrt(0.02 / 3 * (0.25 + 3 / 7))
-
     assert found.value == pytest.approx(0.8)
     assert found.interval == pytest.approx((0.8 - half, 0.8 + half))
 
 
 def test_perfect_splits_are_no_surer_than_their_trials() -> None:
     found = share_of(np.ones(200), trials_worth(np.ones(50, int), 0.3, 200, 3 / 7), 0.9)
-
     assert found.interval == pytest.approx((wilson(1.0, 50 * 0.3 / (1 / 200 + 3 / 7), 0.9)[0], 1.0))
     assert found.interval[0] < wilson(1.0, 50, 0.9)[0] < 0.96
 
@@ -102,7 +100,6 @@ def test_the_corrected_comparison_is_the_t_test_of_nadeau_and_bengio() -> None:
     found, p_value = difference(one, other, 3 / 7, 0.9)
     apart = one - other
     t = apart.mean() / np.sqrt(apart.var(ddof=1) * (1 / 4 + 3 / 7))
-
     assert found.value == pytest.approx(0.075)
     assert p_value == pytest.approx(2 * stats.t.sf(t, 3))
     assert p_value > stats.ttest_rel(one, other).pvalue
@@ -127,7 +124,6 @@ def test_lilliefors_has_the_published_critical_values() -> None:
 
 def test_what_is_not_normal_is_recognised() -> None:
     rng = np.random.default_rng(0)
-
     assert lilliefors(rng.exponential(size=100))[1] < 0.001
     assert np.isnan(lilliefors(np.array([1.0, 2.0, 3.0]))[1])
     assert np.isnan(lilliefors(np.ones(10))[1])

@@ -23,7 +23,6 @@ def model() -> ContentModel:
 
 def test_new_trials_of_the_same_kind_keep_the_promise_and_are_calibrated(model: ContentModel) -> None:
     found = check_model(model, two_modalities(75, seed=2))
-
     assert found.kept
     assert found.calibration_kept
     assert found.score.confusion.sum() == 300
@@ -36,7 +35,6 @@ def test_a_classifier_that_is_too_sure_or_misses_its_promise_is_found_out(model:
     random = np.random.default_rng(0)
     noisy = {name: values + 1.5 * random.normal(size=values.shape) for name, values in table.modalities.items()}
     found = check_model(model, dataclasses.replace(table, modalities=noisy))
-
     assert not found.kept
     assert not found.calibration_kept
     assert found.score.overconfidence.interval[0] > 0.0
@@ -45,7 +43,6 @@ def test_a_classifier_that_is_too_sure_or_misses_its_promise_is_found_out(model:
 def test_with_one_modality_less_the_other_answers_as_it_does_alone(model: ContentModel) -> None:
     table = two_modalities(20, seed=3)
     whole, left = check_model(model, table), check_model(model, table.of(("touch",)))
-
     assert set(whole.alone) == {"touch", "vision"}
     np.testing.assert_array_equal(left.score.confusion, whole.alone["touch"].confusion)
     assert whole.score.accuracy.value > left.score.accuracy.value + 0.1
@@ -60,14 +57,12 @@ def test_half_of_the_contents_suffice_and_unknown_ones_are_refused(model: Conten
         "rice": 20,
         "water": 20,
     }
-
     with pytest.raises(InputError, match="labels out of empty, flour, rice, water; got 'oil'"):
         check_model(model, table.merged({"oil": ["water"]}))
 
 
 def test_what_a_model_says_while_the_squeeze_goes_on_is_checked_at_each_time() -> None:
     found = check_model(fit_model(stepped(40, seed=1), by_group=False), stepped(75, seed=2)).times
-
     assert [one.time_s for one in found[:3]] == [0.2, 0.5, 1.0]
     assert np.isnan(found[3].time_s)
     assert [one.score.modality for one in found] == ["tactile+vision_small"] * 3 + ["tactile+vision"]
@@ -86,7 +81,6 @@ def test_answers_that_are_too_sure_have_a_calibration_error_that_shows() -> None
     noisy = {name: values + 1.5 * random.normal(size=values.shape) for name, values in table.series.items()}
     model = fit_model(stepped(40, seed=1), by_group=False)
     before, after = (check_model(model, one).times[1] for one in (table, dataclasses.replace(table, series=noisy)))
-
     assert after.score.calibration_error > before.error_interval[1]
     assert after.error_interval[0] <= after.score.calibration_error <= after.error_interval[1]
     assert after.debiased.interval[0] > after.by_chance
@@ -110,7 +104,6 @@ def test_the_debiased_error_is_what_was_put_in_and_its_interval_holds_it(
         held.append(found.debiased.interval[0] <= off <= found.debiased.interval[1])
         values.append(found.debiased.value)
         chance.append(found.by_chance)
-
     assert np.mean(held) > 0.83
     assert np.mean(values) == pytest.approx(off, abs=0.025)
     assert 0.02 < np.mean(chance) < 0.06

@@ -60,11 +60,9 @@ def test_what_no_dent_can_be_is_missing_and_does_not_spread() -> None:
     wrong[240 + 2, 320] = wrong[215, 332] = wrong[250, 300:310] = wrong[255:263, 320:328] = True
     for behind_m in (0.039, 0.025, -0.03):
         depth = np.where(wrong, model + behind_m, model + 0.002)
-
         found = depth_change(
             ModelRenderer(BOX, CAMERA), REST, depth, np.array([0.0, 0.0, 0.9]), excluded=hand, closed_m=0.01
         )
-
         assert not np.isfinite(found.change_m[wrong[210:271, 290:351]]).any()
         np.testing.assert_allclose(found.filled_m, 0.002, atol=1e-6)
         np.testing.assert_allclose(found.small_filled_m, 0.002, atol=1e-6)
@@ -97,9 +95,7 @@ def test_blocks_are_means_of_what_was_measured() -> None:
     depth = ModelRenderer(BOX, CAMERA).render(REST, PIXELS).depth_m + 0.004
     excluded = np.zeros(SHAPE, dtype=bool)
     excluded[:239, :] = True
-
     change = depth_change(ModelRenderer(BOX, CAMERA), REST, depth, np.array([0.0, 0.0, 0.9]), excluded=excluded)
-
     np.testing.assert_allclose(change.small_m[6:], 0.004, atol=1e-6)
     assert np.isnan(change.small_m[:4]).all()
     np.testing.assert_allclose(change.small_filled_m, 0.004, atol=1e-6)
@@ -109,9 +105,7 @@ def test_a_hand_is_found_by_its_links() -> None:
     depth = np.full(SHAPE, 1.0)
     depth[100:200, 300:320] = 0.8
     finger = Capsule(np.array([-0.03, -0.2, 0.8]), np.array([0.0, -0.05, 0.8]), 0.03)
-
     covered = hand_pixels(depth, CAMERA, [finger])
-
     assert covered[150, 310]
     assert not covered[depth == 1.0].any()
 
@@ -137,5 +131,4 @@ def test_a_links_pixels_are_those_of_its_points_wherever_it_is() -> None:
         aside = (np.stack([column, row], axis=-1) - camera.centre_px) / camera.focal_px
         point = np.concatenate([aside, np.ones((120, 160, 1))], axis=-1) * depth[..., None]
         within = ~outside_capsules(point.reshape(-1, 3), [link], margin_m=0.008).reshape(120, 160)
-
         np.testing.assert_array_equal(hand_pixels(depth, camera, [link]), within)

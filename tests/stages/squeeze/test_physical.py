@@ -30,9 +30,7 @@ def squeeze(noise: float = 0.0, seed: int = 0) -> tuple[FloatArray, list[list[Fl
 
 def test_what_is_known_is_found() -> None:
     time, frames, depth = squeeze()
-
     found = physical_features(time, frames, TEXEL, depth, 1.0, 2.0)
-
     assert found.values.shape == (len(PHYSICAL),)
     assert found["force_n"] == pytest.approx(2.4)
     assert found["contact_area_m2"] == pytest.approx(4 * AREA)
@@ -50,7 +48,6 @@ def test_the_interval_of_stiffness_holds_the_truth_nine_times_in_ten() -> None:
     for seed in range(60):
         found = physical_features(*_with(squeeze(0.2, seed)), 1.0, 2.0)
         held += found["stiffness_low_n_per_m"] <= 300.0 <= found["stiffness_high_n_per_m"]
-
     assert 48 <= held <= 60
 
 
@@ -65,18 +62,14 @@ def test_the_axis_of_a_line_of_pressure(angle_deg: float) -> None:
     along = np.radians(angle_deg)
     across = -column * np.sin(along) + row * np.cos(along)
     lengthwise = column * np.cos(along) + row * np.sin(along)
-
     angle, elongation = pressure_axis(np.exp(-(across**2) / 0.5 - lengthwise**2 / 4.0), TEXEL)
-
     assert np.sin(angle - along) == pytest.approx(0.0, abs=0.03)
     assert elongation > 0.6
 
 
 def test_without_contact_nothing_is_made_up() -> None:
     time, _, depth = squeeze()
-
     found = physical_features(time, [[pad(0.0), pad(0.0)] for _ in time], TEXEL, depth, 1.0, 2.0)
-
     assert found["force_n"] == 0.0
     assert np.isnan([found["center_x_m"], found["orientation_rad"], found["relaxation"]]).all()
     assert np.isnan(pressure_axis(np.zeros((3, 3)), TEXEL)).all()

@@ -48,7 +48,6 @@ def test_a_class_of_one_group_is_never_tested_and_one_of_one_trial_stays_to_trai
     group = table.group.copy()
     group[:12] = "the only one"
     table = dataclasses.replace(table, group=group)
-
     assert all(not (table.target[split.test] == 0).any() for split in draw("group", table, 20, 0))
     assert any("c00: from one group alone" in note for note in splitting_notes(table))
     few = table.rows(np.r_[0, 12:36])

@@ -33,7 +33,6 @@ def test_equal_trials_are_found_in_all_modalities_together_and_named() -> None:
         values[7] = values[2]
         values[30] = values[2]
     table.modalities["touch"][11] = table.modalities["touch"][12]
-
     assert duplicates(table) == [(2, 7, 30)]
     with pytest.raises(InputError, match="row 3 = row 8 = row 31 with the same features"):
         refuse_duplicates(table)
@@ -46,7 +45,6 @@ def test_copies_are_dropped_unless_their_labels_differ() -> None:
     table = blobs()
     table.modalities["touch"][4] = table.modalities["touch"][1]
     kept = without_duplicates(table)
-
     assert len(kept) == len(table) - 1
     np.testing.assert_array_equal(kept.modalities["touch"][4], table.modalities["touch"][5])
     table.modalities["touch"][20] = table.modalities["touch"][1]
@@ -56,7 +54,6 @@ def test_copies_are_dropped_unless_their_labels_differ() -> None:
 
 def test_classes_can_be_merged() -> None:
     merged = two_modalities().merged({"granular": ("flour", "rice")})
-
     assert merged.classes == ("empty", "granular", "water")
     assert (merged.label == "granular").sum() == 32
     with pytest.raises(InputError, match="'sand'"):

@@ -34,9 +34,7 @@ def test_a_squeezed_containers_pose_is_found_where_it_is_observed(model: Contain
     true = moved(rest, random.normal(0.0, 0.004, 3), random.normal(0.0, 2.0, 3))
     seen = squeezed(model, rest, true, random)
     excluded = seen.finger | around(seen.tip_px, SHAPE, 35.0)
-
     found = track(ModelRenderer(model, CAMERA), seen.depth_m, rest, excluded=excluded)
-
     assert found.good, found.reason
     assert np.count_nonzero(found.observed) >= 4
     off = np.abs(error(found, true))[found.observed]
@@ -47,9 +45,7 @@ def test_a_squeezed_containers_pose_is_found_where_it_is_observed(model: Contain
 def test_a_cylinders_turn_about_its_axis_is_not_observed_and_stays_as_it_was() -> None:
     rest = looking(0.9, 30.0, 40.0)
     true = moved(rest, np.array([0.003, -0.002, 0.0]), np.array([0.0, 0.0, 20.0]))
-
     found = track(ModelRenderer(CYLINDER, CAMERA), exact(CYLINDER, true), rest)
-
     assert found.good, found.reason
     assert np.count_nonzero(~found.observed) == 1
     about_z = np.abs(found.directions[~found.observed][0])
@@ -62,9 +58,7 @@ def test_a_flat_face_alone_holds_three_directions_and_the_others_keep_the_rest_p
     wall = ContainerModel.box((3.0, 0.02, 3.0))  # its edges are outside of the image
     rest = looking(0.9, 0.0, 90.0)
     true = moved(rest, np.array([0.02, 0.005, -0.03]), np.zeros(3))
-
     found = track(ModelRenderer(wall, CAMERA), exact(wall, true), rest)
-
     assert np.count_nonzero(found.observed) == 3
     off = np.linalg.inv(rest) @ found.T_camera_container
     np.testing.assert_allclose(off[:3, 3], [0.0, 0.005, 0.0], atol=2e-4)
@@ -75,9 +69,7 @@ def test_a_cable_before_the_container_moves_nothing() -> None:
     rest = looking(0.9, 25.0, 60.0)
     depth = exact(BOX, rest)
     depth[:, 300:312] = np.where(np.isfinite(depth[:, 300:312]), 0.7, np.nan)
-
     found = track(ModelRenderer(BOX, CAMERA), depth, rest)
-
     assert found.good, found.reason
     assert np.abs(error(found, rest)).max() < 2e-4
 
@@ -94,7 +86,6 @@ def test_a_cable_before_the_container_moves_nothing() -> None:
 )
 def test_what_cannot_be_tracked_is_bad_and_says_why(depth: FloatArray, reason: str) -> None:
     found = track(ModelRenderer(BOX, CAMERA), depth, looking(0.9, 25.0, 60.0))
-
     assert not found.good
     assert reason in found.reason
     assert np.isfinite(found.T_camera_container).all()
@@ -105,9 +96,7 @@ def test_a_container_far_from_where_it_rested_is_bad() -> None:
     true = moved(rest, np.array([0.03, 0.02, 0.02]), np.zeros(3))
     start = moved(rest, np.array([0.028, 0.02, 0.02]), np.zeros(3))
     options = TrackOptions(farthest_m=0.03)
-
     found = track(ModelRenderer(BOX, CAMERA), exact(BOX, true), start, rest=rest, options=options)
-
     assert not found.good
     assert "from the rest pose" in found.reason
 
@@ -117,16 +106,13 @@ def test_a_container_is_located_from_a_guess() -> None:
     guess = looking(0.9, 35.0, 60.0)
     true = moved(guess, np.array([0.02, -0.015, 0.0]), np.array([0.0, 0.0, 25.0]))
     seen = squeezed(BOX, guess, true, random, dent_m=0.0)
-
     found = locate(ModelRenderer(BOX, CAMERA), seen.depth_m, guess, excluded=seen.finger)
-
     assert found.good, found.reason
     assert np.abs(error(found, true)).max() < 0.001
 
 
 def test_a_rendering_is_where_geometry_says() -> None:
     view = ModelRenderer(BOX, CAMERA).render(looking(1.0, 0.0, 90.0), np.array([[319.5, 239.5], [0.0, 0.0]]))
-
     np.testing.assert_allclose(view.depth_m, [1.0 - 0.04, np.nan], atol=1e-14)
     np.testing.assert_allclose(view.normal(np.array([True, False])), [[0.0, 0.0, -1.0]], atol=1e-14)
     round_one = ModelRenderer(CYLINDER, CAMERA).render(looking(1.0, 0.0, 33.0), np.array([[319.5, 239.5]]))
@@ -152,9 +138,7 @@ def test_a_full_carton_whose_walls_bulge_is_not_taken_for_one_that_stands_nearer
     side = on & (np.abs(view.outward[..., 2]) < 0.5)  # the lid is flat
     along = np.abs(np.einsum("hwi,hwi->hw", view.outward @ rest[:3, :3].T, ray))
     bulging = view.depth_m - np.where(side, 0.003 * out / np.maximum(along, 0.2), 0.0)
-
     found = track(renderer, bulging, rest)
-
     assert found.good, found.reason
     assert np.linalg.norm(found.T_camera_container[:3, 3] - rest[:3, 3]) < 6e-4
 
@@ -174,7 +158,6 @@ def test_rounding_of_the_rendering_moves_a_pose_by_no_more_than_itself(monkeypat
 
     monkeypatch.setattr(ModelRenderer, "render", rounded)
     again = track(ModelRenderer(BOX, CAMERA), seen.depth_m, true, excluded=seen.finger)
-
     assert first.good
     np.testing.assert_allclose(again.T_camera_container, first.T_camera_container, atol=1e-13)
     np.testing.assert_allclose(again.directions, first.directions, atol=1e-9)

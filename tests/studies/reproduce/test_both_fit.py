@@ -33,9 +33,7 @@ def test_no_neighbour_of_beta_and_theta_has_a_lower_error(size: int | None) -> N
     volume: Volume = "scale" if size is None else "project"
     truth = engine.relax(body.held_position, 0.8, 0.5, volume=volume).position[0]
     observed = truth + rng.normal(0, 0.02 * engine.scale, body.rest.shape)
-
     found = fit_beta_theta(engine, body.held_position, observed, volume=volume)
-
     beta, theta = (each.ravel() for each in np.meshgrid(np.linspace(0.4, 0.96, 15), np.linspace(0.0, 1.0, 11)))
     grid = engine.relax(body.held_position, beta, theta, volume=volume, tolerance=1e-6)
     distance = np.linalg.norm(grid.position - observed, axis=2).mean(axis=1)[grid.converged & ~grid.diverged]

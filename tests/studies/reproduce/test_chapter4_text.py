@@ -57,7 +57,6 @@ def test_chapter_4_in_words_follows_its_numbers() -> None:
     falling = to_text([with_betas(foam, 3.0 / foam.hardness_n) for foam in foams], found)
     rising = to_text([with_betas(foam, 0.004 * foam.hardness_n) for foam in foams], found)
     same, one = to_text(foams, found), to_text(foams[:1], found)
-
     of_hold = [next(line for line in words if line.startswith(f"By {HOLDS[0]},")) for words in (falling, rising, same)]
     assert "falls with firmness at 5 of 5 cluster sizes" in of_hold[0]
     assert "rises with firmness at 5 of 5 cluster sizes" in of_hold[1]

@@ -29,7 +29,6 @@ def evaluated(*, blind: bool = False) -> tuple[Evaluation, Evaluation]:
 @pytest.mark.parametrize("blind", [False, True])
 def test_vision_is_best_for_water_where_it_is(blind: bool) -> None:
     ours = {one.thesis: one.ours for one in compare_findings(*evaluated(blind=blind))}
-
     water = ours["Vision is most informative for water."]
     assert ("Water: vision is better" in water) is not blind
     assert blind or water.endswith("Vision is best for water.")
@@ -40,7 +39,6 @@ def test_vision_is_best_for_water_where_it_is(blind: bool) -> None:
 
 def test_neighbours_in_hardness_are_confused_by_touch() -> None:
     ours = [one.ours for one in compare_findings(*evaluated(blind=True))]
-
     neighbours = next(words for words in ours if "name a neighbour" in words)
     share = float(neighbours.split("%")[0].removeprefix("By touch "))
     assert share > 70.0

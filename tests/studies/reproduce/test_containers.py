@@ -8,7 +8,6 @@ from studies.reproduce.container_trials import BOXES, THESIS_COUNTS, squeeze_job
 
 def test_the_thesis_s_proportions() -> None:
     jobs = squeeze_jobs(Path("d"), sum(THESIS_COUNTS.values()), 0, 20, 0)
-
     assert sum(THESIS_COUNTS.values()) == len(jobs) == 731
     assert Counter(job.content for job in jobs) == THESIS_COUNTS
     assert len({job.trial for job in jobs}) == len({job.seed for job in jobs}) == 731
@@ -21,14 +20,12 @@ def test_no_box_and_no_day_gives_a_content_away() -> None:
     for job in jobs:
         boxes[job.container].add(job.content)
         sessions[job.session].add(job.content)
-
     assert len(boxes) == BOXES
     assert all(len(contents) == 5 for contents in (*boxes.values(), *sessions.values()))
 
 
 def test_fewer_trials_keep_all_contents_and_cylinders_come_besides() -> None:
     jobs = squeeze_jobs(Path("d"), 40, 20, 2, 7)
-
     assert len(jobs) == 60
     assert len({job.content for job in jobs[:40]}) == 5
     assert {job.container.split("-")[0] for job in jobs[40:]} == {"cylinder"}

@@ -64,7 +64,6 @@ def of_the_model(theta: float, side: int = 5, depth: float = 0.03) -> Cube:
 )
 def test_a_cube_of_the_model_gives_its_theta(method: str, theta: float) -> None:
     one = examine(of_the_model(theta), CubeFit(method=method), False)  # type: ignore[arg-type]
-
     assert one.theta.value == pytest.approx(theta, abs=1e-4)
     assert one.theta.interval[0] <= theta + 1e-4
     assert one.theta.interval[1] >= theta - 1e-4
@@ -98,7 +97,6 @@ def test_overlapping_clusters_barrel_and_one_cluster_cannot(poisson: float) -> N
     """One quadratic cluster lacks the cubic terms of a barrel between two equal plates, whatever its beta."""
     (cube,), _ = thesis_cubes((poisson,), (7,), (0.03,))
     one = examine(cube, CubeFit(), True)
-
     assert one.overlapping is not None
     assert one.ratio <= 0.5
     assert one.one_cluster.aee >= 0.8 * one.theta.aee
@@ -119,7 +117,6 @@ def test_resolution_moves_theta_by_the_share_of_held_particles() -> None:
     (coarse, fine), _ = thesis_cubes((0.25,), (5, 9), (0.03,))
     values = [examine(cube, CubeFit(), False).theta.value for cube in (coarse, fine)]
     shares = [equal_share(cube.seen, 0.99) for cube in (coarse, fine)]
-
     assert values[0] - values[1] > 0.1
     assert abs(shares[0] - shares[1]) < 0.2 * (values[0] - values[1])
 
@@ -127,7 +124,6 @@ def test_resolution_moves_theta_by_the_share_of_held_particles() -> None:
 def test_finite_elements_are_linear_and_keep_the_plates() -> None:
     cubes, (time,) = thesis_cubes((0.4,), (5,), (0.01, 0.03))
     shallow, deep = (cube.seen.deformed - cube.seen.rest for cube in cubes)
-
     np.testing.assert_allclose(3.0 * shallow, deep, atol=1e-15)
     np.testing.assert_allclose(deep[cubes[0].seen.held][:, :2], 0.0)
     np.testing.assert_allclose(cubes[0].seen.rest, lattice((5, 5, 5), 0.025), atol=1e-15)
@@ -171,7 +167,6 @@ def test_points_without_a_lattice_and_boxes_have_a_name_too() -> None:
     deformed = rest * [1.02, 1.02, 0.9]
     cloud = Cube(Observation(rest, deformed, held, np.ones(60, dtype=bool)), 0.2, 0.01, "cloud")
     box = Cube(Observation(rest, deformed, held, np.ones(60, dtype=bool), shape=(3, 4, 5)), 0.2, 0.01, "box")
-
     assert (cloud.resolution, box.resolution) == ("60 particles", "3x4x5")
     one = examine(cloud, CubeFit(), True)
     assert one.theta.converged
@@ -189,7 +184,6 @@ def test_standard_error_of_the_mean() -> None:
 def test_spreads_group_by_ratio_and_by_what_is_asked(found: list[CubeResult]) -> None:
     of_all = spreads(found)
     of_each = spreads(found, lambda cube: cube.resolution)
-
     assert [(s.poisson, s.of, s.count) for s in of_all] == [(0.0, "", 4), (0.25, "", 4), (0.45, "", 4)]
     values = [one.theta.value for one in found if one.cube.poisson == 0.25]
     assert of_all[1].mean == pytest.approx(np.mean(values))
@@ -224,14 +218,12 @@ def test_a_theta_that_does_not_rise_is_noticed(
         )
         for number, value in enumerate(values)
     ]
-
     assert rises([*reported[::-1], *fine]) is strictly
     assert rises([*reported[::-1], *fine], to_bound=True) is to_bound
 
 
 def test_overlapping_clusters_are_fitted_to_the_deepest_of_each_kind() -> None:
     cubes, _ = thesis_cubes((0.1, 0.2), (3, 4), (0.01, 0.02))
-
     chosen = compared(cubes, "deepest")
     assert [cube.depth for cube, yes in zip(cubes, chosen, strict=True) if yes] == [0.02] * 4
     assert sum(compared(cubes, "all")) == 8
@@ -241,7 +233,6 @@ def test_overlapping_clusters_are_fitted_to_the_deepest_of_each_kind() -> None:
 def test_the_dense_curve_is_the_error_in_any_number_of_parts() -> None:
     (cube,), _ = thesis_cubes((0.3,), (4,), (0.02,))
     body = MODEL.body(cube.seen)
-
     whole, some = dense_curve(cube.seen, body, 0.99, 11), dense_curve(cube.seen, body, 0.99, 5001)
     np.testing.assert_allclose(whole.aee, some.aee[::500], rtol=1e-6)
 
@@ -255,7 +246,6 @@ def test_figures_and_tables_are_drawn(found: list[CubeResult], tmp_path: Path) -
     cubes_figures.draw_clusters(tmp_path / "c.png", found, 2)
     cubes_figures.draw_resolution(tmp_path / "d.png", found)
     write_rows(tmp_path / "cubes.csv", cubes_figures.cube_rows(found))
-
     for name in "abcd":
         image = cv2.imread(str(tmp_path / f"{name}.png"))
         assert image is not None
@@ -270,6 +260,5 @@ def test_figures_and_tables_are_drawn(found: list[CubeResult], tmp_path: Path) -
 
 def test_the_table_of_times_sets_ours_beside_the_thesis_s() -> None:
     rows = cubes_figures.time_rows([ModelTime("6^3", 1e-5, 2e-5, 0.5), ModelTime("5^3", 1e-5, 2e-5, 0.5)], [])
-
     assert (rows[0]["msm_step_ms"], rows[0]["thesis_msm_frame_ms"], rows[0]["thesis_comsol_ms"]) == (0.01, 6.1, 3000.0)
     assert (rows[1]["thesis_msm_frame_ms"], rows[1]["elements_ms"]) == (None, None)

@@ -44,7 +44,6 @@ def test_pairs_give_figures_tables_and_json(
     assert main(["reproduce", "cubes", "--pairs", *pairs[::-1], *flags]) == 0
     told = json.loads(capsys.readouterr().out)
     assert_shows(tmp_path / "r.rrd", pictures=3, says="theta rises with nu")
-
     assert told.keys() == TOP
     assert {path.name for path in out.iterdir()} == (FIGURES | TABLES) - {"resolution.png"}
     assert [cube["poisson"] for cube in told["cubes"]] == [0.0, 0.2, 0.4]
@@ -69,7 +68,6 @@ def test_the_thesis_s_cubes_are_made_and_the_table_told(
     monkeypatch.setattr(cubes, "POISSON", (0.3,))
     assert main(["reproduce", "cubes", "--out", str(tmp_path), "--jobs", "1", "--compare", "all"]) == 0
     out = capsys.readouterr().out
-
     assert {path.name for path in tmp_path.iterdir()} == FIGURES | TABLES
     assert out.startswith("6 cubes\n")
     assert "theta at nu 0.3" in out
@@ -81,7 +79,6 @@ def test_none_to_compare_draws_no_clusters(pairs: list[str], tmp_path: Path) -> 
     flags = ["--pairs", pairs[1], "--out", str(out), "--jobs", "1", "--compare", "none", *kept]
     assert main(["reproduce", "cubes", *flags]) == 0
     found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
-
     assert not (out / "clusters.png").exists()
     assert found["ratio_most"] is None
     assert main(["reproduce", "cubes", *flags]) == 0  # from what was kept
@@ -106,6 +103,5 @@ def test_what_cannot_be_done_is_told_in_a_line(
     (tmp_path / "file").touch()
     assert main(["reproduce", "cubes", *(flag.format(file=tmp_path / "file") for flag in flags)]) == EXIT_INPUT
     error = capsys.readouterr().err
-
     assert words in error
     assert error.count("\n") == 1

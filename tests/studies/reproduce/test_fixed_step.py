@@ -37,7 +37,6 @@ def test_it_takes_the_steps_that_are_printed(error: Callable[[float], float], sl
 
     found = fixed_step_descent(known, START, BOUNDS)
     theta, steps = transcribed(slope)
-
     assert found.value == pytest.approx(theta, abs=1e-5)
     assert found.steps == pytest.approx(steps, abs=1)
     assert found.error == pytest.approx(error(theta), abs=1e-6)
@@ -47,7 +46,6 @@ def test_it_takes_the_steps_that_are_printed(error: Callable[[float], float], sl
 def test_it_stops_early_where_the_error_is_flat() -> None:
     """A valley of 0.001 cm is not worth a step: it stops after the first, far from the minimum."""
     found = fixed_step_descent(lambda theta: 0.05 + 0.004 * (theta - 0.95) ** 2, START, BOUNDS)
-
     assert found.steps == 1
     assert abs(found.value - 0.95) > 0.4
     assert "slope is below 0.01 cm" in found.stopped
@@ -56,6 +54,5 @@ def test_it_stops_early_where_the_error_is_flat() -> None:
 def test_it_stays_in_the_range_and_gives_up_where_it_swings() -> None:
     ended = fixed_step_descent(lambda theta: -theta, START, BOUNDS)
     swings = fixed_step_descent(lambda theta: 2.0 * abs(theta - 0.505), START, BOUNDS)
-
     assert (ended.value, ended.stopped) == (1.0, "at the end of the range")
     assert (swings.steps, swings.stopped) == (MOST_STEPS, f"{MOST_STEPS} steps were taken")

@@ -64,9 +64,7 @@ def test_force_gives_the_models_stiffness(seen: FoamResult) -> None:
 @pytest.mark.slow
 def test_hardness_alone_moves_nothing_and_scales_k(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foams, "CHANGES", {"hardness": (75.0, 300.0)})
-
     base, softer, firmer = map(measure_control, controls(COARSE))
-
     assert base.foam.hardness == 150.0
     assert max(softer.moved_mm(base), firmer.moved_mm(base)) < 1e-6
     assert firmer.force_n == pytest.approx(4 * softer.force_n, rel=1e-6)
@@ -101,7 +99,6 @@ def test_trend_says_no_more_than_the_intervals_allow(
     seen: FoamResult, values: tuple[float, ...], half: float, reported: str, correlation: float | None
 ) -> None:
     found = trend(made(seen, [(v, v - half, v + half) for v in values]), "flow", "one", 2)
-
     assert found.told == reported
     assert found.drop == pytest.approx(values[0] - values[-1])
     assert found.rank_correlation == (None if correlation is None else pytest.approx(correlation))
@@ -109,7 +106,6 @@ def test_trend_says_no_more_than_the_intervals_allow(
 
 def test_rank_correlation_is_spearmans() -> None:
     a, b = np.random.default_rng(0).normal(size=(2, 9))
-
     assert rank_correlation(a, b) == pytest.approx(spearmanr(a, b).statistic)
     assert rank_correlation(a, np.ones(9)) is None
     assert rank_correlation(a[:2], b[:2]) is None

@@ -16,7 +16,6 @@ FIGURES = ("figure-3.14.png", "figure-3.14-clamp-held.png", "stiffness.png", "pa
 
 def test_what_it_cannot_use_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
-
     assert main(["reproduce", "foams", "--out", str(tmp_path / "file")]) == 2
     assert capsys.readouterr().err.startswith("deformscope: error: expected a folder that can be written to")
     assert main(["reproduce", "foams", "--seed", "-1"]) == 2
@@ -52,10 +51,8 @@ def run(tmp_path: Path, *flags: str) -> dict:
 @pytest.mark.slow
 def test_quick_run_draws_and_tells_two_foams(tmp_path: Path) -> None:
     told = run(tmp_path, "--quick", "--keep-images")
-
     assert [foam["name"] for foam in told["foams"]] == ["24/80", "50/230"]
     assert {Path(path).name for path in told["figures"]} == set(FIGURES)
-
     # what a user gets from the images with the ordinary command
     images, target = tmp_path / "new" / "foams" / "images" / "50-230", tmp_path / "again.json"
     flags = "--roi 30,50,750,350 --grid 7x15 --contact 330,50,150,50 --px-per-cm 50 --cluster-size 2 --viewer none"
@@ -69,7 +66,6 @@ def test_quick_run_draws_and_tells_two_foams(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_whole_experiment_tells_stiffness_by_force_alone(tmp_path: Path) -> None:
     told = run(tmp_path)
-
     assert {Path(path).name for path in told["figures"]} == {*FIGURES, "one-change.png"}
     assert len(told["trends"]) == 12
     assert all(foam["lost"] == 0 for foam in told["foams"])

@@ -37,7 +37,6 @@ def test_a_pose_is_wrong_by_what_it_is_off_in_the_directions_that_are_observed()
     turn = np.radians(0.5)
     true[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     true[:3, 3] = [0.003, 0.004, 0.0]
-
     whole = pose_error(estimate([True] * 6), true)
     assert (1e3 * whole.shift_m, whole.turn_deg) == pytest.approx((5.0, 0.5))
     assert whole.off
@@ -49,7 +48,6 @@ def test_a_pose_is_wrong_by_what_it_is_off_in_the_directions_that_are_observed()
 def test_events_are_off_in_periods_of_their_device() -> None:
     found = SqueezeEvents(1000 * MS, (930 * MS, 1070 * MS), 0, (0, 0), np.zeros(2, np.int64), 0.035, 0.02, 40.0)
     errors = event_errors(found, (930 * MS, 1500 * MS), (0.035, 0.02), "_lost")
-
     assert errors["first_lost"] == pytest.approx(2.0)
     assert errors["first_held_lost"] == 1.0
     assert np.isnan(errors["steady_lost"])
@@ -82,9 +80,7 @@ def test_values_off_by_more_than_five_deviations_are_counted_and_those_beside_th
     vision[:, :10] = vision[20:30, 20:30] = np.nan
     vision[0, 0], vision[1, 40], vision[2, 40] = 0.001, 0.011, 0.009
     features = SqueezeFeatures(*[np.zeros(1)] * 4, vision=vision, missing=0.2, noise_m=0.002)
-
     found = depth_errors(features, true)
-
     assert (found["depth_off"], found["depth_known"]) == (2, 61 * 51 + 1)
     assert found["depth_worst"] == np.inf
     vision[0, 0] = np.nan
@@ -94,7 +90,6 @@ def test_values_off_by_more_than_five_deviations_are_counted_and_those_beside_th
 def test_many_are_summed_up_and_drawn(rice: Numbers) -> None:
     late = {**rice, "first": 5.0, "shift_mm": 4.0}
     rows = dict(truth_rows([rice, late, {"trial": "x", "content": "rice", "stopped": "saturated"}]))
-
     assert rows["squeezes"] == "3, 1 of them stopped early"
     assert rows["first contact, all frames"].startswith("50.0% within 2 sample periods")
     assert rows["off by 5 times the stated noise"].startswith("0 of ")
@@ -107,9 +102,7 @@ def test_of_a_hundred_squeezes_nearly_all_are_found_as_they_were() -> None:
     jobs = squeeze_jobs(Path("nowhere"), 80, 20, 0, 0, new=True)
     with open_workers("local", None, None) as workers:
         every = [one.value[1] for one in compute(workers, squeeze_errors, jobs) if one.value is not None]
-
     assert len(every) == len(jobs)
-
     assert not any("stopped" in one for one in every)
     for name in ("first", "steady", "first_lost", "steady_lost"):
         assert np.mean(np.abs(numbers_of(every, name)) <= 2.0) >= 0.95, name

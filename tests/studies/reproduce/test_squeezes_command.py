@@ -34,7 +34,6 @@ def test_errors_a_data_set_and_a_figure_are_left_and_taken_up_again(
     (one,) = json.loads((tmp_path / "s.json").read_text())["squeezes"]
     assert one["trial"] == entry.trial
     assert (tmp_path / "squeezes.png").exists()
-
     monkeypatch.setattr(squeeze_truth, "squeeze_trial", lambda *_: pytest.fail("squeezed again"))
     assert main(arguments) == 0
     assert capsys.readouterr().out == shown

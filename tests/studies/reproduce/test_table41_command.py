@@ -38,7 +38,6 @@ def test_what_cannot_be_explored_is_said_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-
     assert main(["reproduce", "table41", *arguments]) != 0
     said = capsys.readouterr().err
     assert words in said
@@ -75,7 +74,6 @@ def test_planners_are_compared(
     monkeypatch.setattr(table41, "run_table", run)
     arguments = ["--scenes", "disc", "--planners", "regions,max-variance", "--seeds", "2", "--touches", "10"]
     assert main([*ONE, *arguments, "--out", str(tmp_path)]) == 0
-
     assert "disc, IoU 0.8: regions / max-variance" in capsys.readouterr().out
     with (tmp_path / "planners.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -110,7 +108,6 @@ def test_a_study_that_was_killed_goes_on_with_the_same_numbers(tmp_path: Path) -
             time.sleep(0.01)
         running.kill()
     kept = killed.read_text().splitlines(keepends=True)
-
     assert main([*arguments, "--resume", str(killed)]) == 0
     assert main([*arguments, "--jobs", "1", "--resume", str(whole)]) == 0
     after = killed.read_text().splitlines(keepends=True)

@@ -33,7 +33,6 @@ def test_a_touch_takes_what_its_way_its_speeds_and_its_dwell_come_to() -> None:
     way_s = 0.2 / 0.05
     down_s, up_s = 0.02 / 0.03 + 0.03 / 0.01, 0.056 / 0.03
     press_s = 0.006 / 0.01
-
     # speeds end softly: way, descent, press and way up, by an exponential of 4 a second each
     soft_s = 3.0
     least_s = way_s + TARE_S + down_s + press_s + plan.dwell_s + up_s
@@ -44,7 +43,6 @@ def test_low_and_fast_takes_half_of_it_and_something_stiff_is_pressed_with_more(
     plan = TouchPlan(AT, UP, travel_height_m=0.11, more_force_n=None)
     quick = replace(plan, standoff_m=0.02, slow_within_m=0.006, far_speed_m_s=0.05, travel_speed_m_s=0.15)
     quick = replace(quick, passing_m=2e-3, travel_height_m=0.08)
-
     assert seconds(quick) < 0.5 * seconds(plan)
     # the way down and the way up end softly over 2 cm at most, which takes half a second less; travel as much
     assert seconds(quick) - 1.2 < seconds(replace(quick, braking_per_s=8.0)) < seconds(quick) - 0.6
